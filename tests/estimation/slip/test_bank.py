@@ -20,7 +20,7 @@ from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.log import make_log, run_log, script_of
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import to_records
+from trackslip_estimation.slip.records import EVENT, to_records
 
 FloatArray = NDArray[np.float64]
 
@@ -214,6 +214,16 @@ def test_any_order_of_arrival_gives_the_same_bits(seed: int, random: Any, late_s
     for s in range(one.counts[last]):
         assert_same_bits(one.states[s, last : last + 1], other.states[s, end : end + 1])
         assert one.branches[s, last]["weight"] == other.branches[s, end]["weight"]
+
+
+def test_a_script_of_nothing_holds_for_a_receiver_that_wanders_however_long_the_log() -> None:
+    """The weight of the only branch is never set back there, and its exponential became infinite."""
+    recording = drive(Machine(duration=100.0, fix_noise=0.01, fix_stated=0.9, fix_rate=10))
+    p = parameters(**GNSS)
+    log = make_log(to_records(recording.measurements, SlipEstimator(p).sources), p)
+    for block in run_log(log, p, np.zeros(0, EVENT)):
+        assert np.isfinite(block.states["mean"]).all()
+        assert block.window.status["divergences"][0] == 0
 
 
 @pytest.mark.parametrize("seed", range(6))

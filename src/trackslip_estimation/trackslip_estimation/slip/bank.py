@@ -179,7 +179,8 @@ def heading_variance(window: Window, k: int) -> float:
     """Of all branches of row k about the most probable one's heading, rad²."""
     total = variance = 0.0
     for s in range(window.counts[k]):
-        w, state = math.exp(window.branches[s, k].weight), window.states[s, k]
+        w = math.exp(window.branches[s, k].weight - window.branches[0, k].weight)
+        state = window.states[s, k]
         off = wrap(state.mean[YAW] - window.states[0, k].mean[YAW])
         total, variance = total + w, variance + w * (state.covariance[YAW, YAW] + off * off)
     return variance / total
