@@ -71,7 +71,8 @@ function watch() {
     const since = shown_at === null ? "" : ` since ${clock(shown_at)}`
     tell_link("silent", `no data${since} (${Math.floor(quiet / 1000)} s)`)
   }
-  if (socket !== null && now - Math.max(shown, connected) > GIVEN_UP) {
+  const connects = socket !== null && socket.readyState === WebSocket.CONNECTING // a busy server answers late
+  if (socket !== null && now - Math.max(shown, connected) > (connects ? 3 : 1) * GIVEN_UP) {
     socket.close()
     connect()
   }
