@@ -15,8 +15,8 @@ innovations under Student's t; fixes that are correlated are explained best by t
 masses have g = 0: the errors are white. One record belongs to a source, not to a branch of the bank: the way
 is that of the most probable branch.
 
-Fixes that state no more than ``PRECISE`` teach no masses: a sudden offset of theirs is an event, and what lasts
-of them is seen by their jitter (``own_errors``).
+Fixes that state no more than ``PRECISE`` teach no masses: a sudden offset of theirs is an event, and what
+lasts of them is seen by their jitter (``own_errors``).
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
 """
