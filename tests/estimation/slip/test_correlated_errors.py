@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.slip.adaptation import repeats, shared_error
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, forget_receiver, meet_fix
+from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, add_fix, reset_receiver
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, Y
@@ -27,8 +27,8 @@ from trackslip_estimation.slip.own_errors import (
     begin_offset,
     lasting_share,
     learn_jitter,
-    meet_fix_error,
     pass_offsets,
+    prepare_offset,
     to_offset,
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -151,7 +151,7 @@ def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
         return P - P @ H.T @ np.linalg.solve(H @ P @ H.T + 0.5 * np.eye(3), H @ P)
 
     state = given_offset(Gaussian(np.zeros(SIZE), informed(before)), before, g)
-    assert meet_fix_error(state, update_of(state), SOURCE, np.eye(2), False, C)
+    assert prepare_offset(state, update_of(state), SOURCE, np.eye(2), False, C)
     np.testing.assert_allclose(state["covariance"], informed(g), atol=1e-9)
     assert state["offsets"]["variance"][0] == pytest.approx(g)
 
@@ -161,7 +161,7 @@ def test_another_quality_has_another_error(stddev: float, variance: float) -> No
     """What is known of the error of one solution tells nothing of that of another; a precise one has none."""
     state = given_offset(made_up(), 4.0)
     update, wanted = update_of(state), state["covariance"].copy()
-    coarse = meet_fix_error(state, update, SOURCE, stddev**2 * np.eye(2), False, C)
+    coarse = prepare_offset(state, update, SOURCE, stddev**2 * np.eye(2), False, C)
     assert coarse == (variance > 0.0)
     assert update["renewed"] == 3 << SENSOR_ERRORS
     wanted[OFFSET], wanted[:, OFFSET], wanted[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
@@ -222,9 +222,9 @@ def test_ten_fixes_a_second_whose_errors_last_leave_the_estimate_consistent() ->
 def found(fixes: FloatArray, stddev: float, period: float) -> Any:
     """Record of ``RECEIVER`` after fixes of a machine that stands."""
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
-    forget_receiver(receiver[0])
+    reset_receiver(receiver[0])
     for k, fix in enumerate(fixes):
-        meet_fix(receiver[0], masses[0], fix, stddev, 0.0, S + round(k * period * S))
+        add_fix(receiver[0], masses[0], fix, stddev, 0.0, S + round(k * period * S))
     return receiver[0]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.correlated_errors import MOST_SPREAD, forget_receiver, meet_fix
+from trackslip_estimation.slip.correlated_errors import MOST_SPREAD, add_fix, reset_receiver
 from trackslip_estimation.slip.events import (
     AREA,
     FOLDED,
@@ -77,7 +77,7 @@ _ALIKE = 0.05  # mean squared distance of two branches that are one
 _SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
 _SLIP_EXCESS = 0.1  # standard deviation by which i₀ may leave it
 _DRIVEN = 0.05  # m of the tracks, with which heading and slip show in the place
-_OFTEN = 0.012  # share of outliers of a source that has had some of late
+_OFTEN = 0.012  # share of outliers of a source that has had some recently
 _SHORTEST = 0.01  # s, in which an event may have happened
 _OF_CORRELATED = 6.0  # by which w of events of the machine is less where fixes err to one side
 _SMALLEST = 1e-4  # m², squared size of a jump or an offset
@@ -167,7 +167,7 @@ def _follow_receivers(window: Window, k: int, c: Any) -> None:
         if update.coarse == 1 and (spread < MOST_SPREAD or math.hypot(of.way[X], of.way[Y]) < _DRIVEN):
             if has_velocity_errors(c):
                 spread += P[COMMON_SLIP, COMMON_SLIP]
-            meet_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
+            add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
             if spread >= MOST_SPREAD:
                 of.observed = 0.0
         elif of.known > 0:
@@ -191,7 +191,7 @@ def begin_row(window: Window, k: int, c: Any) -> None:
     """One branch at entry k, where the estimate begins."""
     window.counts[k] = 1
     for n in range(c.poses):
-        forget_receiver(window.receivers[k, n])
+        reset_receiver(window.receivers[k, n])
     _take_errors(window.states[0, k], window.receivers[k], c)
     branch = window.branches[0, k]
     branch.weight = branch.snapshot_weight = 0.0
@@ -202,13 +202,13 @@ def begin_row(window: Window, k: int, c: Any) -> None:
 
 
 @compiled
-def meet_first_fix(window: Window, c: Any) -> None:
+def add_first_fix(window: Window, c: Any) -> None:
     """A coarse fix with which the estimate begins is the first that its receiver's masses know."""
     state, m = window.states[0, 0], window.measurements[0]
     number = number_of(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:
         stddev = state.offsets[number].stddev
-        meet_fix(
+        add_fix(
             window.receivers[0, number], window.masses[0, number], state.mean[:YAW], stddev, 0.0, m.stamp_ns
         )
 
@@ -431,7 +431,7 @@ def _have_children(
     if not contradicts and not implausible and (fault != IS_SOUND or e.cusum.max() <= _LIMIT):
         return born
     since = math.log(max((m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns) * 1e-9, _SHORTEST))
-    doubt = _OF_CORRELATED if is_correlated(before, source, c) else 0.0
+    penalty = _OF_CORRELATED if is_correlated(before, source, c) else 0.0
     if contradicts:
         squared = (m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2
         size = math.log(AREA) + log_density_of_any_size(max(squared, _SMALLEST))
@@ -448,10 +448,10 @@ def _have_children(
         prior = size + moved
         born = _child(window, p, k, MOVED, 0, False, prior, born, c)
         if drove and update.stated <= c.events.skid_stddev:
-            prior = now + log_rate(SKIDDED, source, c) - doubt
+            prior = now + log_rate(SKIDDED, source, c) - penalty
             born = _child(window, p, k, SKIDDED, 0, False, prior, born, c)
     if drove and has_velocity_errors(c):
-        prior = since + log_rate(SLIPPED, source, c) - doubt
+        prior = since + log_rate(SLIPPED, source, c) - penalty
         born = _child(window, p, k, SLIPPED, 0, True, prior, born, c)
     is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= _LIMIT
     if is_first and not implausible and before.outlier_share[source] > _OFTEN:
@@ -469,7 +469,7 @@ def _have_children(
     if (contradicts and update.dof > YAW) or (
         (contradicts or implausible) and drove
     ):  # else it shows in nothing
-        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - doubt
+        prior = since + log_rate(TURNED, source, c) - math.log(HEADINGS) - penalty
         for part in range(HEADINGS):
             born = _child(window, p, k, TURNED, part, True, prior, born, c)
     return born

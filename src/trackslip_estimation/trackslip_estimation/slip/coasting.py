@@ -23,8 +23,9 @@ from typing import Any
 
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Kinematics
+from trackslip_estimation.kalman.single_state import decay_state, replace_state
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import LASTS, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
 
 
@@ -47,38 +48,23 @@ def begin_coast(state: Any, rate: tuple[float, float], c: Any) -> None:
     """At the end of what is known; ``rate``: yaw rate and its variance."""
     if not has_velocity_errors(c):
         return
-    forget_speed(state, c)
-    _renew(state, YAW_RATE_ERROR, rate[0], rate[1])
+    reset_speed(state, c)
+    replace_state(state.mean, state.covariance, YAW_RATE_ERROR, rate[0], rate[1])
 
 
 @compiled
-def forget_speed(state: Any, c: Any) -> None:
+def reset_speed(state: Any, c: Any) -> None:
     """Speed unknown: about zero, as wide as it can be."""
     if has_velocity_errors(c):
-        _renew(state, SPEED_ERROR, 0.0, c.speed_limit**2)
+        replace_state(state.mean, state.covariance, SPEED_ERROR, 0.0, c.speed_limit**2)
 
 
 @compiled
-def doubt_rate(state: Any, dt: float, c: Any) -> None:
+def decay_yaw_rate(state: Any, dt: float, c: Any) -> None:
     """The yaw rate dt later: it goes to zero, as wide as it can be."""
-    if not has_velocity_errors(c):
-        return
-    x, P, k, left = state.mean, state.covariance, YAW_RATE_ERROR, math.exp(-dt / LASTS)
-    x[k] *= left
-    for j in range(SIZE):
-        P[k, j] *= left
-    for j in range(SIZE):
-        P[j, k] *= left
-    P[k, k] += (1.0 - left * left) * c.yaw_rate_limit**2
-
-
-@compiled
-def _renew(state: Any, k: int, mean: float, variance: float) -> None:
-    """State k anew, uncorrelated."""
-    state.mean[k] = mean
-    for j in range(SIZE):
-        state.covariance[k, j] = state.covariance[j, k] = 0.0
-    state.covariance[k, k] = variance
+    if has_velocity_errors(c):
+        left = math.exp(-dt / LASTS)
+        decay_state(state.mean, state.covariance, YAW_RATE_ERROR, left, c.yaw_rate_limit**2)
 
 
 @compiled

@@ -15,8 +15,8 @@ innovations under Student's t; fixes that are correlated are explained best by t
 masses have g = 0: the errors are white. One record belongs to a source, not to a branch of the bank: the way
 is that of the most probable branch.
 
-Fixes that state no more than ``PRECISE`` teach no masses: a sudden offset of theirs is an event, and what
-lasts of them is seen by their jitter (``own_errors``).
+Fixes that state no more than ``PRECISE`` do not weigh the masses: a sudden offset of theirs is an event, and
+what lasts of them is seen by their jitter (``own_errors``).
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
 """
@@ -56,7 +56,6 @@ LOG_PRIOR = np.concatenate(
 _LEAST_G = 1e-3
 _LONGEST = 30.0  # s: τ in the filter is no longer; what errs for longer is a part of the place
 _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
-_GATE = 13.8  # NIS
 _MEMORY = 0.998  # of w, from one fix to the next
 _INTERVAL = 2.0  # s between fixes that masses learn from, once errors are correlated
 _UNKNOWN_WAY = 1e4  # variance of c at first, over R
@@ -108,7 +107,7 @@ def same_quality(stddev: float, other: float) -> bool:
 
 
 @compiled
-def forget_receiver(s: Any) -> None:
+def reset_receiver(s: Any) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
     s.known, s.quality, s.stddev, s.elapsed, s.driven = 0, 0, 0.0, 0.0, 0.0
     s.way[:] = s.beyond[:] = s.last[:] = 0.0
@@ -117,8 +116,8 @@ def forget_receiver(s: Any) -> None:
 
 
 @compiled
-def meet_fix(s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float, stamp_ns: int) -> None:
-    """One more coarse fix teaches the masses of its source.
+def add_fix(s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float, stamp_ns: int) -> None:
+    """One more coarse fix weighs the masses of its source.
 
     ``shown``: place that it shows (2,), m; ``spread``: variance of the way's direction and length.
     """
@@ -160,7 +159,7 @@ def _begin_means(masses: Any, R: float) -> None:
 
 @compiled
 def _renew_offsets(masses: Any, R: float) -> None:
-    """The receiver found its position anew: the offset is another one."""
+    """The receiver has another solution: the offset is reset."""
     for k in range(COUNT):
         masses.means[k, 0, :] = 0.0
         masses.covariances[k, 0] = G[k] * R

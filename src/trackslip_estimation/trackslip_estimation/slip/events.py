@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
@@ -180,15 +181,6 @@ def log_rate(event: int, source: int, c: Any) -> float:
 
 
 @compiled
-def open_state(x: FloatArray, P: FloatArray, k: int, mean: float, variance: float) -> None:
-    """State k gets a mean and a variance of its own, uncorrelated; in place."""
-    x[k] = mean
-    for j in range(P.shape[0]):
-        P[k, j] = P[j, k] = 0.0
-    P[k, k] = variance
-
-
-@compiled
 def open_heading(state: Any, source: int, heading: float, variance: float, c: Any) -> None:
     """The heading becomes ``heading``, rad; the source's sensor stays where it is.
 
@@ -197,20 +189,20 @@ def open_heading(state: Any, source: int, heading: float, variance: float, c: An
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     to_sensor(x, P, level, source, 1.0, c)
     above = c.above[source] == 1
-    open_state(x, P, YAW, wrap(heading + (x[SWING] if above else 0.0)), variance)
+    replace_state(x, P, YAW, wrap(heading + (x[SWING] if above else 0.0)), variance)
     to_sensor(x, P, level, source, -1.0, c)
     if not has_velocity_errors(c):
         return
     for q in _LEARNED_BY_HEADING:
-        open_state(x, P, q, c.prior_mean[q], c.prior_variance[q])
+        replace_state(x, P, q, c.prior_mean[q], c.prior_variance[q])
 
 
 @compiled
 def open_swing(state: Any, angle: float, variance: float, c: Any) -> None:
     """The angle of the upper structure becomes ``angle``, rad; it may swing as fast as it can."""
     x, P = state.mean[: c.size], state.covariance[:]
-    open_state(x, P, SWING, wrap(angle), variance)
-    open_state(x, P, SWING_RATE, 0.0, c.swing.fastest**2)
+    replace_state(x, P, SWING, wrap(angle), variance)
+    replace_state(x, P, SWING_RATE, 0.0, c.swing.fastest**2)
 
 
 @compiled
@@ -261,7 +253,7 @@ def apply_event(state: Any, event: int, source: int, part: int, value: float, c:
     elif event == MOVED:
         state.rests_on = source
         for axis in (X, Y):
-            open_state(x, P, axis, x[axis], unknown)
+            replace_state(x, P, axis, x[axis], unknown)
             renewed |= 1 << axis
     elif event == TURNED:
         state.is_sector = part != MEASURED
@@ -298,7 +290,7 @@ def _open_offset(state: Any, source: int, wide: bool, c: Any) -> int:
         state.offsets[number].variance = 0.0 if wide else usual
     size = math.pi**2 / 3.0 if number < 0 else AREA / (2.0 * math.pi)
     for i in range(own, own + (1 if number < 0 else 2)):
-        open_state(state.mean[:], state.covariance[:], i, 0.0, size if wide else usual)
+        replace_state(state.mean[:], state.covariance[:], i, 0.0, size if wide else usual)
         renewed |= 1 << i
     return renewed
 

@@ -12,8 +12,8 @@ A measurement has two explanations inside a branch: it is sound, with a likeliho
 noise-factor masses, or it is an outlier of any size. The more likely one decides whether it is used: that is
 the gate. ``update.evidence`` is the log of that likelihood, by which the bank weighs the branch. As tracks
 start, or turn back, fixes do not correct their delay: the soil under them gives way first, which looks alike.
-Fixes of a coarse receiver have its offset in them (``correlated_errors``); what surprises of them is doubt of
-that first. While the receiver errs to one side, they do not correct the bias of a gyro.
+Fixes of a coarse receiver have its offset in them (``correlated_errors``); a large innovation
+inflates that first. While the receiver errs to one side, they do not correct the bias of a gyro.
 """
 
 import math
@@ -51,13 +51,13 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.odometry_errors import by_track_error
 from trackslip_estimation.slip.own_errors import (
-    doubt_offset,
+    inflate_offset,
     is_correlated,
     is_new,
     lasting_share,
     learn_jitter,
-    meet_fix_error,
     number_of,
+    prepare_offset,
     spread_of,
     to_offset,
     to_shown_yaw,
@@ -91,7 +91,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     m, fault = z.size, state.fault[source]
     coarse, has_offset = (
         is_coarse(stated),
-        meet_fix_error(state, update, source, stated, fault == IS_OFFSET, c),
+        prepare_offset(state, update, source, stated, fault == IS_OFFSET, c),
     )
     stddev = spread_of(stated)
     if has_offset and not coarse:
@@ -126,10 +126,10 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
     if not used:
         return
     if state.adaptation.elapsed > _LONGEST_WAY and fault == IS_SOUND and update.nis <= update.gate:
-        _teach_track_error(state, innovation, P[:YAW, :YAW] + R[:YAW, :YAW], elapsed, c)
+        _learn_track_error(state, innovation, P[:YAW, :YAW] + R[:YAW, :YAW], elapsed, c)
     if coarse and is_correlated(state, source, c):
         share = surprise(update.nis, m)
-        doubt_offset(state, P, source, share * (np.diag(P)[:YAW] + np.diag(R)[:YAW]), c)
+        inflate_offset(state, P, source, share * (np.diag(P)[:YAW] + np.diag(R)[:YAW]), c)
     R = inflated(innovation, P[:m, :m], R, c.gate_limits[m])
     R *= min(known, shared_error(P[:m, :m], R))
     count_fix(state, source, alone, R, c)
@@ -146,7 +146,7 @@ def use_pose(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @compiled
-def _teach_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapsed: float, c: Any) -> None:
+def _learn_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapsed: float, c: Any) -> None:
     """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
     if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= _LONGEST_WAY:
         return

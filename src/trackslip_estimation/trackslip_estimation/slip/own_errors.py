@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.single_state import decay_state, replace_state
 from trackslip_estimation.slip.correlated_errors import PRECISE, is_coarse, same_quality
 from trackslip_estimation.slip.levers import add
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, YAW, X, Y
 
 FloatArray = NDArray[np.float64]
 
-OBSERVED = 3.0  # times τ, after which fixes of a coarse receiver may teach the bias of a gyro
+OBSERVED = 3.0  # times τ, after which fixes of a coarse receiver may correct the bias of a gyro
 CLOSE = 0.3  # s between fixes that show what they jitter by
 JITTERS = 25.0  # of them, after which it is known
 LEAST_LASTING, MOST_LASTING, MOST_JITTER = 0.25, 0.9, 9.0
@@ -76,7 +77,7 @@ def is_new(state: Any, source: int, c: Any) -> bool:
 
 
 @compiled
-def meet_fix_error(state: Any, update: Any, source: int, R: FloatArray, is_open: bool, c: Any) -> bool:
+def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open: bool, c: Any) -> bool:
     """The offset of a source as its next fix, of covariance R, finds it; whether that has one by itself.
 
     When the standard deviation becomes another (ambiguities fixed, floating, code alone), so does the offset.
@@ -137,10 +138,7 @@ def spread_of(R: FloatArray) -> float:
 @compiled
 def _renew(x: FloatArray, P: FloatArray, own: int, variance: float) -> None:
     for i in (own, own + 1):
-        x[i] = 0.0
-        for j in range(x.size):
-            P[i, j] = P[j, i] = 0.0
-        P[i, i] = variance
+        replace_state(x, P, i, 0.0, variance)
 
 
 @compiled
@@ -179,12 +177,7 @@ def pass_offsets(state: Any, dt: float, c: Any) -> None:
             continue
         left = offset_left(state, number, dt)
         for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
-            x[k] *= left
-            for j in range(x.size):
-                P[k, j] *= left
-            for j in range(x.size):
-                P[j, k] *= left
-            P[k, k] += (1.0 - left * left) * variance
+            decay_state(x, P, k, left, variance)
 
 
 @compiled
@@ -196,7 +189,7 @@ def fade_offsets(F: FloatArray, state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def doubt_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: Any) -> None:
+def inflate_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: Any) -> None:
     """P, with the place that the source shows, where its offset is by ``more`` (2,), m², more uncertain."""
     own, most = c.offsets[source], SURPRISED * state.offsets[number_of(source, c)].variance
     for axis in (X, Y):

@@ -8,7 +8,7 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.bank import begin_row, meet_first_fix, play_script, split_unknown_heading
+from trackslip_estimation.slip.bank import add_first_fix, begin_row, play_script, split_unknown_heading
 from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
@@ -53,7 +53,7 @@ def begin(window: Window, measurement: Any, c: Any) -> int:
     drop(window, entry)
     begin_row(window, 0, c)
     _set_start(window.states[0, 0], measurements[0], c)
-    meet_first_fix(window, c)
+    add_first_fix(window, c)
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
     if status.scripted:
         play_script(window, 0, 1, c)

@@ -24,7 +24,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
 from trackslip_estimation.slip.altitude import use_altitude
-from trackslip_estimation.slip.coasting import begin_coast, doubt_rate, doubt_start, forget_speed, inflate
+from trackslip_estimation.slip.coasting import begin_coast, decay_yaw_rate, doubt_start, inflate, reset_speed
 from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.fixes import use_pose
 from trackslip_estimation.slip.heading import use_heading
@@ -181,8 +181,8 @@ def coast(state: Any, dt: float, c: Any) -> None:
     state.shear[:] = 0.0
     propagate(state, dt, c)
     inflate(state, dt, c)
-    forget_speed(state, c)
-    doubt_rate(state, dt, c)
+    reset_speed(state, c)
+    decay_yaw_rate(state, dt, c)
     limit_heading(state)
     state.coasting = True
 
