@@ -18,9 +18,9 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_log, run_whole
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.dispatch import linearize
-from trackslip_estimation.slip.observation import comparable_speeds, expected, jacobian, observed
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import SPROCKETS, to_records
+from trackslip_estimation.slip.update import observe
 
 ROWS = 20_000
 STEP_NS = 5_000_000  # from one measurement to the next
@@ -100,25 +100,18 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
     size = int(c["size"])
     their = kalman.ExtendedKalmanFilter(size, 1)
     their.x, their.P = start["mean"][:size].copy(), start["covariance"][:size, :size].copy()
+    room = states[:1].copy()
     began = time.process_time()
     for measurement, drive_ in zip(log.rest, states, strict=True):
         moved, their.F, their.Q = linearize(their.x, their.P, drive_, STEP_NS * 1e-9, c)
         their.predict()
         their.x = moved
-        kind = int(measurement["kind"])
-        if kind == SPROCKETS:  # they drive, and measure nothing
+        if measurement["kind"] == SPROCKETS:  # they drive, and measure nothing
             continue
-        z, R = observed(measurement, drive_, c)
-        speeds = comparable_speeds(kind, drive_, c)[:2]
-        arguments = (1, speeds, c)
-        their.update(
-            z,
-            lambda x, *a, kind=kind: jacobian(kind, x, *a),
-            lambda x, *a, kind=kind: expected(kind, x, *a),
-            R,
-            arguments,
-            arguments,
-        )
+        room[0] = drive_
+        room["mean"][0, :size] = their.x
+        o = observe(room[0], measurement, c)
+        their.update(o.innovation, lambda x, o=o: o.jacobian, lambda x, o=o: 0.0 * o.innovation, o.noise)
     return time.process_time() - began
 
 

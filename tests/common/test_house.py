@@ -1,8 +1,7 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What travels together is one argument, no function of ours takes more than six; a licence in every file."""
+"""A licence in every file; one version of all packages."""
 
-import ast
 import re
 import subprocess
 from pathlib import Path
@@ -11,20 +10,6 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ESTIMATION = ROOT / "src/trackslip_estimation/trackslip_estimation"
-
-
-def test_predict_gate_and_update_stand_once() -> None:
-    """Only ``slip/step.py`` propagates a state; only ``update.py`` and ``fixes.py`` correct it."""
-    callers = set()
-    for file in ESTIMATION.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            called = (
-                node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else ""
-            )
-            if called in ("propagate_covariance", "correct", "correct_keeping", "correct_knowing"):
-                callers.add(file.name)
-    assert callers == {"step.py", "update.py", "fixes.py"}
 
 
 def test_every_file_of_code_names_its_licence_and_who_holds_it() -> None:

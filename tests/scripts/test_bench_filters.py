@@ -24,11 +24,11 @@ class TheirFilter:
     def predict(self) -> None:
         self.x, self.P = self.F @ self.x, self.F @ self.P @ self.F.T + self.Q
 
-    def update(self, z: Any, jacobian: Any, expected: Any, R: Any, of_H: Any, of_h: Any) -> None:
-        H = jacobian(self.x, *of_H)
+    def update(self, z: Any, jacobian: Any, expected: Any, R: Any) -> None:
+        H = jacobian(self.x)
         gain = self.P @ H.T @ np.linalg.inv(H @ self.P @ H.T + R)
         self.x, self.P = (
-            self.x + gain @ (z - expected(self.x, *of_h)),
+            self.x + gain @ (z - expected(self.x)),
             (np.eye(self.x.size) - gain @ H) @ self.P,
         )
         TheirFilter.updates += 1

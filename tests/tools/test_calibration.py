@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import YawRate
-from trackslip_estimation.slip.observation import observed
 from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
+from trackslip_estimation.slip.update import observe
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
 from trackslip_tools.calibration.finding import Finding
 from trackslip_tools.calibration.output import summary, text, write_parameters
@@ -306,8 +306,8 @@ def test_a_scaled_gyro_is_read_in_true_units() -> None:
         load_slip_parameters({"sources.imu_data_raw.sign": -1, "sources.imu_data_raw.scale": 0.5})
     )
     records = to_records([YawRate("imu/data_raw", 1, 0.2, 4e-6)], estimator.sources)
-    z, R = observed(records[0], np.zeros(1, STATE)[0], estimator.config[0])
-    assert (z[0], R[0, 0]) == (pytest.approx(-0.4), pytest.approx(16e-6))
+    o = observe(np.zeros(1, STATE)[0], records[0], estimator.config[0])
+    assert (o.innovation[0], o.noise[0, 0]) == (pytest.approx(-0.4), pytest.approx(16e-6))
 
 
 def test_the_jackknife_sees_errors_that_go_together() -> None:

@@ -14,9 +14,11 @@ from fixtures.filter_steps import (
     Gaussian,
     Measured,
     config_of,
+    expected,
     filter_step,
     gaussian_of,
     moved,
+    observed,
     pose_measured,
     process_noise,
     rate_measured,
@@ -36,7 +38,6 @@ from trackslip_estimation.slip.models.dispatch import MODELS
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.observation import add_rounding, expected
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.slip.step import propagate
 
@@ -224,8 +225,7 @@ def _seen(
     if k % 10 == 9:
         R = np.diag((0.03, 0.03, 0.02)) ** 2
         return pose_measured(truth[:3] + rng.normal(size=3) @ np.sqrt(R), R, True)
-    R = np.array(((1e-4,),))
     state = state_of(Gaussian(truth, np.zeros((SIZE, SIZE))), speeds, TURNING)
-    add_rounding(YAW_RATE, truth, R, state[0], config[0])
+    R = observed(state[0], rate_measured(0.0, 1e-4), config[0]).noise
     rate = expected(YAW_RATE, truth, 1, (speeds.left, speeds.right), config[0])[0]
     return rate_measured(float(rate + rng.normal() * math.sqrt(R[0, 0])), 1e-4)

@@ -12,7 +12,7 @@ from fixtures.records import assert_same_bits, rubbish
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackslip_estimation.slip.bank import LOOK_BACK_NS
+from trackslip_estimation.slip.bank.rows import LOOK_BACK_NS
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, Recording, drive, parameters
 from fixtures.visual_odometry import product, turned_by
+from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, variances_stated
 
 from trackslip_common.errors import InputError
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import odometry_pose
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.increments import POSE_GROWTH, TWIST, increment, variances_stated
 from trackslip_estimation.slip.measurements import (
     Measurement,
     OdometryPose,

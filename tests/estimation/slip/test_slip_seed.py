@@ -11,7 +11,10 @@ import pytest
 from fixtures.filter_steps import (
     Gaussian,
     config_of,
+    expected,
     filter_step,
+    jacobian,
+    observed,
     outputs_of,
     slips_measured,
     start_of,
@@ -26,7 +29,6 @@ from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.observation import add_rounding, expected, jacobian
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SLIPS, to_records
 
@@ -53,8 +55,8 @@ def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
     x[4 : c["active"]] += np.linspace(0.01, 0.05, c["active"] - 4)
     known = Gaussian(x, np.zeros((SIZE, SIZE)))
     slips = outputs_of(config, known, Speeds(left, right, 0.0, differenced=False))["slips"][:2]
-    np.testing.assert_array_equal(expected(SLIPS, x, 2, speeds, c), slips)
-    steps = EDGE * np.eye(x.size)
+    np.testing.assert_allclose(expected(SLIPS, x, 2, speeds, c), slips, rtol=1e-12)
+    steps = EDGE * np.eye(SIZE)
     ends = [[expected(SLIPS, x + sign * d, 2, speeds, c) for sign in (1.0, -1.0)] for d in steps]
     differences = np.array([(plus - minus) / (2.0 * EDGE) for plus, minus in ends]).T
     np.testing.assert_allclose(jacobian(SLIPS, x, 2, speeds, c), differences, atol=1e-7)
@@ -65,8 +67,9 @@ def test_slips_know_of_the_rounding_of_the_counts() -> None:
     x[FIRST], x[SECOND], x[COMMON_SLIP] = 0.5, 0.4, 0.02
     known, changing = Gaussian(x, np.zeros((SIZE, SIZE))), MotionState(Motion.STRAIGHT, departure=1.0)
     for differenced in (True, False):
-        R, speeds = 1e-12 * np.eye(2), Speeds(2.0, 2.0, 0.01, differenced)
-        add_rounding(SLIPS, x, R, state_of(known, speeds, changing)[0], config[0])
+        speeds = Speeds(2.0, 2.0, 0.01, differenced)
+        measured = slips_measured(np.zeros(2), 1e-12 * np.eye(2))
+        R = observed(state_of(known, speeds, changing)[0], measured, config[0]).noise
         found = outputs_of(config, known, speeds, changing)["slip_covariance"][:2, :2]
         np.testing.assert_allclose(R, 1e-12 * np.eye(2) + found, rtol=1e-9)
         assert (np.diag(R) > 1e-9).all() == differenced

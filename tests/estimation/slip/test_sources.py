@@ -12,12 +12,13 @@ from fixtures.filter_steps import Gaussian, config_of
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.levers import move_place
+from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import SIZE
-from trackslip_estimation.slip.observation import observed, shows_heading
+from trackslip_estimation.slip.observations.pose import shows_heading
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
+from trackslip_estimation.slip.update import observe
 
 S = 1_000_000_000
 LEVER = (0.8, -0.4)
@@ -38,7 +39,9 @@ def state(seed: int = 0) -> Gaussian:
 
 def at_sensor(known: Gaussian, sign: float = 1.0, lever: tuple[float, float] = LEVER) -> Gaussian:
     moved = Gaussian(known.mean.copy(), known.covariance.copy())
-    move_place(*moved, (*lever, 0.0, 0.0), sign)
+    arm = {f"sources.box_pose.lever_arm_{axis}": value for axis, value in zip("xy", lever, strict=True)}
+    c, level = config_of(arm)[0], np.zeros(1, STATE)[0]["attitude"]["level"]
+    to_sensor(*moved, level, 0, sign, c)
     return moved
 
 
@@ -188,9 +191,9 @@ def test_nobody_is_believed_better_than_the_floors() -> None:
     wide, narrow = np.diag((1.0, 2.0, 0.05)), np.diag((1e-12, 2.0, 1e-12))
     for R, used in ((wide, wide), (narrow, np.diag((1e-6, 2.0, 1e-6)))):
         fix = to_records((PoseFix("box_pose", S, np.ones(3), R),), names)[0]
-        z, noise = observed(fix, np.zeros(1, STATE)[0], c)
-        np.testing.assert_array_equal(z, 1.0)
-        np.testing.assert_allclose(noise, used)
+        o = observe(np.zeros(1, STATE)[0], fix, c)
+        np.testing.assert_array_equal(o.innovation, 1.0)
+        np.testing.assert_allclose(o.noise, used)
 
 
 @pytest.mark.parametrize(
@@ -257,7 +260,7 @@ def test_a_doubtful_heading_is_not_a_measurement() -> None:
     ]
     records = to_records(fixes, {"box_pose": 0})
     assert [shows_heading(record, c) for record in records] == [True, True, False, False]
-    assert [len(observed(record, np.zeros(1, STATE)[0], c)[0]) for record in records] == [3, 3, 2, 2]
+    assert [len(observe(np.zeros(1, STATE)[0], record, c).innovation) for record in records] == [3, 3, 2, 2]
 
 
 def test_what_is_said_of_a_source_that_another_layer_takes_away_is_no_mistake() -> None:

@@ -12,7 +12,9 @@ from fixtures.filter_steps import (
     Gaussian,
     Measured,
     config_of,
+    expected,
     filter_step,
+    jacobian,
     moved,
     outputs_of,
     process_noise,
@@ -37,7 +39,6 @@ from trackslip_estimation.slip.models.speed import (
     YAW_RATE_ERROR,
 )
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-from trackslip_estimation.slip.observation import expected, jacobian
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters

@@ -11,7 +11,7 @@ from fixtures.filter_steps import Drive, Gaussian, config_of, moved, state_of, t
 from fixtures.swinging_cab import CAB, upper_pose
 from numpy.typing import NDArray
 
-from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_gyro, to_sensor
+from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_sensor
 from trackslip_estimation.slip.models.model import (
     SIZE,
     SWING,
@@ -19,8 +19,6 @@ from trackslip_estimation.slip.models.model import (
     YAW,
 )
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.observation import expected, jacobian
-from trackslip_estimation.slip.records import YAW_RATE
 
 FloatArray = NDArray[np.float64]
 WITH = {"vehicle": "pc05_cab"}
@@ -91,26 +89,6 @@ def test_a_swing_moves_what_is_above_by_its_lever() -> None:
     to_sensor(later, P, state["attitude"]["level"], 0, 1.0, c)
     found = np.array(stamp_shift(state, 0, c)) / c["stamp_errors"][0]
     np.testing.assert_allclose(found, (later - now)[:3] * 1e6, atol=1e-6)
-
-
-def test_a_gyro_above_shows_both_turns() -> None:
-    c, known = config_of(WITH)[0], random_state(2)
-    speeds = (1.0, 2.0)
-
-    def shown(x: FloatArray) -> FloatArray:
-        there = x.copy()
-        to_gyro(there, np.zeros((SIZE, SIZE)), 1.0)
-        return expected(YAW_RATE, there, 1, speeds, c)
-
-    below = expected(YAW_RATE, known.mean, 1, speeds, c)
-    scale = 1.0 + known.mean[10]
-    np.testing.assert_allclose(shown(known.mean) - below, scale * known.mean[SWING_RATE], atol=1e-12)
-    x, P = known.mean.copy(), known.covariance.copy()
-    to_gyro(x, P, 1.0)
-    H, h = jacobian(YAW_RATE, x, 1, speeds, c), derivative(shown, known.mean)
-    np.testing.assert_allclose(H @ P @ H.T, h @ known.covariance @ h.T, atol=1e-8)
-    to_gyro(x, P, -1.0)
-    np.testing.assert_allclose(P, known.covariance, atol=1e-12)
 
 
 @pytest.mark.parametrize("motion", [Motion.STANDING, Motion.STRAIGHT, Motion.UNKNOWN])

@@ -54,8 +54,8 @@ from trackslip_estimation.attitude.span import (
     turn_span,
 )
 from trackslip_estimation.attitude.start import begin_by_gravity
-from trackslip_estimation.kalman.ekf import correct, propagate_covariance
-from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.kalman.propagate import propagate_covariance
+from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance
 
 FloatArray = NDArray[np.float64]
 
@@ -231,7 +231,7 @@ def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: A
     P, dt = a.covariance[:], a.span.time
     stated = max(a.sample.force_variance, _LEAST) / a.span.samples
     H = h.reshape((1, SIZE))
-    predicted = sandwich(H, P)[0, 0]
+    predicted = predicted_covariance(P, H)[0, 0]
     noise = max(a.noise[axis], stated)
     share = noise / (predicted + noise + doubt)
     shown = min(innovation * innovation, _SURPRISE * (predicted + noise)) - predicted
@@ -241,7 +241,7 @@ def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: A
         R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
     a.noise_count[axis] = min(a.noise_count[axis] + share, most)
     R = max(R + doubt, innovation * innovation / _SURPRISE - predicted)
-    correct(a.mean[:], P, np.array((innovation,)), H, np.array(((R,),)))
+    correct(a.mean[:], P, observe_alone(np.array((innovation,)), H, np.array(((R,),))))
 
 
 @compiled

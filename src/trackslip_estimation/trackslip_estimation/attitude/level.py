@@ -5,8 +5,13 @@
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.records import BIAS_Q, PITCH, ROLL
+
+FloatArray = NDArray[np.float64]
 
 _DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
 
@@ -29,3 +34,10 @@ def set_level(a: Any) -> None:
     if a.known == 1:
         level.turn_variance = by_roll**2 * P[ROLL, ROLL] * of_tilt
         level.turn_variance += (sin / cos_pitch) ** 2 * P[BIAS_Q, BIAS_Q] * of_bias
+
+
+@compiled
+def downward(level: Any, covariance: FloatArray) -> float:
+    """Variance of ż, (m/s)², by that of v_x and v_y along the ground."""
+    x, y = level.downhill_x, level.downhill_y
+    return float(x * x * covariance[0, 0] + 2.0 * x * y * covariance[0, 1] + y * y * covariance[1, 1])

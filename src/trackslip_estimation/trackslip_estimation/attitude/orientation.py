@@ -21,8 +21,8 @@ from trackslip_common.compiled import compiled
 from trackslip_common.message_fields import ABSENT
 from trackslip_estimation.attitude.records import PITCH, ROLL, SIZE, AttitudeRefusal
 from trackslip_estimation.attitude.start import begin_tilt
-from trackslip_estimation.kalman.ekf import correct
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
+from trackslip_estimation.kalman.update import correct, observe_alone
 
 _NONE, _NO_COVARIANCE = int(AttitudeRefusal.NO_ORIENTATION), int(AttitudeRefusal.NO_COVARIANCE)
 _NO_ROTATION, _GATED = int(AttitudeRefusal.NO_ROTATION), int(AttitudeRefusal.ORIENTATION_GATED)
@@ -63,6 +63,6 @@ def use_orientation(a: Any, n: Any) -> int:
     innovation = np.array((wrap(roll - x[ROLL]), pitch - x[PITCH]))
     if weighted_square(root(P[: PITCH + 1, : PITCH + 1] + R), innovation) > n.gate:
         return _GATED
-    correct(x, P, innovation, np.eye(PITCH + 1, SIZE), again * R)
+    correct(x, P, observe_alone(innovation, np.eye(PITCH + 1, SIZE), again * R))
     a.oriented_ns = imu.stamp_ns
     return 0

@@ -8,16 +8,13 @@ x, P    mean and covariance of the state                             (n,), (n, n
 κ       scales the higher moments of the sigma points, n + κ > 0     1
 χ_i     sigma points, x and x ± the columns of √((n + κ) P)          (2n + 1, n)
 w_i     their weights, κ/(n + κ) and 1/(2 (n + κ))                   (2n + 1,)
-Z_i     the measurement that each would give                         (2n + 1, m)
-X̃, Z̃   departures of χ_i and Z_i from their centres, as columns     (n, 2n + 1), (m, 2n + 1)
-z, R    measurement and its covariance                               (m,), (m, m)
-S, K    covariance of the innovation, gain                           (m, m), (n, m)
+X̃       departures of χ_i from their centre, as columns              (n, 2n + 1)
 
-Process noise joins P' after the points have moved, not P before (step 1 of the figure): it is what the whole
-step adds, and must not be moved by it again. The points are drawn anew for each measurement, because several
-may come between two steps. With κ < 0 the centre has a negative weight; departures are then taken from the
-centre point, not from the mean (Julier's repair). The number ``angle`` of a state, and of a measurement that
-has so many, is an angle: departures take the short way round.
+Steps 1 to 3 of the figure, the prediction; what is measured is linear in the state, or nearly, and its update
+is that of the EKF (``update``). Process noise joins P' after the points have moved, not P before (step 1 of
+the figure): it is what the whole step adds, and must not be moved by it again. With κ < 0 the centre has a
+negative weight; departures are then taken from the centre point, not from the mean (Julier's repair). The
+number ``angle`` of a state is an angle: departures take the short way round.
 """
 
 import math
@@ -26,16 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import (
-    apply,
-    log_determinant,
-    root,
-    sandwich,
-    solve,
-    times,
-    weighted_square,
-    wrap,
-)
+from trackslip_estimation.kalman.linear_algebra import apply, root, sandwich, wrap
 
 FloatArray = NDArray[np.float64]
 
@@ -54,7 +42,7 @@ def sigma_points(x: FloatArray, P: FloatArray, kappa: float, size: int) -> tuple
 
 @compiled
 def moments(points: FloatArray, weights: FloatArray, angle: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Steps 2 and 4: the mean (k,), the departures (k, 2n + 1), and the weights that go with them."""
+    """Step 2: the mean (k,), the departures (k, 2n + 1), and the weights that go with them."""
     departures = (points - points[0]).T.copy()
     if departures.shape[0] > angle:
         for i in range(weights.size):
@@ -76,31 +64,3 @@ def moments(points: FloatArray, weights: FloatArray, angle: int) -> tuple[FloatA
 def spread_covariance(departures: FloatArray, weights: FloatArray) -> FloatArray:
     """(k, k) of departures (k, 2n + 1): step 3."""
     return sandwich(departures, np.diag(weights))
-
-
-@compiled
-def correct(
-    x: FloatArray,
-    P: FloatArray,
-    sigma: tuple[FloatArray, FloatArray],
-    measured: tuple[FloatArray, FloatArray],
-    Z: FloatArray,
-    angle: int,
-) -> tuple[float, float]:
-    """Steps 4 to 6 and the Kalman update: x and P given z; returns NIS and ln |S|.
-
-    ``sigma`` are χ and w, ``measured`` z and R, ``Z`` (2n + 1, m) what each point would give.
-    P ← P − K S Kᵀ in a form that stays positive: (X̃ − K Z̃) w (X̃ − K Z̃)ᵀ + K R Kᵀ.
-    """
-    (points, weights), (z, R) = sigma, measured
-    z_mean, z_departures, w = moments(Z, weights, angle)
-    x_departures = moments(points, weights, angle)[1]
-    root_of_S = root(spread_covariance(z_departures, w) + R)
-    K = np.ascontiguousarray(solve(root_of_S, times(z_departures * w, x_departures.T.copy())).T)
-    innovation = z - z_mean
-    if z.size > angle:
-        innovation[angle] = wrap(innovation[angle])
-    x += apply(K, innovation)
-    x[angle] = wrap(x[angle])
-    P[:] = spread_covariance(x_departures - times(K, z_departures), w) + sandwich(K, R)
-    return weighted_square(root_of_S, innovation), log_determinant(root_of_S)

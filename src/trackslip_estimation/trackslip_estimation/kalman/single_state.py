@@ -31,3 +31,12 @@ def decay_state(x: FloatArray, P: FloatArray, k: int, left: float, variance: flo
     for j in range(P.shape[0]):
         P[j, k] *= left
     P[k, k] += (1.0 - left * left) * variance
+
+
+@compiled
+def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
+    """P, where to one number of the state another one is added, times a factor."""
+    for j in range(P.shape[1]):
+        P[to, j] += factor * P[what, j]
+    for i in range(P.shape[0]):
+        P[i, to] += factor * P[i, what]

@@ -163,13 +163,13 @@ def lose_track(a: Any) -> None:
 
 @compiled
 def learn_from_rate(
-    a: Any, innovation: float, S: float, parts: tuple[float, float], stands: bool, c: Any
+    a: Any, innovation: float, S: float, of_tracks: float, stated: float, stands: bool, c: Any
 ) -> float:
     """Weighs s and a by a yaw rate; returns its NIS under the largest of both.
 
-    ``parts`` of S: by the tracks for s = 1, T, and as the gyro states, R.
+    ``of_tracks``, ``stated``: what of S is by the tracks for s = 1, T, and what the gyro states, R.
     """
-    n, (of_tracks, stated) = c.adaptation, parts
+    n = c.adaptation
     rest = max(S - a.track_variance * of_tracks - a.rate_factor * stated, 0.0)
     largest = rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]
     largest += stated * n.rate_factors[RATE_FACTORS - 1]
@@ -190,9 +190,9 @@ def learn_from_rate(
 
 
 @compiled
-def learn_from_speed(a: Any, speed: tuple[float, float, float], stands: bool, c: Any) -> None:
-    """Weighs s by a speed of odometry: its innovation, its S, and what of S is by the tracks for s = 1."""
-    n, (innovation, S, of_tracks) = c.adaptation, speed
+def learn_from_speed(a: Any, innovation: float, S: float, of_tracks: float, stands: bool, c: Any) -> None:
+    """Weighs s by a speed; ``of_tracks``: what of S is by the tracks for s = 1."""
+    n = c.adaptation
     rest = max(S - a.track_variance * of_tracks, 0.0)
     squared = min(innovation**2, _OUTLIER * (rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]))
     weight = min(a.speed_elapsed / c.velocity_errors.time, 1.0)

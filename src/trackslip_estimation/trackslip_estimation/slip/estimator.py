@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
-from trackslip_estimation.slip.bank import probability_of_best
+from trackslip_estimation.slip.bank.rows import probability_of_best
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.explanations import Explained, Happened, Sources, explanations, history
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from

@@ -29,7 +29,7 @@ Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +110,7 @@ AREA = 1e4  # m², of a place of which nothing is known
 MEASURED = -1  # part of the circle: the one that a compass shows
 
 _LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET
+_MOST_OPENED = 1 + len(_LEARNED_BY_HEADING)  # states
 _SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
@@ -181,31 +182,6 @@ def log_rate(event: int, source: int, c: Any) -> float:
 
 
 @compiled
-def open_heading(state: Any, source: int, heading: float, variance: float, c: Any) -> None:
-    """The heading becomes ``heading``, rad; the source's sensor stays where it is.
-
-    What was learned through the heading before (gyro scale, delay, η, i₀, x_I) is as at the start.
-    """
-    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    to_sensor(x, P, level, source, 1.0, c)
-    above = c.above[source] == 1
-    replace_state(x, P, YAW, wrap(heading + (x[SWING] if above else 0.0)), variance)
-    to_sensor(x, P, level, source, -1.0, c)
-    if not has_velocity_errors(c):
-        return
-    for q in _LEARNED_BY_HEADING:
-        replace_state(x, P, q, c.prior_mean[q], c.prior_variance[q])
-
-
-@compiled
-def open_swing(state: Any, angle: float, variance: float, c: Any) -> None:
-    """The angle of the upper structure becomes ``angle``, rad; it may swing as fast as it can."""
-    x, P = state.mean[: c.size], state.covariance[:]
-    replace_state(x, P, SWING, wrap(angle), variance)
-    replace_state(x, P, SWING_RATE, 0.0, c.swing.fastest**2)
-
-
-@compiled
 def latest_pose_source(state: Any, c: Any) -> int:
     """Number of the source of poses that was consistent last; 0 where there is none."""
     latest = -1
@@ -229,70 +205,93 @@ def apply_event(state: Any, event: int, source: int, part: int, value: float, c:
     ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a skid
     ``value`` is its standard deviation, m.
     """
-    renewed = 0
-    x, P, unknown = state.mean[: c.size], state.covariance[:], AREA / (2.0 * math.pi)
-    own = c.offsets[source]
+    x, P, renewed = state.mean[: c.size], state.covariance[:], 0
+    _assume(state, event, source)
+    if event == FOLDED:
+        to_offset(x, P, source, 1.0, c)
+        renewed = 1 << YAW if c.compass[source] == 1 else (1 << X) | (1 << Y)
+    elif event == SKIDDED:
+        P[X, X] += value * value
+        P[Y, Y] += value * value
+    elif event in (SLIPPED, SLID):
+        P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
+        P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
+    opened = Opened(np.empty(_MOST_OPENED, np.int64), np.empty(_MOST_OPENED), np.empty(_MOST_OPENED))
+    count, about = _set_opened(state, event, source, part, value, opened, c), -1
+    if event == TURNED:
+        about = latest_pose_source(state, c) if part == MEASURED else source
+        renewed = (1 << X) | (1 << Y)
+        to_sensor(x, P, state.attitude.level, about, 1.0, c)
+    for i in range(count):
+        replace_state(x, P, opened.states[i], opened.means[i], opened.variances[i])
+        renewed |= 1 << opened.states[i]
+    if event == TURNED:
+        to_sensor(x, P, state.attitude.level, about, -1.0, c)
+    return renewed
+
+
+class Opened(NamedTuple):
+    """States that an event replaces."""
+
+    states: NDArray[np.int64]
+    means: FloatArray
+    variances: FloatArray
+
+
+@compiled
+def _assume(state: Any, event: int, source: int) -> None:
+    """What a branch assumes of a source from an event on."""
     if event == OUTLIER:
         state.fault[source] = IS_IGNORED
-    elif event == REPEATS:
-        state.fault[source], state.fault_ns[source] = IS_REPEATING, state.stamp_ns
-    elif event == SCATTERS:
-        state.fault[source], state.fault_ns[source] = IS_SCATTERING, state.stamp_ns
     elif event == NOISE:
         state.adaptation.fix_log_weights[source] = 1e-9
-    elif event in (OFFSET, SOUND):
-        state.fault[source] = IS_OFFSET if event == OFFSET else IS_SOUND
-        state.fault_ns[source] = state.stamp_ns
-        if own >= 0:
-            renewed |= _open_offset(state, source, event == OFFSET, c)
-    elif event == FOLDED:
-        state.fault[source] = IS_SOUND
-        to_offset(x, P, source, 1.0, c)
-        renewed |= _open_offset(state, source, False, c)
-        renewed |= 1 << YAW if c.compass[source] == 1 else (1 << X) | (1 << Y)
     elif event == MOVED:
         state.rests_on = source
-        for axis in (X, Y):
-            replace_state(x, P, axis, x[axis], unknown)
-            renewed |= 1 << axis
+    elif event in (REPEATS, SCATTERS, OFFSET, SOUND, FOLDED):
+        state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
+        if event == REPEATS:
+            state.fault[source] = IS_REPEATING
+        elif event == SCATTERS:
+            state.fault[source] = IS_SCATTERING
+        elif event == OFFSET:
+            state.fault[source] = IS_OFFSET
+
+
+@compiled
+def _set_opened(state: Any, event: int, source: int, part: int, value: float, opened: Opened, c: Any) -> int:
+    """States that an event replaces, their means and variances; how many."""
+    states, means, variances = opened
+    x, count, own = state.mean, 0, c.offsets[source]
+    if event in (OFFSET, SOUND, FOLDED) and own >= 0:
+        number, usual, any_ = number_of(source, c), 0.0, math.pi**2 / 3.0
+        if number >= 0:
+            usual, any_ = usual_variance(state, source, c), AREA / (2.0 * math.pi)
+            state.offsets[number].variance = 0.0 if event == OFFSET else usual
+        count = 1 if number < 0 else 2
+        for i in range(count):
+            states[i], means[i], variances[i] = own + i, 0.0, any_ if event == OFFSET else usual
+    elif event == MOVED:
+        count = 2
+        for i in (X, Y):
+            states[i], means[i], variances[i] = i, x[i], AREA / (2.0 * math.pi)
     elif event == TURNED:
-        state.is_sector = part != MEASURED
+        turn, variance = sector(part) if part != MEASURED else (0.0, (math.pi / HEADINGS) ** 2)
+        about, state.is_sector = source, part != MEASURED
         if part == MEASURED:
-            turn = wrap(value - c.heading_offset[source] - x[YAW])
-            open_heading(state, latest_pose_source(state, c), x[YAW] + turn, (math.pi / HEADINGS) ** 2, c)
-        else:
-            turn, variance = sector(part)
-            open_heading(state, source, x[YAW] + turn, variance, c)
-        for i in (X, Y, YAW, *_LEARNED_BY_HEADING):
-            renewed |= 1 << i
+            turn, about = wrap(value - c.heading_offset[source] - x[YAW]), latest_pose_source(state, c)
+        swing = x[SWING] if c.above[about] == 1 else 0.0
+        count, states[0], means[0], variances[0] = 1, YAW, wrap(x[YAW] + turn + swing), variance
+        if has_velocity_errors(c):
+            for q in _LEARNED_BY_HEADING:
+                states[count], means[count], variances[count] = q, c.prior_mean[q], c.prior_variance[q]
+                count += 1
     elif event == SWUNG:
         turn, variance = sector(max(part, 0))
         if part == MEASURED:
             turn = wrap(value - c.heading_offset[source] - x[SWING])
-        open_swing(state, x[SWING] + turn, variance, c)
-        renewed = (1 << SWING) | (1 << SWING_RATE)
-    if event == SKIDDED:
-        P[X, X] += value * value
-        P[Y, Y] += value * value
-    if event in (SLIPPED, SLID):
-        P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
-    if event == SLID:
-        P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2
-    return renewed
-
-
-@compiled
-def _open_offset(state: Any, source: int, wide: bool, c: Any) -> int:
-    """The offset of a source becomes any, or what it usually is; returns its states, as bits."""
-    own, number, renewed = c.offsets[source], number_of(source, c), 0
-    usual = 0.0 if number < 0 else usual_variance(state, source, c)
-    if number >= 0:
-        state.offsets[number].variance = 0.0 if wide else usual
-    size = math.pi**2 / 3.0 if number < 0 else AREA / (2.0 * math.pi)
-    for i in range(own, own + (1 if number < 0 else 2)):
-        replace_state(state.mean[:], state.covariance[:], i, 0.0, size if wide else usual)
-        renewed |= 1 << i
-    return renewed
+        states[0], means[0], variances[0] = SWING, wrap(x[SWING] + turn), variance
+        count, states[1], means[1], variances[1] = 2, SWING_RATE, 0.0, c.swing.fastest**2
+    return count
 
 
 @compiled

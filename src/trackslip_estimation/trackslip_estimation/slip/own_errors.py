@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors that each source has of its own: numbers of the state from ``SENSOR_ERRORS`` on; compiled.
 
-The first gyro's bias is that of the model, which what it learned keeps. Every further one has its own: while
-its readings are used, the two change places in the state.
+The first gyro's bias is that of the model, which what it learned keeps. Every further one has its own.
 
 The offset of a source of poses, or of headings, is what its measurements err by for a while. That of a
 coarse receiver is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
@@ -19,10 +18,9 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.single_state import decay_state, replace_state
+from trackslip_estimation.kalman.single_state import add_state, decay_state, replace_state
 from trackslip_estimation.slip.correlated_errors import PRECISE, is_coarse, same_quality
-from trackslip_estimation.slip.levers import add
-from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, YAW, X, Y
+from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 FloatArray = NDArray[np.float64]
 
@@ -32,24 +30,6 @@ JITTERS = 25.0  # of them, after which it is known
 LEAST_LASTING, MOST_LASTING, MOST_JITTER = 0.25, 0.9, 9.0
 LASTS = 10.0  # s, for which an error of precise fixes does
 SURPRISED = 4.0  # variance of an offset at the most by fixes that surprise, over its prior
-
-
-@compiled
-def exchange_bias(state: Any, update: Any, own: int) -> None:
-    """The bias at the place ``own`` for that of the first gyro, and back again; nothing where it is −1."""
-    if own < 0:
-        return
-    _exchange(state.mean, state.covariance, own)
-    _exchange(update.prior_mean, update.prior_covariance, own)
-
-
-@compiled
-def _exchange(x: FloatArray, P: FloatArray, own: int) -> None:
-    x[GYRO_BIAS], x[own] = x[own], x[GYRO_BIAS]
-    for j in range(x.size):
-        P[GYRO_BIAS, j], P[own, j] = P[own, j], P[GYRO_BIAS, j]
-    for i in range(x.size):
-        P[i, GYRO_BIAS], P[i, own] = P[i, own], P[i, GYRO_BIAS]
 
 
 @compiled
@@ -77,8 +57,8 @@ def is_new(state: Any, source: int, c: Any) -> bool:
 
 
 @compiled
-def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open: bool, c: Any) -> bool:
-    """The offset of a source as its next fix, of covariance R, finds it; whether that has one by itself.
+def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open: bool, c: Any) -> None:
+    """The offset of a source as its next fix, of covariance R, finds it.
 
     When the standard deviation becomes another (ambiguities fixed, floating, code alone), so does the offset.
     Else its prior variance goes to what the masses have now. One that an event opened stays as it is.
@@ -86,7 +66,7 @@ def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open:
     offset, own, stddev = state.offsets[number_of(source, c)], c.offsets[source], spread_of(R)
     if is_open:
         offset.stddev = stddev
-        return is_coarse(R)
+        return
     other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev)
     if other:
         offset.count = 0.0
@@ -105,7 +85,6 @@ def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open:
     offset.variance, offset.stddev = wanted, stddev
     if not is_coarse(R):
         offset.time = LASTS
-    return wanted > 0.0
 
 
 @compiled
@@ -190,24 +169,20 @@ def fade_offsets(F: FloatArray, state: Any, dt: float, c: Any) -> None:
 
 @compiled
 def inflate_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: Any) -> None:
-    """P, with the place that the source shows, where its offset is by ``more`` (2,), m², more uncertain."""
+    """P, where the offset of a source is by ``more`` (2,), m², more uncertain."""
     own, most = c.offsets[source], SURPRISED * state.offsets[number_of(source, c)].variance
     for axis in (X, Y):
         k = own + axis
-        added = max(min(more[axis], most - P[k, k]), 0.0)
-        P[axis, axis] += added
-        P[axis, k] += added
-        P[k, axis] += added
-        P[k, k] += added
+        P[k, k] += max(min(more[axis], most - P[k, k]), 0.0)
 
 
 @compiled
-def to_shown_yaw(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any) -> None:
-    """The state with the heading that poses of a source show; or back (−1)."""
+def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
+    """The state whose heading is that of a pose of a source, without its yaw offset."""
     own = c.yaw_offsets[source]
     if own >= 0:
-        x[YAW] = wrap(x[YAW] + sign * x[own])
-        add(P, YAW, own, sign)
+        x[YAW] = wrap(x[YAW] - x[own])
+        add_state(P, YAW, own, -1.0)
 
 
 @compiled
@@ -239,8 +214,8 @@ def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any) ->
         return
     if c.compass[source] == 1:
         x[YAW] += sign * x[own]
-        add(P, YAW, own, sign)
+        add_state(P, YAW, own, sign)
         return
     for axis in (X, Y):
         x[axis] += sign * x[own + axis]
-        add(P, axis, own + axis, sign)
+        add_state(P, axis, own + axis, sign)

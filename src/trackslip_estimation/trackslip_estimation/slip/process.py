@@ -15,15 +15,13 @@ import numpy as np
 from trackslip_common.clock_monitor import NEVER_NS, StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.bank import make_row
+from trackslip_estimation.slip.bank.rows import make_row
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.observation import fill_outputs
+from trackslip_estimation.slip.outputs import fill_estimate, fill_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.start import begin
-from trackslip_estimation.slip.swing import fill_swing
-from trackslip_estimation.slip.tilt import fill_tilt
 from trackslip_estimation.slip.usable import fault_of
 from trackslip_estimation.slip.window import (
     Records,
@@ -38,8 +36,6 @@ from trackslip_estimation.slip.window import (
     place_of,
     trim,
 )
-
-_NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
 
 _ACCEPTED, _TOO_LATE, _DUPLICATE = int(Outcome.ACCEPTED), int(Outcome.TOO_LATE), int(Outcome.DUPLICATE)
 _INVALID, _WAITING, _AHEAD = int(Outcome.INVALID), int(Outcome.WAITING), int(Outcome.AHEAD)
@@ -201,7 +197,7 @@ def fill_mixture(window: Window, k: int, c: Any, estimate: Any) -> None:
         return
     other, total = window.other[0], 1.0
     for s in range(1, window.counts[k]):
-        fill_estimate(window.states[s, k], c, other)
+        fill_motion(window.states[s, k], c, other)
         w = math.exp(window.branches[s, k].weight)
         total += w
         _add_spread(estimate.pose, other.pose, estimate.pose_covariance, other.pose_covariance, w, YAW)
@@ -222,18 +218,6 @@ def _add_spread(mean: Any, other: Any, covariance: Any, P: Any, w: float, angle:
             d, e = other[i] - mean[i], other[j] - mean[j]
             d, e = wrap(d) if i == angle else d, wrap(e) if j == angle else e
             covariance[i, j] += w * (P[i, j] + d * e)
-
-
-@inlined
-def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
-    """What is published of a state, into a record of ``ESTIMATE``."""
-    fill_outputs(state, c, estimate)
-    fill_tilt(state, estimate)
-    fill_swing(state, estimate.swing, c)
-    estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
-    estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
-    if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
-        estimate.slip_covariance[2, 2] = _NO_DIRECTION
 
 
 @compiled

@@ -8,15 +8,17 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
-from trackslip_estimation.slip.bank import add_first_fix, begin_row, play_script, split_unknown_heading
+from trackslip_estimation.slip.bank.receivers import add_first_fix
+from trackslip_estimation.slip.bank.rows import begin_row, split_unknown_heading
+from trackslip_estimation.slip.bank.script import play_script
 from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import reset_motion
-from trackslip_estimation.slip.observation import raise_to_floors
-from trackslip_estimation.slip.odometry import begin_odometry
-from trackslip_estimation.slip.own_errors import begin_offset, to_shown_yaw
+from trackslip_estimation.slip.observations.odometry import begin_odometry
+from trackslip_estimation.slip.observations.pose import raise_to_floors
+from trackslip_estimation.slip.own_errors import begin_offset, from_shown_yaw
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import has_heading
@@ -84,7 +86,7 @@ def _set_start(state: Any, measurement: Any, c: Any) -> None:
             raise_to_floors(P, rows, source, c)
             begin_offset(state, source, c)
             if rows > YAW:
-                to_shown_yaw(x, P, source, -1.0, c)
+                from_shown_yaw(x, P, source, c)
             if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]

@@ -19,16 +19,13 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
-from trackslip_estimation.kalman import daf, ekf
+from trackslip_estimation.kalman import daf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.positive import make_positive
+from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.coasting import begin_coast, decay_yaw_rate, doubt_start, inflate, reset_speed
 from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
-from trackslip_estimation.slip.fixes import use_pose
-from trackslip_estimation.slip.heading import use_heading
-from trackslip_estimation.slip.levers import to_gyro
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -43,21 +40,13 @@ from trackslip_estimation.slip.models.shear import build_up
 from trackslip_estimation.slip.models.slope import meet_direction
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
-from trackslip_estimation.slip.odometry import follow_motion, use_odometry
-from trackslip_estimation.slip.own_errors import exchange_bias, pass_offsets
-from trackslip_estimation.slip.records import (
-    HEADING,
-    MANUAL,
-    ODOMETRY,
-    ON_SWING,
-    POSE,
-    SPROCKETS,
-    YAW_RATE,
-)
+from trackslip_estimation.slip.observations.altitude import use_altitude
+from trackslip_estimation.slip.observations.odometry import follow_motion
+from trackslip_estimation.slip.own_errors import pass_offsets
+from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
-from trackslip_estimation.slip.swing import use_swing
-from trackslip_estimation.slip.tilt import follow_ground, rise, tilt_by
-from trackslip_estimation.slip.update import hear, use_rate, use_slips
+from trackslip_estimation.slip.tilt import follow_ground, rise
+from trackslip_estimation.slip.update import use
 
 FloatArray = NDArray[np.float64]
 
@@ -84,16 +73,12 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
     elif measurement.source == MANUAL:
         place(state, measurement)
         update.follows = False
-    elif measurement.kind == POSE:
-        use_pose(state, measurement, c, update)
+    else:
+        use(state, measurement, c, update)
         _settle_heading(state)
         _follow_ground(state, update)
-        if update.outcome == _ACCEPTED:
+        if measurement.kind == POSE and update.outcome == _ACCEPTED:
             update.attitude = use_altitude(state, measurement, c)
-    else:
-        hear(state, measurement, c)
-        _use(state, measurement, c, update)
-        _follow_ground(state, update)
     if measurement.kind != SPROCKETS:
         make_positive(state.covariance, update.prior_covariance, c.size)
         if state.attitude.known == 1:
@@ -114,36 +99,6 @@ def _settle_heading(state: Any) -> None:
     """Measurements have shown more of the heading than its share of the circle."""
     if state.is_sector and state.covariance[YAW, YAW] < _SETTLED**2:
         state.is_sector = False
-
-
-@inlined
-def _use(state: Any, measurement: Any, c: Any, update: Any) -> None:
-    """A measurement whose source may insist."""
-    if measurement.kind == YAW_RATE:
-        own = c.own_errors[measurement.source]
-        exchange_bias(state, update, own)
-        if measurement.source == c.tilt_source:
-            update.attitude = tilt_by(state, measurement, c)
-        above = c.above[measurement.source] == 1
-        if above:
-            to_gyro(state.mean[:], state.covariance[:], 1.0)
-            to_gyro(update.prior_mean[:], update.prior_covariance[:], 1.0)
-        use_rate(state, measurement, c, update)
-        if above:
-            to_gyro(state.mean[:], state.covariance[:], -1.0)
-            to_gyro(update.prior_mean[:], update.prior_covariance[:], -1.0)
-        exchange_bias(state, update, own)
-    elif measurement.kind == HEADING:
-        use_heading(state, measurement, c, update)
-        state.last_ns[measurement.source] = measurement.stamp_ns
-        _settle_heading(state)
-    elif measurement.kind == ODOMETRY:
-        use_odometry(state, measurement, c, update)
-    elif measurement.kind == ON_SWING:
-        use_swing(state, measurement, c, update)
-        state.last_ns[measurement.source] = measurement.stamp_ns
-    else:
-        use_slips(state, measurement, c, update)
 
 
 @inlined
@@ -230,7 +185,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
         x[:] = moved
         if c.swings:
             shear(P, F)
-        ekf.propagate_covariance(P, F, Q, COUPLED)
+        propagate_covariance(P, F, Q, COUPLED)
         pass_offsets(state, dt, c)
         return
     own = P[: x.size, : x.size].copy()

@@ -15,20 +15,23 @@ from typing import Any
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.filter import climb, force_of, has_force, rise_of, use_sample
+from trackslip_estimation.attitude.level import downward
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
-from trackslip_estimation.slip.altitude import downward
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_twist
-from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
 
 
 @compiled
-def tilt_by(state: Any, measurement: Any, c: Any) -> int:
-    """The attitude at the stamp of a sample of its IMU; why its orientation was not used, 0 where it was."""
+def tilt_by(state: Any, measurement: Any, bias: int, c: Any) -> int:
+    """The attitude at the stamp of a sample of its IMU; why its orientation was not used, 0 where it was.
+
+    ``bias``: number of the state that is the bias of its gyro.
+    """
     imu, a, source = state.attitude.sample, state.attitude, measurement.source
     scale = c.rate_scale[source]
-    r = (measurement.value[0] / scale - state.mean[GYRO_BIAS]) / (1.0 + state.mean[GYRO_SCALE])
+    r = (measurement.value[0] / scale - state.mean[bias]) / (1.0 + state.mean[GYRO_SCALE])
     imu.rates[0], imu.rates[1], imu.rates[2] = measurement.value[1], measurement.value[2], r
     factor = state.adaptation.rate_factor
     for k in range(3):

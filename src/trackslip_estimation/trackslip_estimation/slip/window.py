@@ -17,7 +17,19 @@ from numpy.typing import NDArray
 from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.correlated_errors import MASSES, MOST_RECEIVERS, RECEIVER
-from trackslip_estimation.slip.records import BRANCH, ESTIMATE, EVENT, MEASUREMENT, SPROCKETS, STATE, UPDATE
+from trackslip_estimation.slip.records import (
+    BRANCH,
+    ESTIMATE,
+    EVENT,
+    HEADING,
+    MANUAL,
+    MEASUREMENT,
+    ON_SWING,
+    POSE,
+    SPROCKETS,
+    STATE,
+    UPDATE,
+)
 
 Records = NDArray[np.void]
 
@@ -33,6 +45,8 @@ WINDOW = np.dtype(
         ("scripted", np.bool_),  # one branch, whose events are those of the script
         ("played", np.int64),  # events of the script so far
         ("begun", np.int64),  # of these up to the first entry
+        ("pooled", np.int64),  # entries of the pool in use, while children are made
+        ("steps_left", np.int64),  # that further children may make
         ("clock", CLOCK),
     ],
     align=True,
@@ -116,6 +130,13 @@ def copy_first(window: Window, other: Window) -> None:
     window.measurements[0], window.counts[0] = other.measurements[0], other.counts[0]
     window.states[:, 0], window.branches[:, 0] = other.states[:, 0], other.branches[:, 0]
     window.receivers[0], window.masses[0] = other.receivers[0], other.masses[0]
+
+
+@compiled
+def is_weighed(measurement: Any) -> bool:
+    """Whether branches are weighed by a measurement."""
+    kind = measurement.kind
+    return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING))
 
 
 @compiled

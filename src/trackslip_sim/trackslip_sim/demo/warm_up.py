@@ -17,11 +17,11 @@ import numba
 
 from trackslip_common.start import collect_garbage_seldom
 from trackslip_estimation.box.fit import compile_fit
-from trackslip_estimation.slip.altitude import use_altitude
 from trackslip_estimation.slip.config import CONFIG
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
-from trackslip_estimation.slip.observation import fill_outputs
+from trackslip_estimation.slip.observations.altitude import use_altitude
+from trackslip_estimation.slip.outputs import fill_outputs
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import ESTIMATE, MEASUREMENT, STATE
 from trackslip_estimation.slip.tilt import tilt_by
@@ -57,7 +57,7 @@ def _last() -> None:
     """What the slip estimator's own compilation comes to last, for another processor meanwhile."""
     state, measurement, c, estimate = map(numba.from_dtype, (STATE, MEASUREMENT, CONFIG, ESTIMATE))
     parts: tuple[tuple[Any, tuple[Any, ...]], ...] = (
-        (tilt_by, (state, measurement, c)),
+        (tilt_by, (state, measurement, numba.int64, c)),
         (use_altitude, (state, measurement, c)),
         (fill_outputs, (state, c, estimate)),
     )

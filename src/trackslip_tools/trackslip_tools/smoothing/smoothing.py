@@ -23,9 +23,9 @@ from trackslip_estimation.kalman.smoother import step_back
 from trackslip_estimation.slip.log import Block, Log, begin_log, run_blocks, script_of
 from trackslip_estimation.slip.models.dispatch import linearize
 from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.outputs import fill_estimate
 from trackslip_estimation.slip.own_errors import fade_offsets
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.process import fill_estimate
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
 from trackslip_estimation.slip.window import Records, Window, copy_first, make_window
 

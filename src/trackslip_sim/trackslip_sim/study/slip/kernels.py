@@ -11,7 +11,7 @@
 did up to it.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import PITCH, ROLL
-from trackslip_estimation.kalman import ekf
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
     root,
@@ -29,20 +28,14 @@ from trackslip_estimation.kalman.linear_algebra import (
     weighted_square,
     wrap,
 )
-from trackslip_estimation.slip.levers import stamp_shift, to_delayed, to_gyro, to_sensor
+from trackslip_estimation.kalman.propagate import propagate_covariance
+from trackslip_estimation.kalman.update import correct
 from trackslip_estimation.slip.models.dispatch import COUPLED, body_jacobian, body_twist, linearize, slips
 from trackslip_estimation.slip.models.model import POSE, SWING, YAW
 from trackslip_estimation.slip.models.swing import shear
-from trackslip_estimation.slip.observation import (
-    add_rounding,
-    comparable_speeds,
-    expected,
-    fill_outputs,
-    jacobian,
-    observed,
-)
-from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE, YAW_RATE
-from trackslip_estimation.slip.records import POSE as POSE_FIX
+from trackslip_estimation.slip.outputs import fill_outputs
+from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE
+from trackslip_estimation.slip.update import observe
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -100,37 +93,14 @@ def bound(
         _, F, Q = linearize(before, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
         if c.swings:
             shear(P, F)
-        ekf.propagate_covariance(P, F, Q, COUPLED)
+        propagate_covariance(P, F, Q, COUPLED)
         before, stamp_ns = states[k].copy(), measurement.stamp_ns
         if measurement.kind != SPROCKETS:
             room[0] = drive
             room[0].mean[:], room[0].covariance[:] = before, P
-            _update(room[0], measurement, P, c)
+            correct(before.copy(), P, observe(room[0], measurement, c))
         bounds[k] = P
     return bounds
-
-
-@compiled
-def _update(state: Any, measurement: Any, P: FloatArray, c: Any) -> None:
-    """P about the true state, a record of ``STATE``, given a measurement in the coordinates of its sensor."""
-    kind, source, x, level = measurement.kind, measurement.source, state.mean.copy(), state.attitude.level
-    of_pose, of_gyro = kind == POSE_FIX, kind == YAW_RATE and c.above[source] == 1
-    z, R = observed(measurement, state, c)
-    shift = stamp_shift(state, source, c) if of_pose else (0.0, 0.0, 0.0)
-    if of_pose:
-        to_sensor(x, P, level, source, 1.0, c)
-    if of_gyro:
-        to_gyro(x, P, 1.0)
-    to_delayed(x.copy(), P, shift, 1.0)
-    left, right, _ = comparable_speeds(kind, state, c)
-    add_rounding(kind, x, R, state, c)
-    H = jacobian(kind, x, z.size, (left, right), c)
-    ekf.correct(x.copy(), P, np.zeros(z.size), H, R)
-    to_delayed(x.copy(), P, shift, -1.0)
-    if of_gyro:
-        to_gyro(x, P, -1.0)
-    if of_pose:
-        to_sensor(x, P, level, source, -1.0, c)
 
 
 @compiled
@@ -144,18 +114,19 @@ def draw(
     c = config[0]
     n, count, stamp_ns = x.size, rows.drives.size, 0
     states, values, none = np.empty((count, n)), np.zeros((count, 3)), np.zeros((n, n))
+    room = rows.drives[:1].copy()
     for k in range(count):
         measurement, drive = rows.measurements[k], rows.drives[k]
         x, _, Q = linearize(x, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
         x = x + apply(root(Q), normals[k, :n])
         x[YAW] = wrap(x[YAW])
         states[k], stamp_ns = x, measurement.stamp_ns
-        kind = measurement.kind
-        if kind != SPROCKETS:
-            z, R = observed(measurement, drive, c)
-            m = z.size
-            speeds = drive.speeds.left, drive.speeds.right
-            values[k, :m] = expected(kind, x, m, speeds, c) + apply(root(R), normals[k, n : n + m])
+        if measurement.kind != SPROCKETS:
+            room[0] = drive
+            room[0].mean[:] = x
+            o = observe(room[0], measurement, c)
+            m = o.innovation.size
+            values[k, :m] = measurement.value[:m] - o.innovation + apply(root(o.noise), normals[k, n : n + m])
     return states, values
 
 

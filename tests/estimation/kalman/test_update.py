@@ -10,13 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from trackslip_estimation.kalman.ekf import (
-    correct,
-    correct_knowing,
-    correct_shared,
-    propagate_covariance,
-    variance_of,
-)
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
     joseph,
@@ -27,6 +20,14 @@ from trackslip_estimation.kalman.linear_algebra import (
     times,
     weighted_square,
     wrap,
+)
+from trackslip_estimation.kalman.propagate import propagate_covariance
+from trackslip_estimation.kalman.update import (
+    Observation,
+    correct,
+    observe_alone,
+    predicted_covariance,
+    soften,
 )
 
 FloatArray = NDArray[np.float64]
@@ -111,9 +112,8 @@ def test_a_variance_lost_to_rounding_is_taken_as_none() -> None:
 def test_update_of_one_number_by_hand() -> None:
     """Prior 1 ± 2 and reading 3 ± 1: gain 4/5."""
     x, P = np.ones(1), np.array(((4.0,),))
-    nis, log_determinant_of_s = correct(x, P, np.array((2.0,)), np.eye(1), np.eye(1))
-    assert log_determinant_of_s == pytest.approx(math.log(5.0))
-    assert nis == pytest.approx(4.0 / 5.0)
+    assert predicted_covariance(P, np.eye(1)) == pytest.approx(4.0)
+    correct(x, P, observe_alone(np.array((2.0,)), np.eye(1), np.eye(1)))
     assert x[0] == pytest.approx(1.0 + 2.0 * 4.0 / 5.0)
     assert P[0, 0] == pytest.approx(4.0 / 5.0)
 
@@ -125,8 +125,9 @@ def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) 
     x, P = rng.normal(size=5), spd(rng, 5)
     nu, H, R = rng.normal(size=m), rng.normal(size=(m, 5)), spd(rng, m)
     mean, covariance = x.copy(), P.copy()
-    nis, log_determinant_of_s = correct(mean, covariance, nu, H, R)
+    correct(mean, covariance, observe_alone(nu, H, R))
     S = H @ P @ H.T + R
+    np.testing.assert_allclose(predicted_covariance(P, H) + R, S, rtol=1e-12)
     K = P @ H.T @ np.linalg.inv(S)
     keep = np.eye(5) - K @ H
     np.testing.assert_allclose(covariance, keep @ P @ keep.T + K @ R @ K.T, rtol=0.0, atol=1e-12)
@@ -134,8 +135,6 @@ def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) 
     np.testing.assert_allclose(covariance, P - K @ S @ K.T, atol=1e-10)
     information = np.linalg.inv(P) + H.T @ np.linalg.inv(R) @ H
     np.testing.assert_allclose(covariance @ information, np.eye(5), atol=1e-6)
-    assert nis == pytest.approx(nu @ np.linalg.inv(S) @ nu)
-    assert log_determinant_of_s == pytest.approx(np.linalg.slogdet(S)[1])
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -147,7 +146,7 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
             P = sandwich(np.eye(4) + 0.2 * rng.normal(size=(4, 4)), P) + spd(rng, 4, 1e-3)
         m = int(rng.integers(1, 4))
         trace = np.trace(P)
-        correct(x, P, rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m))
+        correct(x, P, observe_alone(rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m)))
         assert np.trace(P) <= trace * (1.0 + 1e-9)
         np.testing.assert_array_equal(P, P.T)
         assert np.linalg.eigvalsh(P)[0] > 0.0
@@ -156,85 +155,106 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
 def test_a_perfect_reading_leaves_no_negative_variance() -> None:
     """The case in which P − K S Kᵀ loses all its digits."""
     P = np.array(((1e8, 1e8 - 1.0), (1e8 - 1.0, 1e8)))
-    correct(np.zeros(2), P, np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
+    correct(np.zeros(2), P, observe_alone(np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),))))
     assert np.linalg.eigvalsh(P)[0] > 0.0
     assert P[0, 0] == pytest.approx(1e-8, rel=0.2)
 
 
-@pytest.mark.parametrize("kept", [-1, 2])
-def test_errors_shared_with_the_state_are_as_states_of_their_own(kept: int) -> None:
+@pytest.mark.parametrize("considered", [0, 1 << 2])
+def test_errors_shared_with_the_state_are_as_states_of_their_own(considered: int) -> None:
     """Against the update of the state with those errors in it, the measurement having none beside them."""
     random = np.random.default_rng(4)
     n, m = 5, 2
     root_of_joint = random.standard_normal((n + m, n + m))
-    joint = root_of_joint @ root_of_joint.T
-    H = np.zeros((m, n))
-    H[:, 2:] = random.standard_normal((m, n - 2))
-    joint[2:n, n:] = joint[n:, 2:n] = 0.0  # H C = 0: only what H does not show
-    joint += 10.0 * np.eye(n + m)
-    P, C, R = joint[:n, :n].copy(), joint[:n, n:].copy(), joint[n:, n:].copy()
+    joint = root_of_joint @ root_of_joint.T + 10.0 * np.eye(n + m)
+    H = random.standard_normal((m, n))
+    P, C, R = joint[:n, :n].copy(), joint[n:, :n].copy(), joint[n:, n:].copy()
     innovation, whole = random.standard_normal(m), np.column_stack((H, np.eye(m)))
     K = joint @ whole.T @ np.linalg.inv(whole @ joint @ whole.T)
-    if kept >= 0:
-        K[kept] = 0.0
+    if considered:
+        K[2] = 0.0
     keep = np.eye(n + m) - K @ whole
     x = np.zeros(n)
-    correct_shared(x, P, (innovation, R), H, C, kept)
+    correct(x, P, Observation(innovation, H, R, considered, 0, C))
     np.testing.assert_allclose(x, (K @ innovation)[:n], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(P, (keep @ joint @ keep.T)[:n, :n], rtol=1e-9, atol=1e-9)
 
 
+def test_a_considered_state_keeps_mean_and_variance_and_counts_in_the_gain() -> None:
+    rng = np.random.default_rng(5)
+    P, H, R, nu = spd(rng, 6), rng.normal(size=(2, 6)), spd(rng, 2), rng.normal(size=2)
+    x, after = np.zeros(6), P.copy()
+    correct(x, after, Observation(nu, H, R, 1 << 3, 0, np.zeros((0, 6))))
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    K[3] = 0.0
+    keep = np.eye(6) - K @ H
+    np.testing.assert_allclose(x, K @ nu, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(after, keep @ P @ keep.T + K @ R @ K.T, rtol=1e-9, atol=1e-12)
+    assert after[3, 3] == P[3, 3]
+
+
+@pytest.mark.parametrize("size", [1.0, 10.0])
+def test_the_soft_gate_leaves_the_nis_at_its_limit(size: float) -> None:
+    rng = np.random.default_rng(6)
+    predicted, R, nu, limit = spd(rng, 2), spd(rng, 2), size * np.array((1.0, -0.5)), 9.0
+    stated = R.copy()
+    soften(R, nu, predicted, limit)
+    before = nu @ np.linalg.solve(predicted + stated, nu)
+    after = nu @ np.linalg.solve(predicted + R, nu)
+    assert after == pytest.approx(min(before, limit))
+    assert (np.diag(R) >= np.diag(stated)).all()
+
+
 def corrected_knowing(
-    P: FloatArray, H: FloatArray, R: float, known: tuple[int, int]
+    P: FloatArray, H: FloatArray, R: FloatArray, known: int
 ) -> tuple[FloatArray, FloatArray]:
-    """x and P after an innovation of 0.3 from a zero state."""
+    """x and P after innovations of 0.3 from a zero state."""
     x, P = np.zeros(len(P)), P.copy()
-    correct_knowing(x, P, 0.3, (H, R), known)
+    correct(x, P, Observation(np.full(len(H), 0.3), H, R, 0, known, np.zeros((0, len(P)))))
     return x, P
 
 
+@pytest.mark.parametrize("m", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("known", [(2, 4), (4, 4)])
+@pytest.mark.parametrize("kept", [(2, 4), (4,), (1, 2, 4)])
 def test_what_is_known_keeps_mean_and_variance_and_the_rest_is_corrected_given_it(
-    seed: int, known: tuple[int, int]
+    seed: int, kept: tuple[int, ...], m: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    P, H, R = spd(rng, 6), rng.normal(size=6), 0.01
-    x, after = corrected_knowing(P, H, R, known)
-    kept, rest = sorted(set(known)), [k for k in range(6) if k not in known]
-    assert not x[kept].any()
+    P, H, R = spd(rng, 6), rng.normal(size=(m, 6)), spd(rng, m)
+    x, after = corrected_knowing(P, H, R, sum(1 << k for k in kept))
+    rest = [k for k in range(6) if k not in kept]
+    assert not x[list(kept)].any()
     np.testing.assert_array_equal(after[np.ix_(kept, kept)], P[np.ix_(kept, kept)])
-    given = P - P[:, kept] @ np.linalg.inv(P[np.ix_(kept, kept)]) @ P[kept]
-    h = H[rest]
-    K = np.zeros(6)
-    K[rest] = given[np.ix_(rest, rest)] @ h / (h @ given[np.ix_(rest, rest)] @ h + R)
-    np.testing.assert_allclose(x, 0.3 * K, rtol=1e-9, atol=1e-12)
-    keep = np.eye(6) - np.outer(K, H)
-    np.testing.assert_allclose(after, keep @ P @ keep.T + R * np.outer(K, K), rtol=1e-9, atol=1e-12)
-    assert variance_of(P, H) == pytest.approx(H @ P @ H)
+    given = P - P[:, kept] @ np.linalg.inv(P[np.ix_(kept, kept)]) @ P[list(kept)]
+    h = H[:, rest]
+    K = np.zeros((6, m))
+    K[rest] = given[np.ix_(rest, rest)] @ h.T @ np.linalg.inv(h @ given[np.ix_(rest, rest)] @ h.T + R)
+    np.testing.assert_allclose(x, K @ np.full(m, 0.3), rtol=1e-7, atol=1e-12)
+    keep = np.eye(6) - K @ H
+    np.testing.assert_allclose(after, keep @ P @ keep.T + K @ R @ K.T, rtol=1e-7, atol=1e-12)
 
 
-@pytest.mark.parametrize("known", [(2, 4), (-1, -1)])
-def test_what_is_known_for_sure_and_what_is_not_are_no_special_cases(known: tuple[int, int]) -> None:
+@pytest.mark.parametrize("known", [1 << 2 | 1 << 4, 0])
+def test_what_is_known_for_sure_and_what_is_not_are_no_special_cases(known: int) -> None:
     rng = np.random.default_rng(7)
-    P, H = spd(rng, 6), rng.normal(size=6)
-    if known[0] >= 0:
+    P, H, R = spd(rng, 6), rng.normal(size=(1, 6)), np.array(((0.01,),))
+    if known:
         P[2] = P[:, 2] = P[4] = P[:, 4] = 0.0
-    x, after = corrected_knowing(P, H, 0.01, known)
-    y, plain = np.zeros(6), P.copy()
-    correct(y, plain, np.array((0.3,)), H.reshape(1, -1), np.array(((0.01,),)))
+    x, after = corrected_knowing(P, H, R, known)
+    y, plain = corrected_knowing(P, H, R, 0)
     np.testing.assert_allclose(x, y, rtol=1e-12)
     np.testing.assert_allclose(after, plain, rtol=1e-12, atol=1e-15)
 
 
 def test_two_known_states_that_are_one_count_once() -> None:
     rng = np.random.default_rng(8)
-    P, H = spd(rng, 6), rng.normal(size=6)
-    P[4], H[4] = P[2], 0.0
+    P, H, R = spd(rng, 6), rng.normal(size=(1, 6)), np.array(((0.01,),))
+    P[4], H[0, 4] = P[2], 0.0
     P[:, 4] = P[:, 2]
     P[4, 4] = P[2, 2]
-    x, after = corrected_knowing(P, H, 0.01, (2, 4))
-    one, without = corrected_knowing(P, H, 0.01, (2, 2))
+    x, after = corrected_knowing(P, H, R, 1 << 2 | 1 << 4)
+    one, without = corrected_knowing(P, H, R, 1 << 2)
     np.testing.assert_allclose(np.delete(x, 4), np.delete(one, 4), rtol=1e-9, atol=1e-12)
     assert np.isfinite(after).all()
     assert np.isfinite(without).all()

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.level import set_level
+from trackslip_estimation.attitude.level import downward, set_level
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
-from trackslip_estimation.kalman.ekf import correct
 from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance, soften
 from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
@@ -51,30 +51,24 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
     if not (abs(measurement.altitude) < HIGHEST and variance > 0.0):
         return _NONE
     dt = min(max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST), _LONGEST)
-    expected, h = _expected(state, source, c)
+    expected, H = _expected(state, source, c)
     innovation, limit = measurement.altitude - expected, c.gate_limits[1]
     stated, R = _noise(state, measurement, dt, c)
     doubt = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
-    predicted = sandwich(h, a.covariance[:])[0, 0] + doubt
-    nis = innovation * innovation / (predicted + R)
+    predicted = predicted_covariance(a.covariance[:], H) + doubt
+    nis = innovation * innovation / (predicted[0, 0] + R)
+    o = observe_alone(np.array((innovation,)), H, np.array(((R,),)))
     if nis > c.adaptation.soft_gate * limit:
         if not _insists(a.climb, innovation, stated, measurement, c):
             return _GATED
         doubt += innovation * innovation
-    elif nis > limit:
-        R += (nis / limit - 1.0) * (predicted + R)
+    else:
+        soften(o.noise, o.innovation, predicted, limit)
     a.covariance[HEIGHT, HEIGHT] += doubt
-    correct(a.mean[:], a.covariance[:], np.array((innovation,)), h, np.array(((R,),)))
+    correct(a.mean[:], a.covariance[:], o)
     set_level(a)
     a.climb.used_ns, a.climb.refused = measurement.stamp_ns, 0
     return 0
-
-
-@compiled
-def downward(level: Any, covariance: FloatArray) -> float:
-    """Variance of ż, (m/s)², by that of v_x and v_y along the ground."""
-    x, y = level.downhill_x, level.downhill_y
-    return float(x * x * covariance[0, 0] + 2.0 * x * y * covariance[0, 1] + y * y * covariance[1, 1])
 
 
 @compiled

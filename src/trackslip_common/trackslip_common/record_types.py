@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records that pass through compiled code, each declared once: as a class that types and dtypes come from.
+
+    class Level(Record):
+        tilted: int
+        downhill: Annotated[FloatArray, 2]
+        sample: Sample
+        faults: Annotated[Table[Fault], 12]
+
+    LEVEL = dtype_of(Level)
+
+A kernel that takes a ``Level`` is annotated with the class, so that an editor finds the declaration of each
+field. At run time it gets a record of an array of ``LEVEL``. Python reads the same array by the names of its
+fields.
+"""
+
+from typing import Any, Protocol, TypeVar, get_args, get_origin, get_type_hints, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+RecordT = TypeVar("RecordT")
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+_NUMBERS: dict[object, type[np.generic]] = {float: np.float64, int: np.int64, bool: np.bool_}
+_ARRAYS: dict[object, type[np.generic]] = {FloatArray: np.float64, IntArray: np.int64}
+
+
+class Record:
+    """Base of declarations; no object of it is ever made."""
+
+
+class Table(Protocol[RecordT]):
+    """An array of records, of one or more dimensions, as compiled code sees it."""
+
+    @property
+    def size(self) -> int:
+        """Records in all."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Records along each dimension."""
+
+    @overload
+    def __getitem__(self, at: int | np.integer[Any] | tuple[int | np.integer[Any], ...]) -> RecordT: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> "Table[RecordT]": ...
+
+    def __setitem__(
+        self, at: int | np.integer[Any] | tuple[int | np.integer[Any], ...], value: RecordT
+    ) -> None:
+        """Copies a record."""
+
+    def __len__(self) -> int:
+        """Records along the first dimension."""
+
+
+def dtype_of(declared: type[Record]) -> np.dtype[np.void]:
+    """The aligned dtype of a declaration, its fields in their order.
+
+    Raises:
+        TypeError: a field is neither a number, nor an array of numbers, nor a record, nor a table of records.
+    """
+    hints = get_type_hints(declared, include_extras=True)
+    return np.dtype([_field(name, hint) for name, hint in hints.items()], align=True)
+
+
+def _field(name: str, hint: Any) -> tuple[Any, ...]:
+    """A field as ``np.dtype`` takes it."""
+    shape: Any = ()
+    if hasattr(hint, "__metadata__"):
+        (shape,) = hint.__metadata__
+        hint = get_args(hint)[0]
+    if get_origin(hint) is Table:
+        (hint,) = get_args(hint)
+    if hint in _NUMBERS:
+        kind: Any = _NUMBERS[hint]
+    elif hint in _ARRAYS:
+        kind = _ARRAYS[hint]
+    elif isinstance(hint, type) and issubclass(hint, Record):
+        kind = dtype_of(hint)
+    else:
+        raise TypeError(f"{name}: {hint} is no number, array, record or table")
+    return (name, kind, shape) if shape != () else (name, kind)

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The update of an extended Kalman filter by one observation, whatever its source; compiled, in place.
+
+x, P   mean and covariance of the state                  (k,), (k, k), k ≥ n
+ν, H   innovation z − h(x), Jacobian of h                (m,), (m, n)
+R, S   covariance of the noise, of the innovation        (m, m), (m, m)
+C      covariance of the noise with the state            (m, n)
+K      gain (H P + C) S⁻¹, transposed                    (m, n)
+NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if consistent
+
+    P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ − (I − K H) C Kᵀ − K Cᵀ (I − K H)ᵀ       (Joseph)
+
+which stays symmetric and positive whatever the gain. So a gain may leave states alone: a *considered* state
+keeps mean and variance (Schmidt). A *known* one does, too, and the gain is that of a filter that knows it:
+what the observation corrects is what it shows with this state as it is.
+
+Source: Gelb, Applied Optimal Estimation (1974), 4.2 and 4.5; Schmidt (1966).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman.linear_algebra import root, solve, weighted_square
+
+FloatArray = NDArray[np.float64]
+
+_NOTHING = 1e-12  # share of a variance that is rounding
+
+
+class Observation(NamedTuple):
+    """What a measurement says of the state."""
+
+    innovation: FloatArray  # (m,) ν
+    jacobian: FloatArray  # (m, n) H
+    noise: FloatArray  # (m, m) R
+    considered: int  # bits of states that are considered
+    known: int  # bits of states that are known
+    shared: FloatArray  # (m, n) C, or (0, n) where noise and state share nothing
+
+
+@compiled
+def observe_alone(innovation: FloatArray, H: FloatArray, R: FloatArray) -> Observation:
+    """An observation that corrects all, and whose noise is its own."""
+    return Observation(innovation, H, R, 0, 0, np.zeros((0, H.shape[1])))
+
+
+@compiled
+def predicted_covariance(P: FloatArray, H: FloatArray) -> FloatArray:
+    """(m, m) H P Hᵀ."""
+    m, n = H.shape
+    HP, S = _shown_by(P, H), np.zeros((m, m))
+    for i in range(m):
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(m):
+                    S[i, j] += h * HP[j, k]
+    return S
+
+
+@compiled
+def soften(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: float) -> None:
+    """R so large that the NIS is no more than ``limit``: the soft gate; ``predicted``: H P Hᵀ (m, m)."""
+    nis = weighted_square(root(predicted + R), innovation)
+    if nis > limit:
+        R += (nis / limit - 1.0) * (predicted + R)
+
+
+@compiled
+def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
+    """x and P given an observation; what they have beyond H stays as it is."""
+    m, n, H, R = o.innovation.size, o.jacobian.shape[1], o.jacobian, o.noise
+    B, S = _shown_by(P, H), R.copy()
+    shares = o.shared.shape[0] > 0
+    if shares:
+        B += o.shared
+    for i in range(m):
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(m):
+                    S[i, j] += h * B[j, k]
+                    if shares:
+                        S[j, i] += h * o.shared[j, k]
+    K = _gain(P, B, S, o)
+    for i in range(m):
+        for k in range(n):
+            gain = K[i, k]
+            x[k] += gain * o.innovation[i]
+            if gain != 0.0:
+                for j in range(n):
+                    P[k, j] -= gain * (B[i, j] - (o.shared[i, j] if shares else 0.0))
+    _complete(P, K, o)
+
+
+@inlined
+def _gain(P: FloatArray, B: FloatArray, S: FloatArray, o: Observation) -> FloatArray:
+    """K (m, n); B (m, n) is H P + C."""
+    if o.known == 0:
+        K = solve(root(S), B)
+    else:
+        H, given = o.jacobian, B.copy()
+        _take_as_known(P, given, o.known)
+        S = o.noise.copy()
+        for i in range(S.shape[0]):
+            for j in range(S.shape[0]):
+                for k in range(H.shape[1]):
+                    S[i, j] += H[i, k] * given[j, k]
+        K = solve(root(S), given)
+    held = o.considered | o.known
+    for k in range(K.shape[1]):
+        if held >> k & 1:
+            K[:, k] = 0.0
+    return K
+
+
+@inlined
+def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
+    """B (m, n), which is H P, becomes what it would be if some states were known."""
+    n, used = B.shape[1], 0
+    rows, pivots = np.empty((8, n)), np.empty(8, np.int64)
+    for a in range(n):
+        if known >> a & 1 == 0:
+            continue
+        row = P[a, :n].copy()
+        for j in range(used):
+            row -= rows[j] * (row[pivots[j]] / rows[j, pivots[j]])
+        if row[a] > _NOTHING * P[a, a] and used < 8:
+            for i in range(B.shape[0]):
+                B[i] -= row * (B[i, a] / row[a])
+            rows[used], pivots[used] = row, a
+            used += 1
+        B[:, a] = 0.0
+
+
+@inlined
+def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
+    """P, which is (I − K H) P, becomes the covariance after the update."""
+    m, n = K.shape
+    rest, D, shares = _shown_by_columns(P, o.jacobian), o.shared, o.shared.shape[0] > 0
+    if shares:
+        D = _kept_of(K, o)
+    for i in range(m):
+        for k in range(n):
+            total = -rest[i, k]
+            for j in range(m):
+                total += K[j, k] * o.noise[j, i]
+            rest[i, k] = total - 2.0 * D[i, k] if shares else total
+    for k in range(n):
+        for j in range(k + 1):
+            both = P[k, j] + P[j, k]
+            for i in range(m):
+                both += rest[i, k] * K[i, j] + rest[i, j] * K[i, k]
+            P[k, j] = P[j, k] = both / 2.0
+
+
+@compiled
+def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
+    """(m, n) of C what is left by (I − K H)."""
+    kept, H = o.shared.copy(), o.jacobian
+    for i in range(K.shape[0]):
+        for j in range(K.shape[0]):
+            seen = 0.0  # of C by H
+            for k in range(H.shape[1]):
+                seen += H[j, k] * o.shared[i, k]
+            for k in range(K.shape[1]):
+                kept[i, k] -= K[j, k] * seen
+    return kept
+
+
+@compiled
+def _shown_by(P: FloatArray, H: FloatArray) -> FloatArray:
+    """(m, n) H P, P symmetric; the zeros of H cost nothing."""
+    m, n = H.shape
+    product = np.zeros((m, n))
+    for i in range(m):
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(n):
+                    product[i, j] += h * P[k, j]
+    return product
+
+
+@compiled
+def _shown_by_columns(P: FloatArray, H: FloatArray) -> FloatArray:
+    """(m, n) (P Hᵀ)ᵀ of any P."""
+    m, n = H.shape
+    product = np.zeros((m, n))
+    for i in range(m):
+        for k in range(n):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(n):
+                    product[i, j] += h * P[j, k]
+    return product

@@ -1,0 +1,307 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Children of a branch that a measurement contradicts: in each one event happened; compiled.
+
+Its prior is the rate of the event times the time in which it may have happened: since the source's
+measurement before, or since the snapshot, from which the child makes its steps again. An event that is as
+likely at every place, or for every angle, has the density of that.
+"""
+
+import math
+from typing import Any
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.bank.pool import to_pool, update_of
+from trackslip_estimation.slip.bank.script import remember
+from trackslip_estimation.slip.events import (
+    AREA,
+    FOLDED,
+    HEADINGS,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_SOUND,
+    MEASURED,
+    MOVED,
+    NOISE,
+    OFFSET,
+    OUTLIER,
+    REPEATS,
+    SCATTERS,
+    SKIDDED,
+    SLID,
+    SLIPPED,
+    SOUND,
+    SWUNG,
+    TURNED,
+    apply_event,
+    is_steep,
+    log_rate,
+)
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.models.swing import may_swing
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.own_errors import is_correlated
+from trackslip_estimation.slip.records import HEADING, HISTORY, MOST_SOURCES, ON_SWING, POSE
+from trackslip_estimation.slip.weighing import log_density_of_any_size
+from trackslip_estimation.slip.window import POOL, Window
+
+_SPAWNS = 4.0  # w below the best of a branch that has no children
+_DRIFT, _LIMIT = 0.5, 5.0  # of the CUSUM, in standard deviations
+_LARGEST = 3.0  # standard deviations of one innovation in the CUSUM
+_STEPS = 2000  # that children may make at one measurement: 10 ms
+_SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
+_SLIP_EXCESS = 0.1  # standard deviation by which i₀ may leave it
+_DRIVEN = 0.05  # m of the tracks, with which heading and slip show in the place
+_OFTEN = 0.012  # share of outliers of a source that has had some recently
+_SHORTEST = 0.01  # s, in which an event may have happened
+_OF_CORRELATED = 6.0  # by which w of events of the machine is less where fixes err to one side
+_SMALLEST = 1e-4  # m², squared size of a jump or an offset
+_ANY_SHARE = math.log(HEADINGS)
+
+_GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+
+
+@compiled
+def propose(window: Window, k: int, c: Any) -> int:
+    """Weigh the branches of row k, and put the children of those that it contradicts into the pool.
+
+    Returns the number of branches and children; the branches are in the pool, too, if there is more than one
+    or they have children.
+    """
+    count, spawns = window.counts[k], False
+    for s in range(count):
+        _pay(window, s, k, c)
+        spawns = spawns or _wants_children(window, s, k, c)
+    if count == 1 and not spawns:
+        branch = window.branches[0, k]
+        branch.snapshot_weight -= branch.weight
+        branch.weight = 0.0
+        return 1
+    status = window.status[0]
+    status.pooled, status.steps_left = to_pool(window, k), _STEPS
+    for p in range(count):
+        if window.branches[p, k - 1].weight >= -_SPAWNS and _wants_children(window, p, k, c):
+            _have_children(window, p, k, c)
+            window.pool_branches[p].cusum[:] = 0.0
+    return int(status.pooled)
+
+
+@compiled
+def _pay(window: Window, s: int, k: int, c: Any) -> None:
+    """What branch s of row k pays for a fault that lasts and for a slip that no track has; its CUSUM."""
+    measurement = window.measurements[k]
+    branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
+    source, fault = measurement.source, state.fault[measurement.source]
+    branch.fresh = 0
+    if fault != IS_SOUND:
+        elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
+        branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
+    follows = measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET)
+    if follows and not is_correlated(state, source, c):
+        for i in range(4):
+            e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
+            branch.cusum[i] = max(branch.cusum[i] + min(e, _LARGEST) - _DRIFT, 0.0)
+    branch.weight -= outside_range(state, c)
+
+
+@compiled
+def outside_range(state: Any, c: Any) -> float:
+    """By how much less likely a branch is whose i₀ no track can have."""
+    if not has_velocity_errors(c):
+        return 0.0
+    low, high = _SLIP_RANGE
+    excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
+    variance = _SLIP_EXCESS**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
+    return float(excess * excess / (2.0 * variance))
+
+
+@compiled
+def _contradicts(window: Window, s: int, k: int, c: Any) -> bool:
+    """Whether measurement k is not what branch s predicts."""
+    before, update = window.states[s, k - 1], update_of(window, s, k)
+    limit, fault = c.gate_limits[update.dof] / 2.0, before.fault[window.measurements[k].source]
+    return bool(update.nis > limit or (fault == IS_SOUND and update.outcome == _GATED))
+
+
+@compiled
+def _wants_children(window: Window, s: int, k: int, c: Any) -> bool:
+    """Whether branch s of row k has children."""
+    measurement, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
+    fault, update = before.fault[measurement.source], update_of(window, s, k)
+    if fault == IS_SCATTERING:
+        return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
+    if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
+        return True
+    if measurement.kind == POSE and outside_range(before, c) > 0.0:
+        return True
+    if measurement.kind == POSE and fault == IS_SOUND:
+        moves = before.motion.motion != _STANDING
+        return bool((update.repeated == 1 and moves) or branch.cusum.max() > _LIMIT)
+    return False
+
+
+@compiled
+def _may_fold(window: Window, s: int, k: int, c: Any) -> bool:
+    """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
+    source, before = window.measurements[k].source, window.states[s, k - 1]
+    if s != 0 or before.fault[source] != IS_OFFSET or c.offsets[source] < 0:
+        return False
+    since_ns, period_ns = before.fault_ns[source], c.events.fault_time * 1e9
+    for other in range(MOST_SOURCES):
+        of_same_kind = c.offsets[other] >= 0 and c.compass[other] == c.compass[source]
+        if other != source and of_same_kind and before.consistent_ns[other] > since_ns:
+            return False  # it shows no jump
+    first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
+    return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
+
+
+@compiled
+def _have_children(window: Window, p: int, k: int, c: Any) -> None:
+    """Children of branch p at measurement k."""
+    m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
+    source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k)
+    contradicts = _contradicts(window, p, k, c)
+    if fault == IS_SCATTERING:
+        _child(window, p, k, SOUND, 0, False, now + log_rate(SOUND, source, c), c)
+        return
+    if fault != IS_SOUND and contradicts:
+        _child(window, p, k, SOUND, 0, False, now + log_rate(SOUND, source, c), c)
+    if _may_fold(window, p, k, c):  # as a jump it would not have paid for its duration
+        age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
+        prior = age + log_rate(MOVED, source, c) - log_rate(OFFSET, source, c)
+        _child(window, p, k, FOLDED, 0, False, prior, c)
+    if m.kind != POSE:
+        if contradicts:
+            _have_angle_children(window, p, k, c)
+        return
+    if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
+        _child(window, p, k, REPEATS, 0, False, now + log_rate(REPEATS, source, c), c)
+    implausible = outside_range(before, c) > 0.0
+    shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > _LIMIT
+    if contradicts:
+        _jump(window, p, k, c)
+    if contradicts or implausible or shows:
+        _have_earlier_children(window, p, k, contradicts, implausible, c)
+
+
+@compiled
+def _log_time(window: Window, p: int, k: int) -> float:
+    """ln of the time since the source's measurement before."""
+    m = window.measurements[k]
+    return math.log(max((m.stamp_ns - window.states[p, k - 1].last_ns[m.source]) * 1e-9, _SHORTEST))
+
+
+@compiled
+def _correlated_penalty(window: Window, p: int, k: int, c: Any) -> float:
+    """By which w of events of the machine is less, where fixes of the source err to one side."""
+    return _OF_CORRELATED if is_correlated(window.states[p, k - 1], window.measurements[k].source, c) else 0.0
+
+
+@compiled
+def _jump(window: Window, p: int, k: int, c: Any) -> None:
+    """Children in which the source, or the machine, jumped just before a fix that contradicts branch p."""
+    m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
+    source, now = m.source, _log_time(window, p, k)
+    squared = (m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2
+    size = math.log(AREA) + log_density_of_any_size(max(squared, _SMALLEST))
+    if before.fault[source] == IS_SOUND:
+        if update.outcome != _GATED:
+            _child(window, p, k, OUTLIER, 0, False, 0.0, c)
+        _child(window, p, k, SCATTERS, 0, False, now + log_rate(SCATTERS, source, c), c)
+        _child(window, p, k, OFFSET, 0, False, now + size + log_rate(OFFSET, source, c), c)
+    moved = now + log_rate(MOVED, source, c)
+    if before.rests_on == source:  # that fix may have been an outlier
+        moved = max(moved, math.log(before.outlier_share[source]))
+    _child(window, p, k, MOVED, 0, False, size + moved, c)
+    if _driven_since(window, p, k) > _DRIVEN and update.stated <= c.events.skid_stddev:
+        prior = now + log_rate(SKIDDED, source, c) - _correlated_penalty(window, p, k, c)
+        _child(window, p, k, SKIDDED, 0, False, prior, c)
+
+
+@compiled
+def _have_earlier_children(
+    window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Any
+) -> None:
+    """Children in which an event happened since the snapshot, and shows in a fix now."""
+    m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
+    e, source, drove = window.branches[p, k], m.source, _driven_since(window, p, k) > _DRIVEN
+    since = math.log(max((m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns) * 1e-9, _SHORTEST))
+    penalty = _correlated_penalty(window, p, k, c)
+    if drove and has_velocity_errors(c):
+        _child(window, p, k, SLIPPED, 0, True, since + log_rate(SLIPPED, source, c) - penalty, c)
+    is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= _LIMIT
+    if is_first and not implausible and before.outlier_share[source] > _OFTEN:
+        return  # as a rule it is an outlier; what began earlier shows in the next one too
+    if contradicts and may_swing(before, source, c):
+        for part in range(HEADINGS):
+            _child(window, p, k, SWUNG, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c)
+    if before.fault[source] != IS_REPEATING and update.coarse == 0:
+        _child(window, p, k, NOISE, 0, True, since + log_rate(NOISE, source, c), c)
+    if is_steep(before) and has_velocity_errors(c):
+        _child(window, p, k, SLID, 0, True, since + log_rate(SLID, source, c), c)
+    shows_heading = (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove)
+    if shows_heading:
+        prior = since + log_rate(TURNED, source, c) - _ANY_SHARE - penalty
+        for part in range(HEADINGS):
+            _child(window, p, k, TURNED, part, True, prior, c)
+
+
+@compiled
+def _driven_since(window: Window, p: int, k: int) -> float:
+    """By the tracks since the snapshot of branch p of row k − 1, m."""
+    branch = window.branches[p, k - 1]
+    return float(window.states[p, k - 1].ran - window.states[branch.slot, branch.snapshot].ran)
+
+
+@compiled
+def _have_angle_children(window: Window, p: int, k: int, c: Any) -> None:
+    """Children of branch p at a heading or an angle of the upper structure that contradicts it."""
+    m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
+    source, now = m.source, _log_time(window, p, k)
+    if before.fault[source] == IS_SOUND:
+        if update.outcome != _GATED:
+            _child(window, p, k, OUTLIER, 0, False, 0.0, c)
+        _child(window, p, k, SCATTERS, 0, False, now + log_rate(SCATTERS, source, c), c)
+        if c.offsets[source] >= 0:
+            _child(window, p, k, OFFSET, 0, False, now + log_rate(OFFSET, source, c), c)
+    if m.kind == ON_SWING or may_swing(before, source, c):
+        _child(window, p, k, SWUNG, MEASURED, False, now + log_rate(MOVED, source, c), c)
+    if m.kind == HEADING:
+        _child(window, p, k, TURNED, MEASURED, False, now + log_rate(MOVED, source, c), c)
+
+
+@compiled
+def _child(
+    window: Window, p: int, k: int, event: int, part: int, since: bool, log_prior: float, c: Any
+) -> None:
+    """A child of branch p in the pool: an event was just before measurement k, or ``since`` the snapshot.
+
+    There is none where the pool is full, or children have made steps enough.
+    """
+    status, before, m = window.status[0], window.branches[p, k - 1], window.measurements[k]
+    first, h = before.snapshot + 1 if since else k, status.pooled
+    if status.steps_left < k + 1 - first or h == POOL:
+        return
+    status.pooled, status.steps_left = h + 1, status.steps_left - (k + 1 - first)
+    state, branch, update = window.pool_states[h], window.pool_branches[h], window.pool_updates[h]
+    window.pool_branches[h] = before
+    if since:
+        window.pool_states[h] = window.states[before.slot, before.snapshot]
+        branch.weight = before.snapshot_weight + log_prior
+        snapshot_ns = window.measurements[before.snapshot].stamp_ns
+        while branch.events > 0 and branch.history[(branch.events - 1) % HISTORY].decided_ns > snapshot_ns:
+            branch.events -= 1
+    else:
+        window.pool_states[h] = window.states[p, k - 1]
+        branch.weight = before.weight + log_prior
+    branch.first, branch.fresh = first, 1
+    value = m.value[0]
+    if event == SKIDDED:
+        value = c.events.skid_share * _driven_since(window, p, k)
+    remember(branch, event, m.source, part, value, m, window.measurements[first], 0)
+    update.opened = event
+    update.renewed = apply_event(state, event, m.source, part, value, c)

@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pool: branches of one row and their children, merged where alike, pruned where improbable; compiled."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.events import IS_OFFSET, IS_SOUND
+from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.window import MOST_BRANCHES, Window
+
+_PRUNED = 10.0  # w below the best that is pruned
+_LEAST_SOUND = 9.0  # w below the best that the last branch without a fault has at the least
+_ALIKE = 0.05  # mean squared distance of two branches that are one
+
+
+@compiled
+def update_of(window: Window, s: int, k: int) -> Any:
+    """Record of ``UPDATE`` of branch s of row k, the newest one."""
+    return window.updates[k] if s == 0 else window.trials[s]
+
+
+@compiled
+def to_pool(window: Window, k: int) -> int:
+    """The branches of row k, in the pool; how many."""
+    for s in range(window.counts[k]):
+        window.pool_states[s], window.pool_branches[s] = window.states[s, k], window.branches[s, k]
+        window.pool_updates[s] = update_of(window, s, k)
+    return int(window.counts[k])
+
+
+@compiled
+def from_pool(window: Window, k: int, count: int) -> None:
+    """Row k: the most probable branches of the pool in their order, the first one's weight 0."""
+    best, kept, sound = (
+        window.pool_branches[_heaviest(window, count)].weight,
+        0,
+        _heaviest_sound(window, count),
+    )
+    while kept < MOST_BRANCHES:
+        h = _heaviest(window, count)
+        if kept == MOST_BRANCHES - 1 and sound >= 0:
+            h = sound
+        if h == sound:
+            window.pool_branches[h].weight = max(window.pool_branches[h].weight, best - _LEAST_SOUND)
+            sound = -1
+        weight = window.pool_branches[h].weight
+        if weight < best - _PRUNED or weight == -math.inf:
+            break
+        branch = window.branches[kept, k]
+        window.states[kept, k], window.branches[kept, k] = window.pool_states[h], window.pool_branches[h]
+        branch.weight, branch.snapshot_weight = weight - best, branch.snapshot_weight - best
+        if kept == 0:
+            window.updates[k] = window.pool_updates[h]
+        else:
+            window.trials[kept] = window.pool_updates[h]
+        window.pool_branches[h].weight = -math.inf
+        kept += 1
+    window.counts[k] = kept
+    if sound >= 0:  # it is far behind, and stays
+        _keep_sound(window, k, sound, best)
+
+
+@compiled
+def _keep_sound(window: Window, k: int, h: int, best: float) -> None:
+    """Append branch h of the pool to row k, whatever its weight: in it no source is at fault."""
+    s = min(window.counts[k], MOST_BRANCHES - 1)
+    branch = window.branches[s, k]
+    window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
+    window.trials[s] = window.pool_updates[h]
+    branch.weight, branch.snapshot_weight = -_LEAST_SOUND, max(branch.snapshot_weight - best, -_LEAST_SOUND)
+    window.counts[k] = s + 1
+
+
+@compiled
+def _heaviest_sound(window: Window, count: int) -> int:
+    """The most probable branch of the pool in which no source is at fault; −1: there is none."""
+    heaviest = -1
+    for h in range(count):
+        weight, faults = window.pool_branches[h].weight, 0
+        for k in range(MOST_SOURCES):
+            faults += 1 if window.pool_states[h].fault[k] != IS_SOUND else 0
+        heavier = heaviest < 0 or weight > window.pool_branches[heaviest].weight
+        if faults == 0 and weight > -math.inf and heavier:
+            heaviest = h
+    return heaviest
+
+
+@compiled
+def _heaviest(window: Window, count: int) -> int:
+    """The most probable branch of the pool."""
+    heaviest = 0
+    for h in range(1, count):
+        if window.pool_branches[h].weight > window.pool_branches[heaviest].weight:
+            heaviest = h
+    return heaviest
+
+
+@compiled
+def merge(window: Window, count: int, c: Any) -> None:
+    """Of two branches of the pool that are alike, the more probable one, with the weight of both."""
+    branches = window.pool_branches
+    for a in range(count):
+        for b in range(count):
+            if a == b or branches[a].weight == -math.inf or branches[a].weight < branches[b].weight:
+                continue
+            if branches[b].weight > -math.inf and _are_alike(window.pool_states[a], window.pool_states[b], c):
+                branches[a].weight += math.log1p(math.exp(branches[b].weight - branches[a].weight))
+                branches[b].weight = -math.inf
+
+
+@compiled
+def _are_alike(a: Any, b: Any, c: Any) -> bool:
+    """Whether two states make the same assumptions of the sources, and differ by little."""
+    total, n = 0.0, 0
+    for k in range(MOST_SOURCES):
+        ratio = a.adaptation.fix_factors[k] / b.adaptation.fix_factors[k]
+        if a.fault[k] != b.fault[k] or ratio > 2.0 or ratio < 0.5:
+            return False
+        if a.fault[k] == IS_OFFSET and c.offsets[k] >= 0:
+            for i in range(c.offsets[k], c.offsets[k] + (1 if c.compass[k] == 1 else 2)):
+                distance = _distance(a, b, i)
+                total, n = total + distance, n + 1
+    for i in (X, Y, YAW, COMMON_SLIP, SWING):
+        if i == SWING and not c.swings:
+            continue
+        total, n = total + _distance(a, b, i), n + 1
+    return total < _ALIKE * n
+
+
+@compiled
+def _distance(a: Any, b: Any, i: int) -> float:
+    """Squared distance of state i, over the sum of its variances; infinite where these differ much."""
+    d = a.mean[i] - b.mean[i]
+    if i in (YAW, SWING):
+        d = wrap(d)
+    of_a, of_b = a.covariance[i, i], b.covariance[i, i]
+    if of_a > 4.0 * of_b or of_b > 4.0 * of_a:
+        return np.inf
+    return float(d * d / max(of_a + of_b, 1e-12))

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the bank knows of the errors of fixes, one record for each row and source; compiled.
+
+It belongs to a row, not to a branch: the way that fixes are compared with is that of the most probable one
+(``correlated_errors``).
+"""
+
+import math
+from typing import Any
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.slip.correlated_errors import MOST_SPREAD, add_fix
+from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.own_errors import number_of
+from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed
+
+_DRIVEN = 0.05  # m of the tracks, with which a heading shows in the place
+
+
+@compiled
+def take_errors(state: Any, receivers: Any, c: Any) -> None:
+    """What is known of the errors of fixes, for the next step."""
+    for n in range(c.poses):
+        offset, of = state.offsets[n], receivers[n]
+        offset.f, offset.g, offset.time, offset.observed = of.f, of.g, of.time, of.observed
+
+
+@compiled
+def follow_receivers(window: Window, k: int, c: Any) -> None:
+    """What row k knows of the errors of fixes, by the way of the most probable branch before it.
+
+    While it drives with an unknown heading there is no way to compare them with.
+    """
+    state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
+    m = window.measurements[k]
+    copy_receivers(window, k, k - 1)
+    number = number_of(m.source, c) if is_weighed(m) else -1
+    for n in range(c.poses):
+        of = window.receivers[k, n]
+        if of.known != 0:
+            way = state.way[X] - before.way[X], state.way[Y] - before.way[Y]
+            of.way[X] += way[X]
+            of.way[Y] += way[Y]
+            of.driven += math.hypot(way[X], way[Y])
+        if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
+            continue
+        P, spread = update.prior_covariance, heading_variance(window, k - 1)
+        if update.coarse == 1 and (spread < MOST_SPREAD or math.hypot(of.way[X], of.way[Y]) < _DRIVEN):
+            if has_velocity_errors(c):
+                spread += P[COMMON_SLIP, COMMON_SLIP]
+            add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
+            if spread >= MOST_SPREAD:
+                of.observed = 0.0
+        elif of.known > 0:
+            of.known, of.way[:], of.driven = 2, 0.0, 0.0
+
+
+@compiled
+def heading_variance(window: Window, k: int) -> float:
+    """Of all branches of row k about the most probable one's heading, rad²."""
+    total = variance = 0.0
+    for s in range(window.counts[k]):
+        w = math.exp(window.branches[s, k].weight - window.branches[0, k].weight)
+        state = window.states[s, k]
+        off = wrap(state.mean[YAW] - window.states[0, k].mean[YAW])
+        total, variance = total + w, variance + w * (state.covariance[YAW, YAW] + off * off)
+    return variance / total
+
+
+@compiled
+def add_first_fix(window: Window, c: Any) -> None:
+    """A coarse fix with which the estimate begins is the first that its receiver's masses know."""
+    state, m = window.states[0, 0], window.measurements[0]
+    number = number_of(m.source, c) if is_weighed(m) else -1
+    if number >= 0 and state.offsets[number].variance > 0.0:
+        stddev = state.offsets[number].stddev
+        add_fix(
+            window.receivers[0, number], window.masses[0, number], state.mean[:YAW], stddev, 0.0, m.stamp_ns
+        )

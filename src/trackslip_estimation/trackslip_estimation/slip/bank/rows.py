@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bank of competing explanations over one step; compiled.
+
+Normally there is one branch. A measurement that contradicts it, or a CUSUM of its whitened innovations, makes
+children: in each ONE event happened (``events``), just before that measurement or since the last consistent
+one, and opened what it changes. A child runs through the same step from there. Branches that fall too far
+behind the most probable one are pruned, those that have become alike are merged.
+
+    w     ln of a branch's weight: rates of its events, and evidence of all measurements since
+    row   of entry k of the window: its branches in the order of w, the most probable one first
+
+Row k is a function of the rows before it and of the measurements up to the sample that closes entry k. So a
+late measurement makes the rows after its place again, and replay equals live bit for bit.
+
+Source: Gaussian sum filter with change points; Willsky & Jones (1976).
+"""
+
+import math
+from typing import Any
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.slip.bank.children import outside_range, propose
+from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, update_of
+from trackslip_estimation.slip.bank.receivers import follow_receivers, take_errors
+from trackslip_estimation.slip.bank.script import play_script, remember
+from trackslip_estimation.slip.correlated_errors import reset_receiver
+from trackslip_estimation.slip.events import (
+    HEADINGS,
+    IS_IGNORED,
+    IS_SOUND,
+    NONE,
+    TURNED,
+    UNKNOWN_HEADING,
+    apply_event,
+    latest_pose_source,
+)
+from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.records import POSE
+from trackslip_estimation.slip.sound import is_sound
+from trackslip_estimation.slip.step import step
+from trackslip_estimation.slip.window import Window, is_weighed, next_sample
+
+_CALM = 1.5  # standard deviations: a CUSUM below it agrees
+_LOOK_BACK = 8  # measurements, of which one began whatever shows now
+LOOK_BACK_NS = 5_000_000_000
+
+
+@inlined
+def make_row(window: Window, k: int, closing: int, c: Any) -> None:
+    """Row k from the row before it; ``closing``: entry of the next sprocket sample.
+
+    First the branches there are make their step, then the children that these have run up to here. With a
+    script there is one branch, whose events are those of the script.
+    """
+    measurements, entries, scripted = window.measurements, window.status[0].count, window.status[0].scripted
+    count = jobs = window.counts[k - 1]
+    window.counts[k] = count
+    for s in range(count):
+        window.states[s, k], window.branches[s, k] = window.states[s, k - 1], window.branches[s, k - 1]
+        window.branches[s, k].first = k
+    weighs, j, closes = is_weighed(measurements[k]) and not scripted, 0, closing
+    while j < jobs:
+        state = window.states[j, k] if j < count else window.pool_states[j]
+        branch = window.branches[j, k] if j < count else window.pool_branches[j]
+        update = window.updates[k] if j == 0 else window.trials[j] if j < count else window.pool_updates[j]
+        if j < count:
+            update.opened, update.renewed = NONE, 0
+            if scripted:
+                play_script(window, k, 0, c)
+        for i in range(branch.first, k + 1):
+            take_errors(state, window.receivers[i - 1], c)
+            if closes < i or i == branch.first:
+                closes = closing if i == k else next_sample(measurements, i, entries)
+            sample = measurements[closes if closes < entries else i]
+            step(state, sample, measurements[i], c, update)
+            if is_weighed(measurements[i]):
+                branch.weight += update.evidence
+        if j == 0:
+            follow_receivers(window, k, c)
+        j += 1
+        if j == count and weighs:
+            jobs = propose(window, k, c)
+    if scripted:
+        play_script(window, k, 1, c)
+        return
+    if weighs:
+        settle_row(window, k, jobs, c)
+    keep_snapshots(window, k)
+    split_unknown_heading(window, k, c)
+
+
+@compiled
+def begin_row(window: Window, k: int, c: Any) -> None:
+    """One branch at entry k, where the estimate begins."""
+    window.counts[k] = 1
+    for n in range(c.poses):
+        reset_receiver(window.receivers[k, n])
+    take_errors(window.states[0, k], window.receivers[k], c)
+    branch = window.branches[0, k]
+    branch.weight = branch.snapshot_weight = 0.0
+    branch.events = 0
+    branch.cusum[:] = 0.0
+    branch.snapshot, branch.slot, branch.weighed = k, 0, 0
+    branch.fresh = 0
+
+
+@compiled
+def split_unknown_heading(window: Window, k: int, c: Any) -> None:
+    """A first branch of row k that drives with an unknown heading becomes one for each share of the circle.
+
+    At rest nothing depends on the heading.
+    """
+    state = window.states[0, k]
+    if state.is_sector or state.covariance[YAW, YAW] <= UNKNOWN_HEADING**2 or not _drives(state):
+        return
+    count = to_pool(window, k)
+    for part in range(1, HEADINGS):
+        window.pool_states[count], window.pool_branches[count] = (
+            window.pool_states[0],
+            window.pool_branches[0],
+        )
+        window.pool_updates[count] = window.pool_updates[0]
+        _take_sector(window, count, part, k, c)
+        count += 1
+    _take_sector(window, 0, 0, k, c)
+    from_pool(window, k, count)
+    for s in range(window.counts[k]):
+        if window.branches[s, k].fresh == 1:
+            _keep_snapshot(window, s, k)
+
+
+@compiled
+def _drives(state: Any) -> bool:
+    """Whether the tracks move, as far as it is known."""
+    return bool(not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0))
+
+
+@compiled
+def _take_sector(window: Window, h: int, part: int, k: int, c: Any) -> None:
+    """Branch h of the pool gets a share of the circle for its heading."""
+    state, branch, measurement = window.pool_states[h], window.pool_branches[h], window.measurements[k]
+    source = latest_pose_source(state, c)
+    apply_event(state, TURNED, source, part, 0.0, c)
+    branch.weight -= math.log(HEADINGS)
+    branch.fresh = 1
+    remember(branch, TURNED, source, part, 0.0, measurement, measurement, 1)
+
+
+@compiled
+def settle_row(window: Window, k: int, jobs: int, c: Any) -> None:
+    """Row k of the branches and children that ran, ``jobs`` in all: merged and pruned."""
+    measurement, count = window.measurements[k], window.counts[k]
+    if jobs > 1:
+        for h in range(jobs):
+            if not is_sound(window.pool_states[h], c.size) or math.isnan(window.pool_branches[h].weight):
+                window.pool_branches[h].weight = -math.inf
+        for h in range(count, jobs):
+            branch, state = window.pool_branches[h], window.pool_states[h]
+            branch.weight -= outside_range(state, c)
+            branch.cusum[:] = 0.0
+            if state.fault[measurement.source] == IS_IGNORED:  # that one measurement
+                state.fault[measurement.source], branch.fresh = IS_SOUND, 0
+        merge(window, jobs, c)
+        from_pool(window, k, jobs)
+    _move_snapshots(window, k, c)
+
+
+@compiled
+def _move_snapshots(window: Window, k: int, c: Any) -> None:
+    """Branches that agree with measurement k, or have looked back for long enough, look back to it only."""
+    measurement = window.measurements[k]
+    for s in range(window.counts[k]):
+        branch, state = window.branches[s, k], window.states[s, k]
+        update = update_of(window, s, k)
+        branch.weighed += 1
+        agrees = branch.cusum.max() < _CALM and update.nis <= c.gate_limits[update.dof] / 2.0
+        agrees = agrees and state.fault[measurement.source] == IS_SOUND and measurement.kind == POSE
+        if branch.fresh == 1 or agrees or branch.weighed >= _LOOK_BACK:
+            _keep_snapshot(window, s, k)
+
+
+@compiled
+def _keep_snapshot(window: Window, s: int, k: int) -> None:
+    branch = window.branches[s, k]
+    branch.snapshot, branch.slot, branch.weighed = k, s, 0
+    branch.snapshot_weight = branch.weight
+
+
+@compiled
+def keep_snapshots(window: Window, k: int) -> None:
+    """No branch looks back further than ``LOOK_BACK_NS``."""
+    stamp_ns = window.measurements[k].stamp_ns
+    for s in range(window.counts[k]):
+        branch = window.branches[s, k]
+        if stamp_ns - window.measurements[branch.snapshot].stamp_ns > LOOK_BACK_NS:
+            _keep_snapshot(window, s, k)
+
+
+@compiled
+def probability_of_best(window: Window, k: int) -> float:
+    """Posterior probability of the first branch of row k."""
+    total = 0.0
+    for s in range(window.counts[k]):
+        total += math.exp(window.branches[s, k].weight)
+    return math.exp(window.branches[0, k].weight) / total

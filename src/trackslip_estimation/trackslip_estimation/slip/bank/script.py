@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events of a branch: written down as they happen, played again on a scripted run; compiled."""
+
+from typing import Any
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.events import IS_IGNORED, IS_SOUND, apply_event
+from trackslip_estimation.slip.records import HISTORY
+from trackslip_estimation.slip.window import Window
+
+
+@compiled
+def remember(
+    branch: Any, event: int, source: int, part: int, value: float, decides: Any, steps: Any, after: int
+) -> None:
+    """One more event of a branch, which explains ``decides`` and opens states at the step to ``steps``."""
+    e = branch.history[branch.events % HISTORY]
+    e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, decides.stamp_ns
+    e.stamp_ns, e.kind, e.of, e.after = steps.stamp_ns, steps.kind, steps.source, after
+    branch.events += 1
+
+
+@compiled
+def play_script(window: Window, k: int, after: int, c: Any) -> None:
+    """The script's events before, or after, the step to measurement k, on the only branch."""
+    script, status, m = window.script, window.status[0], window.measurements[k]
+    state, update = window.states[0, k], window.updates[k]
+    for s in range(len(state.fault)):
+        if after == 1 and state.fault[s] == IS_IGNORED:
+            state.fault[s] = IS_SOUND
+    while status.played < script.size:
+        e = script[status.played]
+        if e.stamp_ns != m.stamp_ns or e.kind != m.kind or e.of != m.source or e.after != after:
+            return
+        update.opened = e.event
+        update.renewed |= apply_event(state, e.event, e.source, e.part, e.value, c)
+        status.played += 1

@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A yaw rate by a gyro: what it says of the state, and whether it is used; compiled.
+
+    z     yaw rate that it shows, of the upper structure where it sits there      rad/s
+    h     (1 + s_g) (ω + σ̇) + b_g; b_g of a further gyro is a state of its own
+    R     what the gyro states, and what the rounding of the counts moves h by    (rad/s)²
+    d²    ν²/S, and what it would be with the largest noise that may be: its surprise
+
+Inside its gate a reading is used in full; with less weight where only the largest noise that may be explains
+it; beyond that it is refused, until the gate has widened (``gate``). What passes only because the gate is
+wide says that the state was wrong: the bias, or the rate of the upper structure, is doubted by what ν shows.
+
+In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
+slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
+turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
+tracks, is never used: a gyro upside down shows that.
+
+A gyro is compared with steady speeds of the sprockets: their rounding would be in its innovation and in its
+Jacobian both, and bias what it teaches of turning.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
+from trackslip_estimation.slip.adaptation import learn_from_rate
+from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.dispatch import couple, has_velocity_errors, twist, twist_jacobian
+from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, YAW_RATE_ERROR
+from trackslip_estimation.slip.models.swing import may_swing
+from trackslip_estimation.slip.motion import Motion, rounding, steady_speeds
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
+
+FloatArray = NDArray[np.float64]
+
+_GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+_DOUBT = 4.0  # standard deviations
+_LAG = 0.1  # of the yaw rate without slip, by which the machine may still turn the other way
+_PERSISTS = 0.5  # of its departure that a reading must share with the first of a streak
+_ALIKE = 0.1  # of the yaw rate without slip, by which readings that agree may differ
+
+
+@compiled
+def bias_of(source: int, c: Any) -> int:
+    """Number of the state that is the bias of a gyro."""
+    own = c.own_errors[source]
+    return GYRO_BIAS if own < 0 else int(own)
+
+
+@compiled
+def stated_variance(measurement: Any, state: Any, c: Any) -> float:
+    """Of a yaw rate in true units."""
+    scale = c.rate_scale[measurement.source]
+    variance = max(measurement.noise[0, 0] / (scale * scale), LEAST_VARIANCE)
+    if state.coasting:  # a gyro then shows nothing of its bias
+        variance += c.unseen_yaw_rate**2
+    return variance
+
+
+@compiled
+def observe_rate(state: Any, measurement: Any, c: Any) -> Observation:
+    """ν (1,), H and R of a yaw rate, with the states that it leaves alone."""
+    source, x = measurement.source, state.mean[: c.size]
+    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    bias, scale, rate = bias_of(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
+    H = np.zeros((1, x.size))
+    H[0] = scale * twist_jacobian(x, left, right, c)[2]
+    if c.above[source] == 1:
+        rate += x[SWING_RATE]
+        H[0, SWING_RATE] += scale
+    H[0, bias], H[0, GYRO_SCALE] = 1.0, rate
+    nu = measurement.value[0] / c.rate_scale[source] - scale * rate - x[bias]
+    R = stated_variance(measurement, state, c)
+    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
+        e = rounding(interval, c.encoder_resolution)
+        by_left = scale * (twist(x, left + e, right, c)[2] - twist(x, left - e, right, c)[2])
+        by_right = scale * (twist(x, left, right + e, c)[2] - twist(x, left, right - e, c)[2])
+        R += (by_left * by_left + by_right * by_right) / 4.0
+    known = _known(left, right, bias, c)
+    return Observation(np.array((nu,)), H, np.array(((R,),)), 0, known, np.zeros((0, x.size)))
+
+
+@compiled
+def _known(left: float, right: float, bias: int, c: Any) -> int:
+    """Bits of the states that a yaw rate leaves as they were, and corrects the rest as if they were known.
+
+    Of a machine that moves b_g and s_g: tracks that turn more to one side than to the other, and at one speed
+    more than at another, explain the same. Fixes show both through what they are correlated with; standing
+    shows b_g.
+    """
+    if not has_velocity_errors(c):
+        return 0
+    moves = left != 0.0 or right != 0.0
+    return (1 << GYRO_SCALE) | (1 << bias if moves else 0)
+
+
+@inlined
+def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """See the top of the module; arguments as in ``update``."""
+    source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
+    o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
+    o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
+    left, right, _ = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    limit, innovation = c.gate_limits[1], o.innovation[0]
+    update.dof, update.gate = 1, limit_of(state, measurement, 1, c)
+    shown, of_shown = _rate_shown(state, measurement, o.noise[0, 0], c)
+    possible = np.isinf(limit) or not _on_no_ground(shown, of_shown, left, right, c)
+    S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
+    surprise = nis = innovation * innovation / S
+    if possible and has_velocity_errors(c) and not state.coasting:
+        by_tracks = state.adaptation.exposure * (1.0 + x[GYRO_SCALE]) ** 2
+        stands = state.motion.motion == _STANDING
+        surprise = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, stands, c)
+    streak = state.streaks[source]
+    forgets = nis > limit or streak.count > 0
+    forgets = forgets and _other_ground(shown, x, streak, left, right, c)
+    if forgets:
+        streak.count = 0
+        _forget_ground(P, c)
+        S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
+        surprise = nis = innovation * innovation / S
+    elif nis <= limit:
+        streak.count = 0
+    elif surprise <= limit:
+        soften(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
+    update.nis, update.log_determinant = nis, np.log(S)
+    if surprise > update.gate or not possible:
+        update.outcome, P[:] = _GATED, update.prior_covariance
+        return
+    if surprise > limit:
+        if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
+            P[SWING_RATE, SWING_RATE] += c.swing.fastest**2
+        else:
+            bias = bias_of(source, c)
+            P[bias, bias] += innovation * innovation
+    if forgets or surprise > limit:
+        update.prior_covariance[:] = P
+    correct(x, P, o)
+    x[YAW] = wrap(x[YAW])
+    state.consistent_ns[source] = measurement.stamp_ns
+
+
+@compiled
+def _rate_shown(state: Any, measurement: Any, variance: float, c: Any) -> tuple[float, float]:
+    """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by."""
+    source, x, P = measurement.source, state.mean, state.covariance
+    bias, shown = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
+    if c.above[source] == 1:
+        shown -= x[SWING_RATE]
+        variance += P[SWING_RATE, SWING_RATE] + 2.0 * P[SWING_RATE, YAW_RATE_ERROR]
+    variance += P[bias, bias]
+    if has_velocity_errors(c):
+        variance += P[YAW_RATE_ERROR, YAW_RATE_ERROR]
+    return (shown - x[bias]) / (1.0 + x[GYRO_SCALE]), variance
+
+
+@compiled
+def _without_slip(left: float, right: float, c: Any) -> float:
+    """Yaw rate of the sprockets, rad/s."""
+    rate: float = c.rolling_radius * (right - left) / c.tread
+    return rate
+
+
+@compiled
+def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Any) -> bool:
+    """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
+    without_slip = _without_slip(left, right, c)
+    allowed = _DOUBT * np.sqrt(variance) + _LAG * abs(without_slip)
+    return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
+
+
+@compiled
+def _other_ground(rate: float, x: FloatArray, streak: Any, left: float, right: float, c: Any) -> bool:
+    """Whether some ground lets the machine turn so, and enough readings in a row show the same one.
+
+    After the first, a reading counts that agrees with it and departs half as far at the least from the yaw
+    rate by what the state x has learned of turning.
+    """
+    without_slip = _without_slip(left, right, c)
+    if not (rate * without_slip > 0.0 and abs(rate) < abs(without_slip)) or not has_velocity_errors(c):
+        streak.count = 0
+        return False
+    learned = twist(x, left, right, c)[2] - x[YAW_RATE_ERROR]
+    efficiency, departure = rate / without_slip, (rate - learned) / without_slip
+    alike = streak.count > 0 and abs(efficiency - streak.value) <= _ALIKE
+    if not alike or departure * streak.departure < _PERSISTS * streak.departure**2:
+        streak.count, streak.value, streak.departure = 1, efficiency, departure
+    else:
+        streak.count += 1
+    return bool(streak.count >= c.gate_confirmations)
+
+
+@compiled
+def _forget_ground(P: FloatArray, c: Any) -> None:
+    """How the vehicle turns and slips is no better known than at the start."""
+    P[FIRST, FIRST] += c.velocity_errors.first_variance
+    P[SECOND, SECOND] += c.velocity_errors.second_variance
+    couple(P, c.velocity_errors.first_variance, c)
+    P[COMMON_SLIP, COMMON_SLIP] += c.velocity_errors.slip_variance

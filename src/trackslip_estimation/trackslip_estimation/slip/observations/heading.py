@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A heading, as of a pair of antennas or a compass, of δ σ_t before its stamp; compiled.
+
+    z    direction that it shows, rad
+    h    φ + the direction of its axis in base_link, with the swing where it sits above, + b − δ σ_t φ̇
+    b    offset of the source (``own_errors``), where an event has opened one            rad
+
+A pair of antennas errs by much when it fixes its ambiguities wrongly, and states a small variance. Whether it
+errs then, or the heading of the machine is wrong, is for the bank to weigh.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.update import Observation
+from trackslip_estimation.slip.events import IS_OFFSET
+from trackslip_estimation.slip.levers import seen_from_above, stamp_shift
+from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, YAW
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
+
+
+@compiled
+def compass_offset(state: Any, source: int, c: Any) -> float:
+    """Direction that a compass shows, from that of the machine, seen from above, rad."""
+    offset = c.heading_offset[source]
+    if c.above[source] == 1:
+        offset += state.mean[SWING]
+    return seen_from_above(offset, state.attitude.level)
+
+
+@compiled
+def observe_heading(state: Any, measurement: Any, c: Any) -> Observation:
+    """ν (1,), H and R of a heading."""
+    source, x, shift = measurement.source, state.mean[: c.size], stamp_shift(state, measurement.source, c)
+    H, nu = np.zeros((1, x.size)), measurement.value[0] - x[YAW] - compass_offset(state, source, c)
+    H[0, YAW], H[0, FIX_DELAY] = 1.0, -shift[YAW]
+    nu += shift[YAW] * x[FIX_DELAY]
+    if c.above[source] == 1:
+        H[0, SWING] = 1.0
+    if state.fault[source] == IS_OFFSET:
+        H[0, c.offsets[source]] = 1.0
+        nu -= x[c.offsets[source]]
+    R = max(measurement.noise[0, 0], c.heading_floor[source] ** 2, LEAST_VARIANCE)
+    return Observation(np.array((wrap(nu),)), H, np.array(((R,),)), 0, 0, np.zeros((0, x.size)))

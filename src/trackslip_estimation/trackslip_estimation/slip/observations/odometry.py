@@ -1,0 +1,322 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the odometry of a laser or a camera says of the state, and whether it is used; compiled.
+
+    z, R    mean velocity of C over T along the machine's axes, mean yaw rate (``increments``)
+    T       time between two poses of the source                                            s
+    s_o     by how much its lengths err: a state of each source                             1
+    m       velocity errors (``speed``)                                                     m/s, rad/s
+    D       variance of the mean of m over T that m at its end leaves open                  (3,)
+    C       covariance of the pose with that                                                (3, n)
+    f       factor of R (``adaptation``)                                                    1
+
+Where a source believes to be drifts, and is never used; what it moved between two poses is. It is held
+against what the filter predicted meanwhile. That errs by the slow states, and by the mean of m: in part as m
+does at the end of T. The rest has moved the pose too: by C the update takes that back, so that a way that the
+tracks slipped and a camera has not seen was not driven. A fix since the first pose has done so already; then
+there is no C.
+
+Odometry and tracks show nothing of s_o, which fixes do: it is considered. Inside the gate an increment is
+used in full; with less weight where only the largest track error explains it; beyond it is refused, until
+the source has insisted for long enough (``gate``). Where increments of a second or two agree that both tracks
+slip more or less than what is known allows, they run on other ground: i₀ is open again.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
+from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
+from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
+from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models import speed
+from trackslip_estimation.slip.models.dispatch import body_jacobian, body_twist, has_velocity_errors
+from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW_RATE_ERROR
+from trackslip_estimation.slip.motion import Motion, rounding
+from trackslip_estimation.slip.observations.increments import increment, variances_stated
+from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
+
+FloatArray = NDArray[np.float64]
+
+_GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.STANDING)
+_LATE = 2.0  # s of increments that agree on other ground
+_SLOWEST = 0.02  # m/s of the tracks, below which nothing is said of slip
+_SIGNIFICANT = 3.0  # standard deviations of a slip that differs
+_MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds
+
+
+class Drive(NamedTuple):
+    """What the sprockets did between two poses of a source."""
+
+    left: float  # mean speed, rad/s
+    right: float  # rad/s
+    T: float  # s
+
+
+@compiled
+def _agree_on_nothing(before: Any) -> None:
+    before.slip_weight = before.slip_sum = before.slip_way = 0.0
+    before.slip_ns = before.stamp_ns
+
+
+@compiled
+def begin_odometry(state: Any) -> None:
+    """At the start of the estimate."""
+    state.driven[:], state.moved[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
+    for k in range(state.odometry.size):
+        state.odometry[k].known = False
+        _agree_on_nothing(state.odometry[k])
+
+
+@compiled
+def follow_motion(state: Any, dt: float, c: Any) -> None:
+    """What is predicted to move in the next ``dt`` s, before it does."""
+    if c.odometries == 0:
+        return
+    left, right, x = state.speeds.left, state.speeds.right, state.mean.copy()
+    if has_velocity_errors(c):
+        share = speed.persistence(dt, state.motion.motion, c)[1]
+        x[SPEED_ERROR] *= share
+        x[YAW_RATE_ERROR] *= share
+    v_x, v_y, rate = body_twist(x, left, right, state, c)
+    state.driven[0] += left * dt
+    state.driven[1] += right * dt
+    state.moved[0] += v_x * dt
+    state.moved[1] += v_y * dt
+    state.moved[2] += rate * dt
+
+
+@inlined
+def use_odometry(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """See the top of the module; arguments as in ``update``."""
+    source = measurement.source
+    before = state.odometry[c.odometry_number[source]]
+    T = (measurement.stamp_ns - before.stamp_ns) * 1e-9
+    follows = before.known and before.frame == measurement.frame and before.coasting == state.coasting
+    if follows and c.odometry_gap[source] >= T:
+        z = increment(before, measurement, T, c)
+        if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
+            _use(state, z, np.diag(variances_stated(before, measurement, T, c)), measurement, c, update)
+        else:
+            update.outcome = _GATED
+    else:
+        update.outcome = _BEGUN
+    before.known, before.coasting, before.stamp_ns = True, state.coasting, measurement.stamp_ns
+    before.frame, before.place[:], before.turn[:] = measurement.frame, measurement.value, measurement.turn
+    before.noise[:], before.driven[:], before.moved[:] = measurement.noise, state.driven, state.moved
+    before.errors[0] = state.covariance[SPEED_ERROR, SPEED_ERROR]
+    before.errors[1] = state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR]
+
+
+@compiled
+def drive_since(state: Any, before: Any, stamp_ns: int) -> Drive:
+    """Of the sprockets since a pose of the source."""
+    T = (stamp_ns - before.stamp_ns) * 1e-9
+    left, right = (state.driven[0] - before.driven[0]) / T, (state.driven[1] - before.driven[1]) / T
+    return Drive(left, right, T)
+
+
+@compiled
+def _use(state: Any, z: FloatArray, stated: FloatArray, measurement: Any, c: Any, update: Any) -> None:
+    """Gate and update; ``stated``: R (3, 3) as the source states it."""
+    source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
+    before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
+    drive = drive_since(state, before, measurement.stamp_ns)
+    ahead, turned, open_ = _unseen_errors(state, before, drive, c)
+    h, H = _expected(state, before, drive, source, ahead, turned, c)
+    D = np.diag(open_)
+    _add_count_rounding(state, drive, c, D)
+    innovation = z - h
+    if has_velocity_errors(c) and not state.coasting:
+        of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
+        own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / drive.T, 1.0)
+        _weigh_slip(state, before, innovation[0], drive, H, own, c)
+        update.prior_covariance[:] = P
+    predicted = predicted_covariance(P, H) + D
+    update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
+    surprise = _least_surprise(state, source, innovation, predicted, stated, drive, update.gate, c)
+    R = factors[source] * stated
+    L = root(predicted + R)
+    update.nis, update.log_determinant = weighted_square(L, innovation), log_determinant(L)
+    if surprise > update.gate:
+        update.outcome = _GATED
+        return
+    if surprise > limit:
+        update.prior_covariance[SPEED_ERROR, SPEED_ERROR] += innovation[0] ** 2
+        update.prior_covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] += innovation[2] ** 2
+        P[:] = update.prior_covariance
+    else:
+        soften(R, innovation, predicted, limit)
+    scale = c.own_errors[source]
+    shared = _shared_with_pose(state, before.stamp_ns, drive.T, open_)
+    correct(state.mean[:], P, Observation(innovation, H, R + D, 1 << scale if scale >= 0 else 0, 0, shared))
+    state.mean[YAW] = wrap(state.mean[YAW])
+    state.consistent_ns[source] = measurement.stamp_ns
+
+
+@inlined
+def _least_surprise(
+    state: Any,
+    source: int,
+    innovation: FloatArray,
+    predicted: FloatArray,
+    stated: FloatArray,
+    drive: Drive,
+    gate: float,
+    c: Any,
+) -> float:
+    """NIS with the largest track error that may be; inside ``gate``, errors and noise are learned from it.
+
+    ``predicted``: covariance of the innovation without R; ``stated``: R as stated, (3, 3).
+    """
+    a = state.adaptation
+    S, by_tracks = predicted + a.fix_factors[source] * stated, np.zeros(3)
+    most = S.copy()
+    if has_velocity_errors(c) and not state.coasting:
+        by_tracks[:] = by_track_error(state, drive, c)
+        lacking = c.adaptation.track_variances[-1] - a.track_variance
+        for k in range(3):
+            most[k, k] += lacking * by_tracks[k]
+    surprise = weighted_square(root(most), innovation)
+    if has_velocity_errors(c) and surprise <= gate:
+        stands = state.motion.motion == _STANDING
+        learn_from_speed(a, innovation[0], S[0, 0], by_tracks[0], stands, c)
+        if weighted_square(root(S), innovation) <= c.gate_limits[3]:
+            learn_from_fix(a, source, innovation, predicted, stated, c)
+    return surprise
+
+
+@compiled
+def _weigh_slip(
+    state: Any, before: Any, innovation: float, drive: Drive, H: FloatArray, own: float, c: Any
+) -> None:
+    """i₀ is open again where increments of late agree on another one, and with it the way that they tell of.
+
+    ``innovation`` of the speed ahead, m/s; ``own``: variance of what is another one in each increment.
+    """
+    x, P, T = state.mean[:], state.covariance[:], drive.T
+    track = c.rolling_radius * (drive.left + drive.right) / 2.0
+    if abs(track) < max(_SLOWEST, abs(innovation)):  # no ground does that
+        return
+    slow = H[:1].copy()
+    slow[0, SPEED_ERROR] = slow[0, YAW_RATE_ERROR] = 0.0
+    known = predicted_covariance(P, slow)[0, 0]
+    kept = math.exp(-T / _LATE)
+    before.slip_weight = kept * before.slip_weight + track * track / own
+    before.slip_sum = kept * before.slip_sum - track * innovation / own
+    before.slip_way += track * T
+    off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
+    if off * off <= variance:
+        before.slip_way, before.slip_ns = 0.0, before.stamp_ns
+    elif off * off > _SIGNIFICANT**2 * variance:
+        way = before.slip_way if state.fixed_ns < before.slip_ns else 0.0
+        by = np.zeros(P.shape[0])
+        by[COMMON_SLIP], by[X], by[Y] = off, -off * way * math.cos(x[YAW]), -off * way * math.sin(x[YAW])
+        P += np.outer(by, by)
+        _agree_on_nothing(before)
+
+
+@compiled
+def _expected(
+    state: Any, before: Any, drive: Drive, source: int, ahead: float, turned: float, c: Any
+) -> tuple[FloatArray, FloatArray]:
+    """h (3,) and H (3, n); ``ahead``, ``turned``: by how much the means of m err as m does now."""
+    own, h = c.own_errors[source], (state.moved - before.moved) / drive.T
+    scale = 1.0 + (state.mean[own] if own >= 0 else 0.0)
+    H = body_jacobian(state.mean[:], drive.left, drive.right, state, c)
+    for i in range(3):
+        if has_velocity_errors(c):
+            H[i, SPEED_ERROR] *= ahead
+            H[i, YAW_RATE_ERROR] *= turned
+        if i < YAW:
+            for j in range(state.mean.size):
+                H[i, j] *= scale
+            if own >= 0:
+                H[i, own] = h[i]
+            h[i] *= scale
+    return h, H
+
+
+@compiled
+def _unseen_errors(state: Any, before: Any, drive: Drive, c: Any) -> tuple[float, float, FloatArray]:
+    """By how much the means of both velocity errors over T err as they do at its end, and D (3,).
+
+    Where the sprockets are silent the machine may go as fast as it can.
+    """
+    T, D = drive.T, np.zeros(3)
+    if state.coasting:
+        D[0] = D[1] = 2.0 * LASTS * c.speed_limit**2 / T
+        return 0.0, 1.0, D
+    if not has_velocity_errors(c):
+        return 0.0, 0.0, D
+    variances = speed.error_variances(state.mean[:], state.covariance[:], state, c)
+    persistence = speed.persistence(T, state.motion.motion, c)
+    growth = speed.error_growth(T, state.motion.motion, c)
+    ahead, D[0] = _split(before.errors[0], variances[0], persistence, growth)
+    turned, D[2] = _split(before.errors[1], variances[1], persistence, growth)
+    D[1] = state.adaptation.track_variance * _sideways(drive, c)
+    return ahead, turned, D
+
+
+@compiled
+def _split(
+    first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Of the mean over T of an error that had the variance ``first``: factor of that at its end; the rest."""
+    (kept, mean), (of_mean, of_both, of_end) = persistence, growth
+    both, end = kept * mean * first + of_both * own, kept * kept * first + of_end * own
+    factor = both / end if end > 0.0 else 0.0
+    return factor, max(mean * mean * first + of_mean * own - factor * both, 0.0)
+
+
+@compiled
+def _sideways(drive: Drive, c: Any) -> float:
+    """Variance of the mean of v_y over T, by the tracks for a track error of 1 (``speed``), (m/s)²."""
+    squares: float = c.rolling_radius**2 * (drive.left * drive.left + drive.right * drive.right)
+    return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / drive.T)
+
+
+@compiled
+def by_track_error(state: Any, drive: Drive, c: Any) -> FloatArray:
+    """(3,) what of S is the tracks', for a track error of 1."""
+    share = speed.persistence(drive.T, state.motion.motion, c)[1]
+    of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
+    U = speed.track_exposure(state, c)
+    ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
+    return np.array((ahead, _sideways(drive, c), of_mean * U / c.tread**2))
+
+
+@compiled
+def _add_count_rounding(state: Any, drive: Drive, c: Any, D: FloatArray) -> None:
+    """What the rounding of the counts adds to the expected means."""
+    if not state.speeds.differenced or c.encoder_resolution == 0.0:
+        return
+    e, x = rounding(drive.T, c.encoder_resolution), state.mean[:]
+    for on_left, on_right in ((e, 0.0), (0.0, e)):
+        more = np.array(body_twist(x, drive.left + on_left, drive.right + on_right, state, c))
+        less = np.array(body_twist(x, drive.left - on_left, drive.right - on_right, state, c))
+        D += np.outer(more - less, more - less) / 4.0
+
+
+@compiled
+def _shared_with_pose(state: Any, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
+    """C: the pose has moved by T times what ``open_`` (3,) are the variances of; none where a fix came since.
+
+    A gyro may have shown what the yaw rate leaves open: that has none. The place shares no more than it errs
+    by.
+    """
+    n, P = state.mean.size, state.covariance
+    if state.fixed_ns > since_ns:
+        return np.zeros((0, n))
+    C, cos, sin = np.zeros((3, n)), math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    for k, (x, y) in enumerate(((cos, sin), (-sin, cos))):
+        along = max(x * x * P[X, X] + 2.0 * x * y * P[X, Y] + y * y * P[Y, Y], 0.0)
+        shared = min(T * open_[k], _MOST_SHARED * math.sqrt(along * open_[k]))
+        C[k, X], C[k, Y] = x * shared, y * shared
+    return C

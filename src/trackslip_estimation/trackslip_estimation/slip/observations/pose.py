@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The pose of a sensor: x, y and, where its heading is used, φ, of δ σ_t before its stamp; compiled.
+
+    z    x, y of the sensor, m, and direction of the machine, or of the upper structure it sits on, rad
+    h    C + R(φ) p + b − δ σ_t d/dt (…),  φ + σ + ε − δ σ_t d/dt (…)
+    δ    delay of all fixes, over the stamp errors σ_t                                   1
+    b    offset of the source (``own_errors``), where it has one                         (2,), m
+    ε    yaw offset of the source                                                        rad
+
+R is what the source states, no less than its floors; of a coarse fix, or one whose error lasts in part, what
+is new in each. It has what the unknown tilt, or an unknown swing, move the sensor by.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.update import Observation
+from trackslip_estimation.slip.correlated_errors import is_coarse
+from trackslip_estimation.slip.events import IS_OFFSET
+from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above, stamp_shift, unknown_arm
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
+from trackslip_estimation.slip.models.shear import starts
+from trackslip_estimation.slip.own_errors import is_new, lasting_share, number_of
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
+
+FloatArray = NDArray[np.float64]
+
+
+@compiled
+def shows_heading(measurement: Any, c: Any) -> bool:
+    """Whether the heading of a pose is used: a doubtful one may be wrong by whole quarter turns."""
+    ceiling = c.heading_ceiling[measurement.source]
+    return bool(c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling)
+
+
+@compiled
+def raise_to_floors(R: FloatArray, rows: int, source: int, c: Any) -> None:
+    """The variances of a fix, of which ``rows`` are used, no less than the floors of its source."""
+    for i in range(rows):
+        floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
+        R[i, i] = max(R[i, i], floor * floor, LEAST_VARIANCE)
+
+
+@compiled
+def stated_noise(measurement: Any, state: Any, c: Any) -> FloatArray:
+    """(m, m) of a pose as its source states it, with what moves its sensor besides."""
+    source, rows = measurement.source, 3 if shows_heading(measurement, c) else 2
+    R = measurement.noise[:rows, :rows].copy()
+    raise_to_floors(R, rows, source, c)
+    for i in range(YAW):
+        R[i, i] += other_lean(state.attitude.level, source, c)
+        if c.above[source] == 1:
+            R[i, i] += unknown_arm(state.covariance, source, c)
+    return R
+
+
+@compiled
+def has_offset(state: Any, source: int, c: Any) -> bool:
+    """Whether the places of a source have its offset in them."""
+    number = number_of(source, c)
+    return bool(number >= 0 and (state.fault[source] == IS_OFFSET or state.offsets[number].variance > 0.0))
+
+
+@compiled
+def observe_pose(state: Any, measurement: Any, c: Any) -> Observation:
+    """ν, H and R of a pose; m is 3 where its heading is used, else 2."""
+    source, x, R = measurement.source, state.mean[: c.size], stated_noise(measurement, state, c)
+    m, place, shift = R.shape[0], lever(x, state.attitude.level, source, c), stamp_shift(state, source, c)
+    H, nu = np.zeros((m, x.size)), np.zeros(m)
+    H[:YAW], H[X, X], H[Y, Y] = place.jacobian, 1.0, 1.0
+    nu[X] = measurement.value[X] - x[X] - place.east
+    nu[Y] = measurement.value[Y] - x[Y] - place.north
+    if m > YAW:
+        H[YAW, YAW] = 1.0
+        nu[YAW] = measurement.value[YAW] - x[YAW]
+        if c.above[source] == 1:
+            H[YAW, SWING] = 1.0
+            nu[YAW] -= seen_from_above(x[SWING], state.attitude.level)
+        own = c.yaw_offsets[source]
+        if own >= 0:
+            H[YAW, own] = 1.0
+            nu[YAW] -= x[own]
+    for i in range(m):
+        H[i, FIX_DELAY] = -shift[i]
+        nu[i] += shift[i] * x[FIX_DELAY]
+    if has_offset(state, source, c):
+        own = c.offsets[source]
+        for axis in (X, Y):
+            H[axis, own + axis] = 1.0
+            nu[axis] -= x[own + axis]
+    if m > YAW:
+        nu[YAW] = wrap(nu[YAW])
+    coarse = is_coarse(R)
+    take_new(state, source, coarse, R, c)
+    considered = 1 << GYRO_BIAS if coarse and is_new(state, source, c) else 0
+    return Observation(nu, H, R, considered | delay_considered(state, c), 0, np.zeros((0, x.size)))
+
+
+@compiled
+def take_new(state: Any, source: int, coarse: bool, R: FloatArray, c: Any) -> None:
+    """R of a fix without what of it lasts."""
+    number = number_of(source, c)
+    if number < 0:
+        return
+    offset = state.offsets[number]
+    if offset.variance == 0.0 and not (coarse and state.fault[source] == IS_OFFSET):
+        return
+    share = math.sqrt(offset.f if coarse else 1.0 - lasting_share(offset))
+    R[:YAW] *= share
+    R[:, :YAW] *= share
+
+
+@compiled
+def delay_considered(state: Any, c: Any) -> int:
+    """Bit of the delay as tracks start, or turn back: the soil gives way first, which looks alike."""
+    return 1 << FIX_DELAY if has_velocity_errors(c) and starts(state, c) else 0

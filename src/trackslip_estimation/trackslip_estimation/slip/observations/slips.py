@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Slips of both tracks: what they say of the state, and whether they are used; compiled.
+
+    z    i_L, i_R, 1
+    h    what the state and the sprockets say of both (``models``)
+
+They are used inside their gate, which widens while they and the state disagree (``gate``). What passes only
+because the gate is wide says that the state was wrong: what it knows of slip is doubted by ν νᵀ.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
+from trackslip_estimation.kalman.update import Observation, correct, observe_alone, predicted_covariance
+from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.dispatch import (
+    has_velocity_errors,
+    slips,
+    slips_jacobian,
+    twist,
+    twist_jacobian,
+)
+from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
+from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
+
+FloatArray = NDArray[np.float64]
+
+_GATED = int(Outcome.GATED)
+
+
+@compiled
+def observe_slips(state: Any, measurement: Any, c: Any) -> Observation:
+    """ν (2,), H and R of the slips of both tracks, at steady speeds of the sprockets."""
+    x, R = state.mean[: c.size], measurement.noise[:2, :2].copy()
+    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    for i in range(2):
+        R[i, i] = max(R[i, i], LEAST_VARIANCE)
+    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
+        e = rounding(interval, c.encoder_resolution)
+        by_left = (_slips(x, left + e, right, c) - _slips(x, left - e, right, c)) / 2.0
+        by_right = (_slips(x, left, right + e, c) - _slips(x, left, right - e, c)) / 2.0
+        R += np.outer(by_left, by_left) + np.outer(by_right, by_right)
+    J = twist_jacobian(x, left, right, c)
+    H = slips_jacobian(x, twist(x, left, right, c), J, (left, right), c)[:2].copy()
+    return observe_alone(measurement.value[:2] - _slips(x, left, right, c), H, R)
+
+
+@compiled
+def _slips(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+    """(2,) i_L, i_R."""
+    return slips(x, twist(x, left, right, c), left, right, c)[:2].copy()
+
+
+@inlined
+def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """See the top of the module; arguments as in ``update``."""
+    x, P, limit = state.mean[: c.size], state.covariance[:], c.gate_limits[2]
+    o = observe_slips(state, measurement, c)
+    L = root(predicted_covariance(P, o.jacobian) + o.noise)
+    update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
+    update.dof, update.gate = 2, limit_of(state, measurement, 2, c)
+    if update.nis > update.gate:
+        update.outcome = _GATED
+        return
+    if update.nis <= limit:
+        state.consistent_ns[measurement.source] = measurement.stamp_ns
+    else:
+        _doubt_slips(P, o.innovation, c)
+        update.prior_covariance[:] = P
+    correct(x, P, o)
+    x[YAW] = wrap(x[YAW])
+
+
+@compiled
+def _doubt_slips(P: FloatArray, innovation: FloatArray, c: Any) -> None:
+    """P, widened by what an innovation of both slips shows; what else was learned stays."""
+    if has_velocity_errors(c):
+        P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
+        return
+    for i in range(innovation.size):
+        for j in range(innovation.size):
+            P[LEFT_SLIP + i, LEFT_SLIP + j] += innovation[i] * innovation[j]

@@ -1,0 +1,25 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""An angle of the upper structure against the undercarriage; compiled.
+
+z    angle that it shows, rad
+h    σ + its mounting
+"""
+
+from typing import Any
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.update import Observation, observe_alone
+from trackslip_estimation.slip.models.model import SWING
+from trackslip_estimation.slip.usable import LEAST_VARIANCE
+
+
+@compiled
+def observe_swing(state: Any, measurement: Any, c: Any) -> Observation:
+    """ν (1,), H and R of an angle."""
+    nu = wrap(measurement.value[0] - c.heading_offset[measurement.source] - state.mean[SWING])
+    R = max(measurement.noise[0, 0], LEAST_VARIANCE)
+    return observe_alone(np.array((nu,)), np.eye(1, c.size, SWING), np.array(((R,),)))

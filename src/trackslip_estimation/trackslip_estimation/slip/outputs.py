@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a state means: pose, twist, slips, tilt and swing, with their covariances; compiled."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.update import predicted_covariance
+from trackslip_estimation.slip.models.dispatch import (
+    body_jacobian,
+    body_twist,
+    horizontal_twist,
+    slips,
+    slips_jacobian,
+)
+from trackslip_estimation.slip.models.model import SWING, SWING_RATE
+from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.tilt import fill_tilt
+
+FloatArray = NDArray[np.float64]
+
+_NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
+
+
+@inlined
+def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
+    """What is published of a state, into a record of ``ESTIMATE``."""
+    fill_motion(state, c, estimate)
+    fill_tilt(state, estimate)
+    fill_swing(state, estimate.swing, c)
+    estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
+
+
+@compiled
+def fill_motion(state: Any, c: Any, estimate: Any) -> None:
+    """Pose, twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
+    fill_outputs(state, c, estimate)
+    estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
+    if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
+        estimate.slip_covariance[2, 2] = _NO_DIRECTION
+
+
+@compiled
+def _outputs(state: Any, left: float, right: float, c: Any) -> FloatArray:
+    """(6,) v_x, v_y, yaw rate; left slip, right slip, slip angle."""
+    found, x = np.empty(6), state.mean
+    twist_ = body_twist(x, left, right, state, c)
+    found[0], found[1], found[2] = twist_
+    found[3:] = slips(x, twist_, left, right, c)
+    return found
+
+
+@compiled
+def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
+    """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
+    x, P = state.mean[: c.size], state.covariance[:]
+    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    found = _outputs(state, left, right, c)
+    twist_ = (found[0], found[1], found[2])
+    J = body_jacobian(x, left, right, state, c)
+    twist_covariance = predicted_covariance(P, J)
+    slip_covariance = predicted_covariance(P, slips_jacobian(x, twist_, J, (left, right), c))
+    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
+        e = rounding(interval, c.encoder_resolution)
+        by_left = (_outputs(state, left + e, right, c) - _outputs(state, left - e, right, c)) / 2.0
+        by_right = (_outputs(state, left, right + e, c) - _outputs(state, left, right - e, c)) / 2.0
+        for by in (by_left, by_right):
+            twist_covariance += np.outer(by[:3], by[:3])
+            slip_covariance += np.outer(by[3:], by[3:])
+    estimate.twist[:], estimate.slips[:] = found[:3], found[3:]
+    horizontal = horizontal_twist(x, left, right, state, c)
+    for i in range(3):
+        estimate.horizontal[i] = horizontal[i]
+    estimate.twist_covariance[:], estimate.slip_covariance[:] = twist_covariance, slip_covariance
+
+
+@compiled
+def fill_swing(state: Any, swing: Any, c: Any) -> None:
+    """What is published of the upper structure, into a record of ``SWINGING``."""
+    swing.known, swing.angle, swing.rate = 0, 0.0, 0.0
+    swing.covariance[:] = 0.0
+    if c.swings:
+        swing.known, swing.rate = 1, state.mean[SWING_RATE]
+        swing.angle = wrap(state.mean[SWING])
+        swing.covariance[:] = state.covariance[SWING : SWING_RATE + 1, SWING : SWING_RATE + 1]

@@ -1,0 +1,276 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses, headings and swing angles under one branch of the bank: evidence, noise and update; compiled.
+
+    ν, H, R   the observation (``observations``)                            (m,), (m, n), (m, m)
+    S         covariance of the innovation, H P Hᵀ + R                      (m, m)
+    p         share of the source's measurements that are outliers          1
+
+A measurement has two explanations inside a branch: it is sound, with a likelihood of Student's t over the
+noise-factor masses, or it is an outlier of any size. The more likely one decides whether it is used: that is
+the gate. ``update.evidence`` is the log of that likelihood, by which the bank weighs the branch. Fixes of a
+coarse receiver have its offset in them (``correlated_errors``); a large innovation inflates that first.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled, inlined
+from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
+from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
+from trackslip_estimation.slip.adaptation import (
+    density_of_fix,
+    density_of_one,
+    learn_from_fix,
+    learn_from_speed,
+    repeats,
+    shared_error,
+)
+from trackslip_estimation.slip.correlated_errors import is_coarse, surprise
+from trackslip_estimation.slip.events import (
+    AREA,
+    IS_IGNORED,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_SOUND,
+    latest_pose_source,
+)
+from trackslip_estimation.slip.levers import lever, turn_about
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.observations.heading import observe_heading
+from trackslip_estimation.slip.observations.odometry import Drive, by_track_error
+from trackslip_estimation.slip.observations.pose import has_offset, observe_pose, stated_noise
+from trackslip_estimation.slip.observations.swing import observe_swing
+from trackslip_estimation.slip.own_errors import (
+    inflate_offset,
+    is_correlated,
+    learn_jitter,
+    number_of,
+    prepare_offset,
+    spread_of,
+)
+from trackslip_estimation.slip.records import HEADING, POSE
+from trackslip_estimation.slip.stands import count_fix, stands_still
+
+FloatArray = NDArray[np.float64]
+
+_GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+_LONGEST_WAY = 5.0  # s between fixes that show what tracks err by
+_LOG_TURN = math.log(2.0 * math.pi)
+_SIZES = (
+    7.0  # ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm
+)
+_SHARE_MEMORY = 0.05  # of a measurement in the share of outliers
+_OUTLIER_SHARE, _SOUND_SHARE = 0.5, 0.002  # that one measurement shows
+_SAME = 1e-3  # m, standard deviation of a fix that repeats the one before
+
+
+@compiled
+def log_density_of_any_size(squared: float) -> float:
+    """ln of the density of a place (2,) that errs by ``squared`` m², any logarithm of which is as likely."""
+    return -math.log(2.0 * math.pi * _SIZES * squared)
+
+
+@inlined
+def use_weighed(state: Any, measurement: Any, c: Any, update: Any) -> None:
+    """Weigh a measurement, and update with it; arguments as in ``update``."""
+    kind, source, fault = measurement.kind, measurement.source, state.fault[measurement.source]
+    elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
+    again = 0.0
+    if kind == POSE:
+        stated = stated_noise(measurement, state, c)
+        prepare_offset(state, update, source, stated, fault == IS_OFFSET, c)
+        update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated) else 0
+        again = _compare_with_last(state, measurement, update)
+    o = _observe(state, measurement, c)
+    if kind == POSE:
+        _show_place(state, source, o, elapsed, update, c)
+    state.last_ns[source] = measurement.stamp_ns
+    m, P = o.innovation.size, state.covariance[:]
+    predicted = predicted_covariance(P, o.jacobian)
+    outside = _density_of_outlier(kind, o, predicted)
+    if fault == IS_REPEATING:
+        _weigh_repeat(again, m, c, update)
+        return
+    R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
+    if kind == POSE:
+        _whiten(state, o.innovation, predicted + R, update)
+    if not used:
+        return
+    if kind == POSE and fault == IS_SOUND and update.nis <= update.gate:
+        _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
+    if update.coarse == 1 and is_correlated(state, source, c):
+        share = surprise(update.nis, m)
+        inflate_offset(state, P, source, share * np.diag(predicted + R), c)
+        predicted = predicted_covariance(P, o.jacobian)
+    soften(R, o.innovation, predicted, c.gate_limits[m])
+    if kind == POSE:
+        known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
+        R *= min(known, shared_error(predicted, R))
+        count_fix(state, source, alone, R, c)
+    _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
+    if fault == IS_OFFSET:
+        update.outcome = _GATED
+
+
+@inlined
+def _observe(state: Any, measurement: Any, c: Any) -> Observation:
+    if measurement.kind == POSE:
+        return observe_pose(state, measurement, c)
+    if measurement.kind == HEADING:
+        return observe_heading(state, measurement, c)
+    return observe_swing(state, measurement, c)
+
+
+@compiled
+def _correct(state: Any, measurement: Any, o: Observation, c: Any) -> None:
+    """The update; the machine turns about the sensor that has shown its place last."""
+    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
+    about = _turns_about(state, measurement, c)
+    if about < 0:
+        correct(x, P, o)
+    else:
+        before, place = x.copy(), lever(x, level, about, c)
+        correct(x, P, o)
+        turn_about(x, P, before, place, level, about, c)
+    x[YAW] = wrap(x[YAW])
+
+
+@compiled
+def _turns_about(state: Any, measurement: Any, c: Any) -> int:
+    """Source of poses whose sensor stays where it is as the heading, or the swing, is corrected; −1: none."""
+    if measurement.kind == POSE:
+        return int(measurement.source)
+    if measurement.kind == HEADING:
+        latest = latest_pose_source(state, c)
+        return latest if c.above[latest] == c.above[measurement.source] else -1
+    return int(c.swing_place)
+
+
+@compiled
+def _show_place(state: Any, source: int, o: Observation, elapsed: float, update: Any, c: Any) -> None:
+    """The place of base_link that a pose shows, and what precise fixes jitter by."""
+    for axis in (X, Y):
+        update.shown[axis] = o.innovation[axis] + state.mean[axis]
+        if has_offset(state, source, c):
+            update.shown[axis] += state.mean[c.offsets[source] + axis]
+    if update.coarse == 0 and c.standing_share[source] == 0.0:
+        offset = state.offsets[number_of(source, c)]
+        learn_jitter(offset, update.shown, state.way, elapsed, update.stated * update.stated)
+
+
+@compiled
+def _learn_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapsed: float, c: Any) -> None:
+    """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
+    if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= _LONGEST_WAY:
+        return
+    if state.adaptation.elapsed <= _LONGEST_WAY:  # a gyro does
+        return
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
+    variance = (sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]) / elapsed**2
+    left, right = state.speeds.left, state.speeds.right
+    _, sideways, turning = by_track_error(state, Drive(left, right, elapsed), c)
+    way = c.rolling_radius * (left + right) / 2.0 * elapsed
+    by_tracks = sideways + way * way * turning / 3.0
+    learn_from_speed(state.adaptation, aside, variance, by_tracks, state.motion.motion == _STANDING, c)
+
+
+@inlined
+def _weigh(
+    state: Any, measurement: Any, o: Observation, predicted: FloatArray, outside: float, c: Any, update: Any
+) -> tuple[FloatArray, bool, bool]:
+    """R (m, m) of a measurement, whether it is used, and whether it counts alone; fills in ``update``.
+
+    ``predicted``: H P Hᵀ (m, m); ``outside``: ln of the density of an outlier.
+    """
+    source, m, a, coarse = measurement.source, o.innovation.size, state.adaptation, update.coarse == 1
+    limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
+    R = o.noise.copy() if coarse else a.fix_factors[source] * o.noise
+    L = root(predicted + R)
+    update.dof, update.gate = m, limit
+    update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
+    alone = not stands_still(state, source, c) or update.nis > limit
+    if fault == IS_SCATTERING:
+        update.evidence, update.outcome = _density_of_scatter(measurement.kind, m), _GATED
+        return R, False, alone
+    density = density_of_one(L, o.innovation)
+    if not coarse:
+        density = density_of_fix(a, source, o.innovation, predicted, o.noise, c)
+    evidence, outlier = math.log(1.0 - share) + density, math.log(share) + outside
+    is_outlier = fault == IS_IGNORED or (outlier > evidence and not np.isinf(limit))
+    shown = _OUTLIER_SHARE if is_outlier else _SOUND_SHARE
+    state.outlier_share[source] += _SHARE_MEMORY * (shown - share)
+    if is_outlier:
+        update.evidence, update.outcome = outlier, _GATED
+        return R, False, alone
+    if not coarse and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
+        learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
+        number = number_of(source, c)
+        lasts = c.repeat_times[source] > 0.0 or (number >= 0 and state.offsets[number].variance > 0.0)
+        if lasts:  # that it is followed well shows nothing
+            a.fix_factors[source] = max(a.fix_factors[source], 1.0)
+        R = a.fix_factors[source] * o.noise
+    update.evidence = evidence
+    if update.nis <= limit:
+        state.consistent_ns[source] = measurement.stamp_ns
+        state.rests_on = -1
+    return R, True, alone
+
+
+@compiled
+def _compare_with_last(state: Any, measurement: Any, update: Any) -> float:
+    """Squared distance to the source's fix before, m²; the fix becomes the last one."""
+    last, z = state.last_fix[measurement.source], measurement.value
+    again = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
+    update.repeated = 1 if z[X] == last[X] and z[Y] == last[Y] else 0
+    last[X], last[Y] = z[X], z[Y]
+    return float(again)
+
+
+@compiled
+def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray) -> float:
+    """ln of the density of an outlier: an angle of any, a place off by any size not smaller than expected."""
+    if kind != POSE:
+        return -_LOG_TURN
+    squared, expected = 0.0, 0.0
+    for axis in (X, Y):
+        squared += o.innovation[axis] ** 2
+        expected += predicted[axis, axis] + o.noise[axis, axis]
+    return log_density_of_any_size(max(squared, expected)) - (_LOG_TURN if o.innovation.size > YAW else 0.0)
+
+
+@compiled
+def _density_of_scatter(kind: int, m: int) -> float:
+    """ln of the density of a measurement of a source that scatters: any place of an area, any angle."""
+    if kind != POSE:
+        return -_LOG_TURN
+    return -math.log(AREA) - (_LOG_TURN if m > YAW else 0.0)
+
+
+@compiled
+def _weigh_repeat(again: float, m: int, c: Any, update: Any) -> None:
+    """Evidence of a source that repeats itself, by the squared distance to its fix before."""
+    limit = c.gate_limits[YAW]
+    update.dof, update.gate, update.nis = YAW, limit, again / _SAME**2
+    squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
+    heading = _LOG_TURN if m > YAW else 0.0
+    update.evidence = -(squared + 4.0 * math.log(_SAME)) / 2.0 - _LOG_TURN - heading
+    update.outcome = _GATED
+
+
+@compiled
+def _whiten(state: Any, innovation: FloatArray, S: FloatArray, update: Any) -> None:
+    """Innovation along and across the heading, over its standard deviation, for the CUSUM."""
+    cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
+    along = cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]
+    across = sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]
+    update.whitened[0] = (cos * innovation[X] + sin * innovation[Y]) / math.sqrt(along)
+    update.whitened[1] = (cos * innovation[Y] - sin * innovation[X]) / math.sqrt(across)

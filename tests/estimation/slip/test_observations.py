@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What each kind of measurement says of the state, against differences; and who may correct it."""
+
+import ast
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.filter_steps import Gaussian, config_of, state_of
+from numpy.typing import NDArray
+
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.update import correct
+from trackslip_estimation.slip.events import IS_OFFSET
+from trackslip_estimation.slip.levers import lever, to_sensor, turn_about
+from trackslip_estimation.slip.models.model import FIX_DELAY, SIZE, SWING, YAW, X, Y
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import HEADING, MEASUREMENT, ON_SWING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.update import observe
+
+FloatArray = NDArray[np.float64]
+
+ESTIMATION = Path(__file__).resolve().parents[3] / "src/trackslip_estimation/trackslip_estimation"
+ALL: dict[str, Any] = {
+    "vehicle": "pc05_cab",
+    "pose_sources": ["gnss", "mast"],
+    "yaw_rate_sources": ["imu/data_raw", "imu_top"],
+    "heading_sources": ["compass"],
+    "slip_sources": ["slip_seed"],
+    "sources.imu_data_raw.use_orientation": True,
+    "sources.gnss.lever_arm_x": 0.8,
+    "sources.gnss.lever_arm_y": -0.3,
+    "sources.gnss.lever_arm_z": 2.0,
+    "sources.mast.mount": "upper",
+    "sources.mast.lever_arm_x": -1.0,
+    "sources.mast.lever_arm_z": 2.5,
+    "sources.imu_top.mount": "upper",
+    "sources.compass.mount": "upper",
+}
+KINDS = [
+    (POSE, "gnss", 3),
+    (POSE, "mast", 3),
+    (HEADING, "compass", 1),
+    (ON_SWING, "swing", 1),
+    (YAW_RATE, "imu/data_raw", 1),
+    (YAW_RATE, "imu_top", 1),
+    (SLIPS, "slip_seed", 2),
+]
+
+
+def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
+    """A state of a machine with everything, the record of its parameters, and the numbers of its sources."""
+    p, rng = load_slip_parameters(ALL), np.random.default_rng(seed)
+    config, root = config_of(ALL), rng.normal(size=(SIZE, SIZE))
+    known = Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
+    known.mean[FIX_DELAY] = 0.0
+    motion = MotionState(Motion.TURNING, departure=1.0)
+    state = state_of(known, Speeds(1.0, 1.7, 0.01, differenced=False), motion)
+    level = state["attitude"]["level"]
+    if tilted:
+        roll, pitch = 0.02, -0.03
+        level["tilted"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
+        level["across"], level["lean_x"] = math.sin(roll) * math.sin(pitch), math.cos(roll) * math.sin(pitch)
+        level["lean_y"] = -math.sin(roll)
+    state["offsets"]["variance"], state["offsets"]["f"] = 0.5, 1.0
+    numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
+    state["fault"][0, numbers["compass"]] = IS_OFFSET
+    return state, config[0], numbers
+
+
+@pytest.mark.parametrize(("kind", "name", "rows"), KINDS)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("tilted", [False, True])
+def test_h_is_the_derivative_of_what_is_measured(
+    kind: int, name: str, rows: int, seed: int, tilted: bool
+) -> None:
+    """With lever arms, swing, delay, offsets and errors of the sensors."""
+    state, c, numbers = machine(seed, tilted)
+    measurement = np.zeros(1, MEASUREMENT)[0]
+    measurement["kind"], measurement["source"] = kind, numbers[name]
+    measurement["noise"] = 1e-3 * np.eye(3)
+    start, n = state["mean"][0].copy(), int(c["size"])
+
+    def innovation(x: FloatArray) -> FloatArray:
+        state["mean"][0] = x
+        found: FloatArray = observe(state[0], measurement, c).innovation
+        return found
+
+    H = observe(state[0], measurement, c).jacobian
+    assert H.shape == (rows, n)
+    step = 1e-6
+    for k in range(n):
+        unit = np.zeros(SIZE)
+        unit[k] = step
+        apart = innovation(start - unit) - innovation(start + unit)
+        if rows != 2:
+            apart[-1] = wrap(float(apart[-1])) if kind != YAW_RATE else apart[-1]
+        loose = 3e-3 if tilted and kind in (POSE, HEADING) and k == SWING else 1e-6
+        np.testing.assert_allclose(H[:, k], apart / (2.0 * step), atol=loose, err_msg=f"state {k}")
+
+
+@pytest.mark.parametrize("source", ["gnss", "mast"])
+def test_a_machine_that_is_corrected_turns_about_its_sensor(source: str) -> None:
+    """As an update in the coordinates of the sensor would have it, however far the heading is corrected."""
+    state, c, numbers = machine(4, False)
+    number, n, level = numbers[source], int(c["size"]), state["attitude"]["level"][0]
+    measurement = np.zeros(1, MEASUREMENT)[0]
+    measurement["kind"], measurement["source"] = POSE, number
+    measurement["value"], measurement["noise"] = (1.0, 2.0, 1.5), 1e-3 * np.eye(3)
+    o = observe(state[0], measurement, c)
+    x, P = state["mean"][0, :n].copy(), state["covariance"][0].copy()
+    before, place = x.copy(), lever(x, level, number, c)
+    correct(x, P, o)
+    turn_about(x, P, before, place, level, number, c)
+    assert abs(x[YAW] - before[YAW]) > 0.2
+    at, Q = before.copy(), state["covariance"][0].copy()
+    to_sensor(at, Q, level, number, 1.0, c)
+    H = o.jacobian.copy()
+    H[:, [YAW, SWING]], H[X, X], H[Y, Y], H[YAW, YAW] = 0.0, 1.0, 1.0, 1.0
+    H[:YAW, list(range(int(c["lean_errors"]), int(c["lean_errors"]) + 2))] = 0.0
+    correct(at, Q, o._replace(jacobian=H))
+    to_sensor(at, Q, level, number, -1.0, c)
+    np.testing.assert_allclose(x[:YAW], at[:YAW], atol=1e-9)
+    np.testing.assert_allclose(wrap(float(x[YAW] - at[YAW])), 0.0, atol=1e-9)
+    np.testing.assert_allclose(P, Q, atol=1e-8)
+
+
+def test_only_observations_and_the_weighing_correct_a_state() -> None:
+    """One update, and few who may make it; nobody but the step propagates."""
+    users: dict[str, set[str]] = {}
+    for file in ESTIMATION.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                "trackslip_estimation.kalman"
+            ):
+                for name in node.names:
+                    users.setdefault(name.name, set()).add(str(file.relative_to(ESTIMATION)))
+    corrects = {"observations/altitude.py", "observations/gyro.py", "observations/odometry.py"}
+    corrects |= {"observations/slips.py", "weighing.py"}
+    attitude = {"attitude/filter.py", "attitude/orientation.py"}
+    assert users["correct"] == {f"slip/{name}" for name in corrects} | attitude
+    assert users["propagate_covariance"] == {"slip/step.py", "attitude/filter.py"}
+    assert users["soften"] <= users["correct"]
+    assert not {"correct_keeping", "correct_knowing", "correct_shared"} & set(users)
