@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, Recording, drive, parameters
 from fixtures.visual_odometry import product, turned_by
-from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, variances_stated
 
 from trackslip_common.errors import InputError
 from trackslip_common.make import header
@@ -26,6 +25,7 @@ from trackslip_estimation.slip.measurements import (
     Sprockets,
 )
 from trackslip_estimation.slip.mounting import quaternion_of
+from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, variances_stated
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Refusal
 
