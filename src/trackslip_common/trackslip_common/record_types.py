@@ -15,7 +15,7 @@ field. At run time it gets a record of an array of ``LEVEL``. Python reads the s
 fields.
 """
 
-from typing import Any, Protocol, TypeVar, get_args, get_origin, get_type_hints, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,31 +31,34 @@ _ARRAYS: dict[object, type[np.generic]] = {FloatArray: np.float64, IntArray: np.
 class Record:
     """Base of declarations; no object of it is ever made."""
 
+    if TYPE_CHECKING:  # Python reads and writes fields by name
 
-class Table(Protocol[RecordT]):
-    """An array of records, of one or more dimensions, as compiled code sees it."""
+        def __getitem__(self, name: str) -> Any: ...
 
-    @property
-    def size(self) -> int:
-        """Records in all."""
+        def __setitem__(self, name: str, value: Any) -> None: ...
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Records along each dimension."""
 
-    @overload
-    def __getitem__(self, at: int | np.integer[Any] | tuple[int | np.integer[Any], ...]) -> RecordT: ...
+if TYPE_CHECKING:
+    Index = int | np.integer[Any]
 
-    @overload
-    def __getitem__(self, at: slice) -> "Table[RecordT]": ...
+    class Table(np.ndarray[Any, np.dtype[np.void]], Generic[RecordT]):
+        """An array of records, of one or more dimensions."""
 
-    def __setitem__(
-        self, at: int | np.integer[Any] | tuple[int | np.integer[Any], ...], value: RecordT
-    ) -> None:
-        """Copies a record."""
+        @overload  # type: ignore[override]
+        def __getitem__(self, at: Index | tuple[Index, ...]) -> RecordT: ...
 
-    def __len__(self) -> int:
-        """Records along the first dimension."""
+        @overload
+        def __getitem__(self, at: str) -> NDArray[Any]: ...
+
+        @overload
+        def __getitem__(self, at: Any) -> "Table[RecordT]": ...
+
+        def __getitem__(self, at: Any) -> Any: ...
+
+else:
+
+    class Table(Generic[RecordT]):
+        """An array of records, of one or more dimensions."""
 
 
 def dtype_of(declared: type[Record]) -> np.dtype[np.void]:
@@ -73,6 +76,8 @@ def _field(name: str, hint: Any) -> tuple[Any, ...]:
     shape: Any = ()
     if hasattr(hint, "__metadata__"):
         (shape,) = hint.__metadata__
+        if isinstance(shape, np.dtype):
+            return (name, shape)
         hint = get_args(hint)[0]
     if get_origin(hint) is Table:
         (hint,) = get_args(hint)
@@ -85,3 +90,8 @@ def _field(name: str, hint: Any) -> tuple[Any, ...]:
     else:
         raise TypeError(f"{name}: {hint} is no number, array, record or table")
     return (name, kind, shape) if shape != () else (name, kind)
+
+
+def make_table(declared: type[RecordT], dtype: np.dtype[np.void], *shape: int) -> "Table[RecordT]":
+    """Records of zeros; ``dtype``: that of ``declared``."""
+    return cast("Table[RecordT]", np.zeros(shape, dtype))

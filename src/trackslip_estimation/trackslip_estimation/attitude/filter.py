@@ -24,8 +24,10 @@ aside or below, is not used: it has no accelerometers that feel it, or is not mo
 orientation, where that is wanted, is used in ``orientation``.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +59,9 @@ from trackslip_estimation.attitude.start import begin_by_gravity
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance
 
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Attitude, AttitudeConstants, ImuSample
+
 FloatArray = NDArray[np.float64]
 
 GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
@@ -72,7 +77,7 @@ _SCALE_TIME = 1.0  # s, for which a gyro that shows too much does so to one side
 
 
 @compiled
-def feels_gravity(a: Any) -> bool:
+def feels_gravity(a: Attitude) -> bool:
     """Whether what the IMU shows on average is gravity, from below."""
     x, y, z = a.mean_force
     size = math.sqrt(x * x + y * y + z * z)
@@ -80,7 +85,7 @@ def feels_gravity(a: Any) -> bool:
 
 
 @compiled
-def use_sample(a: Any, n: Any) -> int:
+def use_sample(a: Attitude, n: AttitudeConstants) -> int:
     """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``.
 
     Returns why its orientation was not used; 0 where it was, or is not wanted.
@@ -113,7 +118,7 @@ def use_sample(a: Any, n: Any) -> int:
 
 
 @compiled
-def _has_rates(imu: Any) -> bool:
+def _has_rates(imu: ImuSample) -> bool:
     """Whether the IMU has a gyro about x and y."""
     p, q = imu.rates[0], imu.rates[1]
     return (
@@ -125,7 +130,7 @@ def _has_rates(imu: Any) -> bool:
 
 
 @compiled
-def _rates(a: Any) -> tuple[float, float, float]:
+def _rates(a: Attitude) -> tuple[float, float, float]:
     """p, q, r without bias; an IMU that has no p and q is taken to show none."""
     imu, rates = a.sample, a.sample.rates
     if not _has_rates(imu):
@@ -135,21 +140,21 @@ def _rates(a: Any) -> tuple[float, float, float]:
 
 
 @compiled
-def force_of(imu: Any) -> tuple[float, float, float]:
+def force_of(imu: ImuSample) -> tuple[float, float, float]:
     """f along the axes of base_link, with what biases it has."""
     x, y, z = imu.force
     return imu.cos * x - imu.sin * y, imu.sin * x + imu.cos * y, z
 
 
 @compiled
-def has_force(imu: Any) -> bool:
+def has_force(imu: ImuSample) -> bool:
     """Whether the IMU shows a specific force, with a variance."""
     x, y, z = imu.force
     return bool(math.isfinite(x + y + z) and 0.0 < imu.force_variance < _FORCE_UNKNOWN)
 
 
 @compiled
-def _follow_force(a: Any, dt: float) -> bool:
+def _follow_force(a: Attitude, dt: float) -> bool:
     """Low-pass the force; whether there is one that may tell the tilt."""
     force = force_of(a.sample)
     if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
@@ -161,7 +166,7 @@ def _follow_force(a: Any, dt: float) -> bool:
 
 
 @compiled
-def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, float]:
+def _velocity_at(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[float, float]:
     """u along x and y."""
     p, q, r = rates
     l_x, l_y, l_z = imu.lever
@@ -169,7 +174,7 @@ def _velocity_at(imu: Any, rates: tuple[float, float, float]) -> tuple[float, fl
 
 
 @compiled
-def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
+def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: AttitudeConstants) -> None:
     """Roll and pitch after ``dt`` s, by the mean of the rates at both ends."""
     x, P, imu = a.mean[:], a.covariance[:], a.sample
     known = 0.5 if dt <= LONGEST else 0.0
@@ -208,7 +213,7 @@ def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
 
 
 @compiled
-def _level_by(a: Any, motion: tuple[float, float], n: Any) -> None:
+def _level_by(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
     """Update with both horizontal axes by a span that ends here; ``motion``: u̇ of it, m/s²."""
     x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
     doubt = 0.0 if a.span.known == 1 else _UNKNOWN_ACCELERATION**2
@@ -226,7 +231,9 @@ def _level_by(a: Any, motion: tuple[float, float], n: Any) -> None:
 
 
 @compiled
-def _use(a: Any, axis: int, innovation: float, h: FloatArray, doubt: float, n: Any) -> None:
+def _use(
+    a: Attitude, axis: int, innovation: float, h: FloatArray, doubt: float, n: AttitudeConstants
+) -> None:
     """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
     P, dt = a.covariance[:], a.span.time
     stated = max(a.sample.force_variance, _LEAST) / a.span.samples
@@ -251,7 +258,7 @@ def rise_of(x: FloatArray, v_x: float, v_y: float) -> float:
 
 
 @compiled
-def climb(a: Any, v_x: float, v_y: float, dt: float) -> None:
+def climb(a: Attitude, v_x: float, v_y: float, dt: float) -> None:
     """The height after ``dt`` s with these speeds along the ground."""
     if a.known == 0:
         return

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the attitude does to a motion along the ground (record ``LEVEL``); compiled."""
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +13,16 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.records import BIAS_Q, PITCH, ROLL
 
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Attitude, Level
+
 FloatArray = NDArray[np.float64]
 
 _DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
 
 
 @compiled
-def set_level(a: Any) -> None:
+def set_level(a: Attitude) -> None:
     """The ``level`` of the record ``a`` of ``ATTITUDE``, as its tilt and rates are; in place."""
     level, P = a.level, a.covariance
     level.tilted = a.known
@@ -37,7 +42,7 @@ def set_level(a: Any) -> None:
 
 
 @compiled
-def downward(level: Any, covariance: FloatArray) -> float:
+def downward(level: Level, covariance: FloatArray) -> float:
     """Variance of ż, (m/s)², by that of v_x and v_y along the ground."""
     x, y = level.downhill_x, level.downhill_y
     return float(x * x * covariance[0, 0] + 2.0 * x * y * covariance[0, 1] + y * y * covariance[1, 1])

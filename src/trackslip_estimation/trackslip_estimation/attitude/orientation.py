@@ -12,8 +12,10 @@ times, since the errors of orientations that follow each other are alike. Beyond
 however long it insists: it is the mounting that is wrong then, or what it was made of was shaken.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +25,9 @@ from trackslip_estimation.attitude.records import PITCH, ROLL, SIZE, AttitudeRef
 from trackslip_estimation.attitude.start import begin_tilt
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
 from trackslip_estimation.kalman.update import correct, observe_alone
+
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Attitude, AttitudeConstants
 
 _NONE, _NO_COVARIANCE = int(AttitudeRefusal.NO_ORIENTATION), int(AttitudeRefusal.NO_COVARIANCE)
 _NO_ROTATION, _GATED = int(AttitudeRefusal.NO_ROTATION), int(AttitudeRefusal.ORIENTATION_GATED)
@@ -34,7 +39,7 @@ _SHORTEST = 1e-3  # s between orientations
 
 
 @compiled
-def use_orientation(a: Any, n: Any) -> int:
+def use_orientation(a: Attitude, n: AttitudeConstants) -> int:
     """Update with that of the new sample, or begin with it; why it was not used, 0 where it was."""
     imu, x, P = a.sample, a.mean[:], a.covariance[:]
     of_x, of_y = imu.up_variances

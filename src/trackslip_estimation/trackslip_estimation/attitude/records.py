@@ -6,8 +6,9 @@ base_link has x forward, y left, z up (REP-103); ψ, θ, φ turn about z, y, x (
 """
 
 from enum import IntEnum
+from typing import Annotated
 
-import numpy as np
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 
 ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, rad/s, rad/s, m/s², m/s²
 SIZE = 7
@@ -25,104 +26,113 @@ class AttitudeRefusal(IntEnum):
     ALTITUDE_GATED = 7  # it lies outside the gate
 
 
-LEVEL = (
-    np.dtype(  # what the attitude does to a motion along the ground; all zero where it is flat, or not known
-        [
-            ("tilted", np.int64),  # 0 or 1: whether the rest counts
-            ("forward", np.float64),  # cos θ − 1
-            ("across", np.float64),  # sin φ sin θ
-            ("sideways", np.float64),  # cos φ − 1
-            ("turn", np.float64),  # cos φ / cos θ − 1
-            ("roll_over", np.float64),  # q sin φ / cos θ, rad/s
-            ("downhill_x", np.float64),  # sin θ
-            ("downhill_y", np.float64),  # −sin φ cos θ
-            ("lean_x", np.float64),  # cos φ sin θ: how far ahead something is that is 1 m above C
-            ("lean_y", np.float64),  # −sin φ: how far left
-            ("lean_variance", np.float64),  # of both
-            ("turn_variance", np.float64),  # density of the yaw rate's that comes of the attitude's, rad²/s
-        ],
-        align=True,
-    )
-)
+class Level(Record):
+    """What the attitude does to a motion along the ground; all zero where it is flat, or not known."""
 
-IMU = np.dtype(  # one sample, x and y along its own axes
-    [
-        ("stamp_ns", np.int64),
-        ("rates", np.float64, (3,)),  # p, q, r: rad/s; p and q nan where there are none
-        ("rate_variances", np.float64, (3,)),
-        ("force", np.float64, (3,)),  # specific force: upward at rest, m/s²; nan where there is none
-        ("force_variance", np.float64),
-        ("levels", np.int64),  # 0 or 1: whether the force may tell the tilt
-        ("up", np.float64, (3,)),  # by its orientation
-        ("up_variances", np.float64, (2,)),  # of rotations about x and y, rad²; −1: it has none
-        ("oriented", np.int64),  # 0 or 1: whether that may tell the tilt
-        ("velocity", np.float64, (2,)),  # of C along the tracks, m/s
-        ("known_velocity", np.int64),  # 0 or 1
-        ("lever", np.float64, (3,)),  # place of the IMU in base_link, m
-        ("turn", np.float64),  # by which its x and y axes are turned against base_link's, rad
-        ("turn_variance", np.float64),  # of that, rad²
-        ("lost", np.int64),  # 0 or 1: whether nobody knows that, and it tells nothing
-        ("cos", np.float64),  # of the turn, once it is used
-        ("sin", np.float64),
-    ],
-    align=True,
-)
+    tilted: int  # 0 or 1: whether the rest counts
+    forward: float  # cos θ − 1
+    across: float  # sin φ sin θ
+    sideways: float  # cos φ − 1
+    turn: float  # cos φ / cos θ − 1
+    roll_over: float  # q sin φ / cos θ, rad/s
+    downhill_x: float  # sin θ
+    downhill_y: float  # −sin φ cos θ
+    lean_x: float  # cos φ sin θ: how far ahead something is that is 1 m above C
+    lean_y: float  # −sin φ: how far left
+    lean_variance: float  # of both
+    turn_variance: float  # density of the yaw rate's that comes of the attitude's, rad²/s
 
-SPAN = np.dtype(  # see ``span``
-    [
-        ("begun", np.int64),  # 0 or 1
-        ("stamp_ns", np.int64),  # of its last sample, or of its begin
-        ("samples", np.int64),
-        ("time", np.float64),  # T, s
-        ("force", np.float64, (2,)),  # f̄ of x and y, m/s²
-        ("lag", np.float64, (2,)),  # of roll and pitch at its end against its mean, times T, rad s
-        ("velocity", np.float64, (2,)),  # u₀, m/s
-        ("known", np.int64),  # 0 or 1: whether u is, all the time
-    ],
-    align=True,
-)
 
-CLIMB = np.dtype(  # see ``slip.altitude``
-    [
-        ("used_ns", np.int64),  # stamp of the altitude used last
-        ("refused", np.int64),  # altitudes outside the gate since, in a row, that agree
-        ("refused_ns", np.int64),  # stamp of the first of them
-        ("apart", np.float64),  # its innovation, m
-    ],
-    align=True,
-)
+LEVEL = dtype_of(Level)
 
-ATTITUDE = np.dtype(
-    [
-        ("known", np.int64),  # 0 or 1
-        ("seen", np.int64),  # whether the IMU has sent anything
-        ("stamp_ns", np.int64),  # of its last sample
-        ("sample", IMU),  # that one
-        ("mean", np.float64, (SIZE,)),
-        ("covariance", np.float64, (SIZE, SIZE)),
-        ("rates", np.float64, (3,)),  # p, q, r of that sample less their biases, rad/s
-        ("mean_force", np.float64, (3,)),  # low-passed, m/s²
-        ("span", SPAN),  # of samples whose accelerations have not told the tilt yet
-        ("noise", np.float64, (2,)),  # variance of what both horizontal axes show beyond the model, (m/s²)²
-        ("noise_count", np.float64, (2,)),  # samples in it
-        ("oriented_ns", np.int64),  # stamp of the last orientation that was used
-        ("refusal", np.int64),  # ``AttitudeRefusal`` of the last one; 0: it was used, or none is wanted
-        ("climb", CLIMB),
-        ("level", LEVEL),
-    ],
-    align=True,
-)
 
-CONSTANTS = np.dtype(
-    [
-        ("initial", np.float64, (SIZE,)),  # standard deviations
-        ("walk", np.float64, (SIZE,)),  # variance per s
-        ("rate_scale", np.float64),  # standard deviation of the gyro's scale about p and q
-        ("noise_time", np.float64),  # s
-        ("correlation_time", np.float64),  # s
-        ("orientation_time", np.float64),  # s, for which an error of an orientation lasts
-        ("gate", np.float64),  # χ² of two, of orientations
-        ("unknown_rate", np.float64),  # rad/s, of ground whose tilt changes while no gyro sees it
-    ],
-    align=True,
-)
+class ImuSample(Record):
+    """One sample, x and y along its own axes."""
+
+    stamp_ns: int
+    rates: Annotated[FloatArray, 3]  # p, q, r: rad/s; p and q nan where there are none
+    rate_variances: Annotated[FloatArray, 3]
+    force: Annotated[FloatArray, 3]  # specific force: upward at rest, m/s²; nan where there is none
+    force_variance: float
+    levels: int  # 0 or 1: whether the force may tell the tilt
+    up: Annotated[FloatArray, 3]  # by its orientation
+    up_variances: Annotated[FloatArray, 2]  # of rotations about x and y, rad²; −1: it has none
+    oriented: int  # 0 or 1: whether that may tell the tilt
+    velocity: Annotated[FloatArray, 2]  # of C along the tracks, m/s
+    known_velocity: int  # 0 or 1
+    lever: Annotated[FloatArray, 3]  # place of the IMU in base_link, m
+    turn: float  # by which its x and y axes are turned against base_link's, rad
+    turn_variance: float  # of that, rad²
+    lost: int  # 0 or 1: whether nobody knows that, and it tells nothing
+    cos: float  # of the turn, once it is used
+    sin: float
+
+
+IMU = dtype_of(ImuSample)
+
+
+class Span(Record):
+    """See ``span``."""
+
+    begun: int  # 0 or 1
+    stamp_ns: int  # of its last sample, or of its begin
+    samples: int
+    time: float  # T, s
+    force: Annotated[FloatArray, 2]  # f̄ of x and y, m/s²
+    lag: Annotated[FloatArray, 2]  # of roll and pitch at its end against its mean, times T, rad s
+    velocity: Annotated[FloatArray, 2]  # u₀, m/s
+    known: int  # 0 or 1: whether u is, all the time
+
+
+SPAN = dtype_of(Span)
+
+
+class Climb(Record):
+    """See ``slip.altitude``."""
+
+    used_ns: int  # stamp of the altitude used last
+    refused: int  # altitudes outside the gate since, in a row, that agree
+    refused_ns: int  # stamp of the first of them
+    apart: float  # its innovation, m
+
+
+CLIMB = dtype_of(Climb)
+
+
+class Attitude(Record):
+    """What the attitude filter knows."""
+
+    known: int  # 0 or 1
+    seen: int  # whether the IMU has sent anything
+    stamp_ns: int  # of its last sample
+    sample: ImuSample  # that one
+    mean: Annotated[FloatArray, SIZE]
+    covariance: Annotated[FloatArray, (SIZE, SIZE)]
+    rates: Annotated[FloatArray, 3]  # p, q, r of that sample less their biases, rad/s
+    mean_force: Annotated[FloatArray, 3]  # low-passed, m/s²
+    span: Span  # of samples whose accelerations have not told the tilt yet
+    noise: Annotated[FloatArray, 2]  # variance of what both horizontal axes show beyond the model, (m/s²)²
+    noise_count: Annotated[FloatArray, 2]  # samples in it
+    oriented_ns: int  # stamp of the last orientation that was used
+    refusal: int  # ``AttitudeRefusal`` of the last one; 0: it was used, or none is wanted
+    climb: Climb
+    level: Level
+
+
+ATTITUDE = dtype_of(Attitude)
+
+
+class AttitudeConstants(Record):
+    """Its parameters."""
+
+    initial: Annotated[FloatArray, SIZE]  # standard deviations
+    walk: Annotated[FloatArray, SIZE]  # variance per s
+    rate_scale: float  # standard deviation of the gyro's scale about p and q
+    noise_time: float  # s
+    correlation_time: float  # s
+    orientation_time: float  # s, for which an error of an orientation lasts
+    gate: float  # χ² of two, of orientations
+    unknown_rate: float  # rad/s, of ground whose tilt changes while no gyro sees it
+
+
+CONSTANTS = dtype_of(AttitudeConstants)

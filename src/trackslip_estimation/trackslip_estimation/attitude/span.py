@@ -11,17 +11,22 @@ An error of u goes into u̇ by 1/T. Fixes move the speed by a centimetre per sec
 that is 1 m/s², and taken for noise it hides the tilt, which then drifts with the gyro.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.records import PITCH, ROLL
+
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Attitude
 
 LONGEST = 0.5  # s, between samples of which one follows from the other
 SHORTEST = 0.08  # s, T: pitch errs by as much with a span of 0.5, and by three times as much without
 
 
 @compiled
-def begin_span(a: Any, u: tuple[float, float]) -> None:
+def begin_span(a: Attitude, u: tuple[float, float]) -> None:
     """A span begins at the new sample, where the IMU's place has the velocity u."""
     span = a.span
     span.stamp_ns, span.begun, span.samples, span.time = a.sample.stamp_ns, 1, 0, 0.0
@@ -31,14 +36,14 @@ def begin_span(a: Any, u: tuple[float, float]) -> None:
 
 
 @compiled
-def turn_span(a: Any, roll: float, pitch: float) -> None:
+def turn_span(a: Attitude, roll: float, pitch: float) -> None:
     """The gyro has turned the machine by so much, rad, since the sample before."""
     a.span.lag[ROLL] += roll * a.span.time
     a.span.lag[PITCH] += pitch * a.span.time
 
 
 @compiled
-def feel(a: Any, force: tuple[float, float], u: tuple[float, float]) -> None:
+def feel(a: Attitude, force: tuple[float, float], u: tuple[float, float]) -> None:
     """The new sample's f − ω × u, m/s²; one that does not follow on another is a span of no time."""
     span = a.span
     dt = (a.sample.stamp_ns - span.stamp_ns) * 1e-9
@@ -55,7 +60,7 @@ def feel(a: Any, force: tuple[float, float], u: tuple[float, float]) -> None:
 
 
 @compiled
-def mean_tilt(a: Any) -> tuple[float, float]:
+def mean_tilt(a: Attitude) -> tuple[float, float]:
     """φ̄ and θ̄ of a span that ends here."""
     span, x = a.span, a.mean
     if span.samples == 1:
@@ -64,7 +69,7 @@ def mean_tilt(a: Any) -> tuple[float, float]:
 
 
 @compiled
-def own_acceleration(a: Any, u: tuple[float, float]) -> tuple[float, float]:
+def own_acceleration(a: Attitude, u: tuple[float, float]) -> tuple[float, float]:
     """u̇ of a span that ends here, with the velocity u; nothing where one was not known."""
     span = a.span
     if span.known == 0:

@@ -6,8 +6,10 @@ a   record of ``ATTITUDE``
 n   record of ``CONSTANTS``
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +18,14 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, PITCH, ROLL, SIZE
 
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Attitude, AttitudeConstants
+
 _FIRST_NOISE = 1.0  # (m/s²)², of the accelerometers, before a sample tells
 
 
 @compiled
-def forget_attitude(a: Any) -> None:
+def forget_attitude(a: Attitude) -> None:
     """Nobody has seen anything."""
     a.known = a.seen = a.stamp_ns = a.refusal = 0
     a.oriented_ns = NEVER_NS
@@ -31,7 +36,7 @@ def forget_attitude(a: Any) -> None:
 
 
 @compiled
-def begin_tilt(a: Any, roll: float, pitch: float, n: Any) -> None:
+def begin_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants) -> None:
     """With this tilt, rad, its variance still to come; height and biases stay."""
     x, P = a.mean, a.covariance
     for i in range(SIZE):
@@ -46,7 +51,7 @@ def begin_tilt(a: Any, roll: float, pitch: float, n: Any) -> None:
 
 
 @compiled
-def begin_by_gravity(a: Any, n: Any) -> None:
+def begin_by_gravity(a: Attitude, n: AttitudeConstants) -> None:
     """As gravity lies."""
     x = a.mean
     f_x, f_y, f_z = a.mean_force

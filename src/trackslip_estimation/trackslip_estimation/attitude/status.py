@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is said of the attitude: where the machine leans, or why the ground counts as flat."""
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +14,15 @@ from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
 from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, AttitudeRefusal
 
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Attitude
+
 _OFF = 0.1  # m/s², of a bias that is worth a word, where it is
 _SIGNIFICANT = 3.0  # standard deviations
 _NO_HEIGHT = 100.0  # m, standard deviation of a height that nobody knows
 
 
-def attitude_text(a: Any, source: str | None) -> str:
+def attitude_text(a: Attitude, source: str | None) -> str:
     """Of a record of ``ATTITUDE`` that the IMU of a topic feeds; None: nobody is to."""
     if source is None:
         return "flat: no IMU is to tell (use_attitude, yaw_rate_sources)"
@@ -35,7 +40,7 @@ def attitude_text(a: Any, source: str | None) -> str:
     return f"{tilt}, height {rises}{_tilted(a, source)}{_refused(a, source)}"
 
 
-def _lacking(a: Any, source: str) -> str:
+def _lacking(a: Attitude, source: str) -> str:
     """Why it is not known."""
     if int(a["sample"]["lost"]) == 1:
         variance = float(a["sample"]["turn_variance"])
@@ -60,14 +65,14 @@ def _lacking(a: Any, source: str) -> str:
     return f"{source} is silent"
 
 
-def _refused(a: Any, source: str) -> str:
+def _refused(a: Attitude, source: str) -> str:
     """What its last orientation lacks, where one is wanted."""
     refusal = int(a["refusal"])
     words = AttitudeRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
     return f"; the orientation of {source} is refused: {words}" if words else ""
 
 
-def _tilted(a: Any, source: str) -> str:
+def _tilted(a: Attitude, source: str) -> str:
     """What turns on the spot show of how the IMU sits."""
     for k, name in ((BIAS_X, "pitch"), (BIAS_Y, "roll")):
         bias, stddev = float(a["mean"][k]), math.sqrt(float(a["covariance"][k, k]))

@@ -20,19 +20,24 @@ makes them err so, and would be kept by disbelief in what corrects it.
 What an input errs by comes with the input: when U rises above E, the velocity errors have it at once.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, track_exposure
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import Adaptation, State
+
 
 TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 13  # point masses of s, a and f
 _TRACK_RATIO = 3.0  # from one s to the next
@@ -48,23 +53,25 @@ _OUTLIER = 25.0  # NIS under the largest s and a, beyond which a yaw rate shows 
 _SHORTEST = 1e-3  # s between fixes of a source
 _NEGLIGIBLE = -20.0  # w below the best
 
-CONSTANTS = np.dtype(
-    [
-        ("track_variances", np.float64, (TRACK_ERRORS,)),  # s²
-        ("rate_factors", np.float64, (RATE_FACTORS,)),  # a
-        ("fix_factors", np.float64, (FIX_FACTORS,)),  # f
-        ("rate_prior", np.float64, (RATE_FACTORS,)),  # w of a before any reading
-        ("fix_prior", np.float64, (FIX_FACTORS,)),  # w of f before any fix
-        ("changing_weight", np.float64),
-        ("forward", np.float64),
-        ("sideways", np.float64),
-        ("common_slip", np.float64),
-        ("memory", np.float64),  # s
-        ("fix_memory", np.float64),
-        ("soft_gate", np.float64),
-    ],
-    align=True,
-)
+
+class AdaptationConstants(Record):
+    """Its parameters, and its point masses."""
+
+    track_variances: Annotated[FloatArray, TRACK_ERRORS]  # s²
+    rate_factors: Annotated[FloatArray, RATE_FACTORS]  # a
+    fix_factors: Annotated[FloatArray, FIX_FACTORS]  # f
+    rate_prior: Annotated[FloatArray, RATE_FACTORS]  # w of a before any reading
+    fix_prior: Annotated[FloatArray, FIX_FACTORS]  # w of f before any fix
+    changing_weight: float
+    forward: float
+    sideways: float
+    common_slip: float
+    memory: float  # s
+    fix_memory: float
+    soft_gate: float
+
+
+CONSTANTS = dtype_of(AdaptationConstants)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +117,7 @@ def unknown_fix_factor() -> FloatArray:
 
 
 @compiled
-def begin_adaptation(a: Any, c: Any) -> None:
+def begin_adaptation(a: Adaptation, c: Config) -> None:
     """The record ``a`` of ``records.ADAPTATION`` at the start: s unknown, sensors as they state."""
     n = c.adaptation
     a.track_variance, a.rate_factor = n.track_variances.mean(), 1.0
@@ -124,7 +131,7 @@ def begin_adaptation(a: Any, c: Any) -> None:
 
 
 @compiled
-def resume_adaptation(a: Any, start: Any) -> None:
+def resume_adaptation(a: Adaptation, start: Adaptation) -> None:
     """What was learned before of s, a and f: the record ``start`` of ``records.ADAPTATION``."""
     a.track_variance, a.rate_factor = start.track_variance, start.rate_factor
     for i in range(TRACK_ERRORS):
@@ -135,7 +142,7 @@ def resume_adaptation(a: Any, start: Any) -> None:
 
 
 @compiled
-def pass_time(state: Any, dt: float, c: Any) -> None:
+def pass_time(state: State, dt: float, c: Config) -> None:
     """What the tracks' speeds, which last for ``dt`` s, err by more than those before is added to P."""
     a, P = state.adaptation, state.covariance
     U = track_exposure(state, c)
@@ -156,14 +163,14 @@ def pass_time(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def lose_track(a: Any) -> None:
+def lose_track(a: Adaptation) -> None:
     """The sprockets are silent: the velocity errors hold all, and nothing of it is the tracks' error."""
     a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
 
 
 @compiled
 def learn_from_rate(
-    a: Any, innovation: float, S: float, of_tracks: float, stated: float, stands: bool, c: Any
+    a: Adaptation, innovation: float, S: float, of_tracks: float, stated: float, stands: bool, c: Config
 ) -> float:
     """Weighs s and a by a yaw rate; returns its NIS under the largest of both.
 
@@ -190,7 +197,9 @@ def learn_from_rate(
 
 
 @compiled
-def learn_from_speed(a: Any, innovation: float, S: float, of_tracks: float, stands: bool, c: Any) -> None:
+def learn_from_speed(
+    a: Adaptation, innovation: float, S: float, of_tracks: float, stands: bool, c: Config
+) -> None:
     """Weighs s by a speed; ``of_tracks``: what of S is by the tracks for s = 1."""
     n = c.adaptation
     rest = max(S - a.track_variance * of_tracks, 0.0)
@@ -209,7 +218,7 @@ def learn_from_speed(a: Any, innovation: float, S: float, of_tracks: float, stan
 
 
 @compiled
-def _set_means(a: Any, best: float, n: Any) -> None:
+def _set_means(a: Adaptation, best: float, n: AdaptationConstants) -> None:
     """s² and a as the weights, of which ``best`` is the largest, have them."""
     total = track_variance = rate_factor = 0.0
     for i in range(TRACK_ERRORS):
@@ -246,7 +255,7 @@ def shared_error(P: FloatArray, R: FloatArray) -> float:
 
 
 @compiled
-def _goes_with_last(a: Any, source: int, innovation: FloatArray) -> float:
+def _goes_with_last(a: Adaptation, source: int, innovation: FloatArray) -> float:
     """How alike innovations of a source are that follow each other: 0 if they are white, 1 at the start."""
     last, both, squares = a.fix_innovations[source], 0.0, 0.0
     for i in range(min(innovation.size, last.size)):
@@ -261,7 +270,9 @@ def _goes_with_last(a: Any, source: int, innovation: FloatArray) -> float:
 
 
 @compiled
-def learn_from_fix(a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any) -> None:
+def learn_from_fix(
+    a: Adaptation, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Config
+) -> None:
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     scale = _OF_GAUSSIAN[m - 1] / _HEAVY
@@ -297,7 +308,7 @@ def density_of_one(L: FloatArray, innovation: FloatArray) -> float:
 
 @compiled
 def density_of_fix(
-    a: Any, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Any
+    a: Adaptation, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Config
 ) -> float:
     """ln of the density of an innovation (m,), over all f: P (m, m) predicted, R (m, m) stated."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size

@@ -17,9 +17,11 @@ from it speed and yaw rate may be random walks of v̂ √(t/τ) and ω̂ √(t/�
 v̂² t³/3τ in the way.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Kinematics
@@ -27,6 +29,10 @@ from trackslip_estimation.kalman.single_state import decay_state, replace_state
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,7 @@ def motion_limits(vehicle: Kinematics, max_sprocket_speed: float) -> MotionLimit
 
 
 @compiled
-def begin_coast(state: Any, rate: tuple[float, float], c: Any) -> None:
+def begin_coast(state: State, rate: tuple[float, float], c: Config) -> None:
     """At the end of what is known; ``rate``: yaw rate and its variance."""
     if not has_velocity_errors(c):
         return
@@ -53,14 +59,14 @@ def begin_coast(state: Any, rate: tuple[float, float], c: Any) -> None:
 
 
 @compiled
-def reset_speed(state: Any, c: Any) -> None:
+def reset_speed(state: State, c: Config) -> None:
     """Speed unknown: about zero, as wide as it can be."""
     if has_velocity_errors(c):
         replace_state(state.mean, state.covariance, SPEED_ERROR, 0.0, c.speed_limit**2)
 
 
 @compiled
-def decay_yaw_rate(state: Any, dt: float, c: Any) -> None:
+def decay_yaw_rate(state: State, dt: float, c: Config) -> None:
     """The yaw rate dt later: it goes to zero, as wide as it can be."""
     if has_velocity_errors(c):
         left = math.exp(-dt / LASTS)
@@ -68,7 +74,7 @@ def decay_yaw_rate(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def inflate(state: Any, dt: float, c: Any) -> None:
+def inflate(state: State, dt: float, c: Config) -> None:
     """What may have been driven in ``dt`` s, and turned where no state accounts for it."""
     P = state.covariance
     P[X, X] += 2.0 * LASTS * dt * c.speed_limit**2
@@ -77,7 +83,7 @@ def inflate(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def doubt_start(state: Any, reached_ns: int, c: Any) -> None:
+def doubt_start(state: State, reached_ns: int, c: Config) -> None:
     """What may have been driven otherwise than the first sample shows, from the state's stamp on."""
     P, start_ns = state.covariance, state.sample.stamp_ns
     before, after = (state.stamp_ns - start_ns) * 1e-9, (reached_ns - start_ns) * 1e-9

@@ -3,103 +3,116 @@
 """All numbers of the compiled estimator in one record, made from its parameters."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
+from trackslip_common.record_types import FloatArray, IntArray, Record, dtype_of
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
-from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
+from trackslip_estimation.attitude.records import AttitudeConstants
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip import adaptation, events
+from trackslip_estimation.slip.adaptation import AdaptationConstants
 from trackslip_estimation.slip.coasting import motion_limits
+from trackslip_estimation.slip.events import EventConstants
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
+from trackslip_estimation.slip.models.free_slips import FreeSlipsConstants
 from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
-from trackslip_estimation.slip.models.speed import FIRST
+from trackslip_estimation.slip.models.speed import FIRST, SpeedConstants
+from trackslip_estimation.slip.models.swing import SwingConstants
 from trackslip_estimation.slip.models.swing import constants as swing_constants
-from trackslip_estimation.slip.motion import LIMITS, Motion, MotionState, limits_record
+from trackslip_estimation.slip.models.turning import TurningConstants
+from trackslip_estimation.slip.motion import LimitsRecord, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import ADAPTATION, MOST_SOURCES
+from trackslip_estimation.slip.records import MOST_SOURCES, Adaptation
 from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME
 
 ConfigRecord = NDArray[np.void]
 
-CONFIG = np.dtype(
-    [
-        ("model", np.int64),
-        ("active", np.int64),  # numbers of the model's state that are uncertain
-        ("size", np.int64),  # numbers of the state that are looked at
-        ("swings", np.bool_),  # whether anything sits on the upper structure
-        ("swing_axis", np.float64, (2,)),  # in base_link, m
-        ("swing_place", np.int64),  # the first source of poses above; −1: none
-        ("sigma_points", np.bool_),  # DAF, else EKF
-        ("kappa", np.float64),  # of the DAF
-        ("rolling_radius", np.float64),  # r, m
-        ("tread", np.float64),  # B, m
-        ("encoder_resolution", np.float64),  # rad
-        *CONSTANTS,
-        ("adaptation", adaptation.CONSTANTS),
-        ("process_noise", np.float64, (len(Motion), 2, SIZE)),  # variance per s, by motion and changing
-        ("prior_mean", np.float64, (SIZE,)),
-        ("prior_variance", np.float64, (SIZE,)),
-        ("prior_covariance", np.float64, (SIZE, SIZE)),  # but for the pose
-        ("resumes", np.bool_),  # whether the noise starts from ``start``, else as nobody has seen it
-        ("start", ADAPTATION),
-        ("initial_pose", np.float64, (3,)),
-        ("initial_covariance", np.float64, (3, 3)),
-        ("starts_with_fix", np.bool_),  # else with the first sprocket sample
-        ("motion_limits", LIMITS),
-        ("sprocket_timeout_ns", np.int64),
-        ("max_sprocket_speed", np.float64),  # rad/s
-        ("speed_limit", np.float64),  # m/s
-        ("yaw_rate_limit", np.float64),  # rad/s
-        ("unseen_yaw_rate", np.float64),  # standard deviation of a yaw rate that no state holds, rad/s
-        ("max_gap", np.float64),  # s
-        ("window_ns", np.int64),
-        ("clock", CLOCK_LIMITS),
-        ("gate_limits", np.float64, (4,)),  # g by degrees of freedom 0 … 3; infinite where all are used
-        ("gate_relaxation", np.float64),
-        ("gate_confirmations", np.int64),
-        ("timeouts_ns", np.int64, (MOST_SOURCES,)),  # of each source, as all below
-        ("levers", np.float64, (MOST_SOURCES, 3)),  # m
-        ("above", np.int64, (MOST_SOURCES,)),  # 0 or 1: whether it sits on the upper structure
-        ("rate_scale", np.float64, (MOST_SOURCES,)),  # what a gyro shows of 1 rad/s
-        ("stamp_errors", np.float64, (MOST_SOURCES,)),  # σ_t, s
-        ("use_heading", np.int64, (MOST_SOURCES,)),  # 0 or 1
-        ("use_altitude", np.int64, (MOST_SOURCES,)),  # 0 or 1
-        ("position_floor", np.float64, (MOST_SOURCES,)),  # m
-        ("heading_floor", np.float64, (MOST_SOURCES,)),  # rad
-        ("heading_ceiling", np.float64, (MOST_SOURCES,)),  # rad
-        ("heading_offset", np.float64, (MOST_SOURCES,)),  # rad
-        ("compass", np.int64, (MOST_SOURCES,)),  # 0 or 1: whether it is a source of headings
-        ("repeat_times", np.float64, (MOST_SOURCES,)),  # s, for which fixes err alike by where they are
-        ("standing_share", np.float64, (MOST_SOURCES,)),
-        ("events", events.CONSTANTS),
-        ("fault_rate", np.float64, (MOST_SOURCES,)),  # 1/s
-        ("jump_rate", np.float64, (MOST_SOURCES,)),  # 1/s
-        ("poses", np.int64),  # how many sources of poses there are
-        ("offsets", np.int64, (MOST_SOURCES,)),  # place of the offset of its places, or headings; −1: none
-        ("yaw_offsets", np.int64, (MOST_SOURCES,)),  # place of what all headings of its poses are off by; −1
-        ("own_errors", np.int64, (MOST_SOURCES,)),  # place of its own error in the state; −1: it has none
-        ("lean_errors", np.int64),  # place of the two of the tilt, over its standard deviation; −1: none
-        ("lean_stddev", np.float64),  # of what lasts of it, rad
-        ("error_times", np.float64, (SIZE,)),  # s, for which one of variance 1 lasts; 0: it walks
-        ("mountings", np.float64, (MOST_SOURCES, 4)),  # of odometry: from its axes to base_link's, x, y, z, w
-        ("odometries", np.int64),  # how many there are
-        ("odometry_number", np.int64, (MOST_SOURCES,)),  # among those
-        ("odometry_noise", np.int64, (MOST_SOURCES,)),  # of ``increments``: where its covariance comes from
-        ("odometry_variances", np.float64, (MOST_SOURCES, 2)),  # where it has none, (m/s)², (rad/s)²
-        ("odometry_gap", np.float64, (MOST_SOURCES,)),  # s
-        ("tilt_source", np.int64),  # the IMU that tells the attitude; −1: none, the ground is flat
-        ("tilt_lever", np.float64, (3,)),  # its place, m
-        ("tilt_acceleration", np.int64),  # 0 or 1: whether its accelerations tell,
-        ("tilt_orientation", np.int64),  # and whether its orientation does
-        ("attitude", ATTITUDE_CONSTANTS),
-    ],
-    align=True,
-)
+
+class Config(Record):
+    """All numbers of the estimator."""
+
+    model: int
+    active: int  # numbers of the model's state that are uncertain
+    size: int  # numbers of the state that are looked at
+    swings: bool  # whether anything sits on the upper structure
+    swing_axis: Annotated[FloatArray, 2]  # in base_link, m
+    swing_place: int  # the first source of poses above; −1: none
+    sigma_points: bool  # DAF, else EKF
+    kappa: float  # of the DAF
+    rolling_radius: float  # r, m
+    tread: float  # B, m
+    encoder_resolution: float  # rad
+    velocity_errors: SpeedConstants  # of the model that is chosen
+    turning: TurningConstants
+    free_slips: FreeSlipsConstants
+    swing: SwingConstants
+    adaptation: AdaptationConstants
+    process_noise: Annotated[FloatArray, (len(Motion), 2, SIZE)]  # variance per s, by motion and changing
+    prior_mean: Annotated[FloatArray, SIZE]
+    prior_variance: Annotated[FloatArray, SIZE]
+    prior_covariance: Annotated[FloatArray, (SIZE, SIZE)]  # but for the pose
+    resumes: bool  # whether the noise starts from ``start``, else as nobody has seen it
+    start: Adaptation
+    initial_pose: Annotated[FloatArray, 3]
+    initial_covariance: Annotated[FloatArray, (3, 3)]
+    starts_with_fix: bool  # else with the first sprocket sample
+    motion_limits: LimitsRecord
+    sprocket_timeout_ns: int
+    max_sprocket_speed: float  # rad/s
+    speed_limit: float  # m/s
+    yaw_rate_limit: float  # rad/s
+    unseen_yaw_rate: float  # standard deviation of a yaw rate that no state holds, rad/s
+    max_gap: float  # s
+    window_ns: int
+    clock: Annotated[Any, CLOCK_LIMITS]
+    gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite where all are used
+    gate_relaxation: float
+    gate_confirmations: int
+    timeouts_ns: Annotated[IntArray, MOST_SOURCES]  # of each source, as all below
+    levers: Annotated[FloatArray, (MOST_SOURCES, 3)]  # m
+    above: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether it sits on the upper structure
+    rate_scale: Annotated[FloatArray, MOST_SOURCES]  # what a gyro shows of 1 rad/s
+    stamp_errors: Annotated[FloatArray, MOST_SOURCES]  # σ_t, s
+    use_heading: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
+    use_altitude: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
+    position_floor: Annotated[FloatArray, MOST_SOURCES]  # m
+    heading_floor: Annotated[FloatArray, MOST_SOURCES]  # rad
+    heading_ceiling: Annotated[FloatArray, MOST_SOURCES]  # rad
+    heading_offset: Annotated[FloatArray, MOST_SOURCES]  # rad
+    compass: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether it is a source of headings
+    repeat_times: Annotated[FloatArray, MOST_SOURCES]  # s, for which fixes err alike by where they are
+    standing_share: Annotated[FloatArray, MOST_SOURCES]
+    events: EventConstants
+    fault_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
+    jump_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
+    poses: int  # how many sources of poses there are
+    offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or headings; −1: none
+    yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all headings of its poses are off by; −1
+    own_errors: Annotated[IntArray, MOST_SOURCES]  # place of its own error in the state; −1: it has none
+    lean_errors: int  # place of the two of the tilt, over its standard deviation; −1: none
+    lean_stddev: float  # of what lasts of it, rad
+    error_times: Annotated[FloatArray, SIZE]  # s, for which one of variance 1 lasts; 0: it walks
+    mountings: Annotated[
+        FloatArray, (MOST_SOURCES, 4)
+    ]  # of odometry: from its axes to base_link's, x, y, z, w
+    odometries: int  # how many there are
+    odometry_number: Annotated[IntArray, MOST_SOURCES]  # among those
+    odometry_noise: Annotated[IntArray, MOST_SOURCES]  # of ``increments``: where its covariance comes from
+    odometry_variances: Annotated[FloatArray, (MOST_SOURCES, 2)]  # where it has none, (m/s)², (rad/s)²
+    odometry_gap: Annotated[FloatArray, MOST_SOURCES]  # s
+    tilt_source: int  # the IMU that tells the attitude; −1: none, the ground is flat
+    tilt_lever: Annotated[FloatArray, 3]  # its place, m
+    tilt_acceleration: int  # 0 or 1: whether its accelerations tell,
+    tilt_orientation: int  # and whether its orientation does
+    attitude: AttitudeConstants
+
+
+CONFIG = dtype_of(Config)
 
 
 def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> ConfigRecord:
@@ -129,7 +142,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     return config
 
 
-def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
+def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
     """What the chosen model says of itself."""
     model, noise = MODELS[p.model], p.noise_of(p.model)
     c["model"], c["active"] = model.CODE, SENSOR_ERRORS if p.swings else model.ACTIVE
@@ -156,7 +169,7 @@ def _set_model(c: Any, p: SlipEstimatorParameters) -> None:
             c["process_noise"][motion, int(changing)] = np.square(density)
 
 
-def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Sources are numbered as ``timeouts_ns`` names them."""
     tail = 1.0 - p.gate_probability
     c["gate_limits"] = [np.inf, *(chi_square.limit(dof, tail) for dof in (1, 2, 3))]
@@ -198,7 +211,7 @@ def _set_sources(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int])
         c["attitude"]["orientation_time"], c["attitude"]["gate"] = imu.orientation_time, c["gate_limits"][2]
 
 
-def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+def _set_odometry(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     c["odometries"] = len(p.odometries())
     for number, (name, odometry) in enumerate(p.odometries().items()):
         k = numbers[name]
@@ -208,7 +221,7 @@ def _set_odometry(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]
         c["odometry_gap"][k] = odometry.max_gap
 
 
-def _set_own_errors(c: Any, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+def _set_own_errors(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Offsets of poses and headings, biases of further gyros, scales of odometries, what lasts of tilt."""
     c["own_errors"] = c["yaw_offsets"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()

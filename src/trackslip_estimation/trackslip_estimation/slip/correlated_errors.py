@@ -22,15 +22,13 @@ Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (
 """
 
 import math
-from typing import Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
-
-FloatArray = NDArray[np.float64]
 
 PRECISE = 0.2  # m, standard deviation that a fix states, below which its error is white
 MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
@@ -65,33 +63,38 @@ _DIRECTION_TIME = 30.0  # s, for which it does
 MOST_SPREAD = 0.5  # variance of the heading, rad², beyond which no way is known
 _NEGLIGIBLE = -6.0  # w below the best
 
-RECEIVER = np.dtype(  # what is known of the errors of a source's fixes
-    [
-        ("known", np.int64),  # 0: it gave no coarse fix yet; 1; 2: precise ones came since
-        ("quality", np.int64),
-        ("stddev", np.float64),  # that the last coarse fix stated, m
-        ("f", np.float64),
-        ("g", np.float64),
-        ("time", np.float64),  # τ, s
-        ("white", np.float64),  # probability that errors are white
-        ("elapsed", np.float64),  # s since masses learned last
-        ("driven", np.float64),  # m since then
-        ("way", np.float64, (2,)),  # as predicted since the last fix, m
-        ("last", np.float64, (2,)),  # place that it showed, m
-        ("last_ns", np.int64),
-        ("observed", np.float64),  # s, for which it gave coarse fixes
-        ("beyond", np.float64, (2,)),  # r
-    ],
-    align=True,
-)
-MASSES = np.dtype(
-    [
-        ("weights", np.float64, (QUALITIES, COUNT)),  # w
-        ("means", np.float64, (COUNT, 3, 2)),  # b, c, ċ by axis
-        ("covariances", np.float64, (COUNT, 6)),  # bb, bc, bċ, cc, cċ, ċċ; the same for both axes
-    ],
-    align=True,
-)
+
+class Receiver(Record):
+    """What is known of the errors of a source's fixes."""
+
+    known: int  # 0: it gave no coarse fix yet; 1; 2: precise ones came since
+    quality: int
+    stddev: float  # that the last coarse fix stated, m
+    f: float
+    g: float
+    time: float  # τ, s
+    white: float  # probability that errors are white
+    elapsed: float  # s since masses learned last
+    driven: float  # m since then
+    way: Annotated[FloatArray, 2]  # as predicted since the last fix, m
+    last: Annotated[FloatArray, 2]  # place that it showed, m
+    last_ns: int
+    observed: float  # s, for which it gave coarse fixes
+    beyond: Annotated[FloatArray, 2]  # r
+
+
+RECEIVER = dtype_of(Receiver)
+
+
+class Masses(Record):
+    """Point masses of a receiver."""
+
+    weights: Annotated[FloatArray, (QUALITIES, COUNT)]  # w
+    means: Annotated[FloatArray, (COUNT, 3, 2)]  # b, c, ċ by axis
+    covariances: Annotated[FloatArray, (COUNT, 6)]  # bb, bc, bċ, cc, cċ, ċċ; the same for both axes
+
+
+MASSES = dtype_of(Masses)
 
 
 @compiled
@@ -107,7 +110,7 @@ def same_quality(stddev: float, other: float) -> bool:
 
 
 @compiled
-def reset_receiver(s: Any) -> None:
+def reset_receiver(s: Receiver) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
     s.known, s.quality, s.stddev, s.elapsed, s.driven = 0, 0, 0.0, 0.0, 0.0
     s.way[:] = s.beyond[:] = s.last[:] = 0.0
@@ -116,7 +119,9 @@ def reset_receiver(s: Any) -> None:
 
 
 @compiled
-def add_fix(s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float, stamp_ns: int) -> None:
+def add_fix(
+    s: Receiver, masses: Masses, shown: FloatArray, stddev: float, spread: float, stamp_ns: int
+) -> None:
     """One more coarse fix weighs the masses of its source.
 
     ``shown``: place that it shows (2,), m; ``spread``: variance of the way's direction and length.
@@ -149,7 +154,7 @@ def add_fix(s: Any, masses: Any, shown: FloatArray, stddev: float, spread: float
 
 
 @compiled
-def _begin_means(masses: Any, R: float) -> None:
+def _begin_means(masses: Masses, R: float) -> None:
     """Offsets as they are a priori; of the way's error nothing is known."""
     for k in range(COUNT):
         masses.means[k, :, :] = 0.0
@@ -158,7 +163,7 @@ def _begin_means(masses: Any, R: float) -> None:
 
 
 @compiled
-def _renew_offsets(masses: Any, R: float) -> None:
+def _renew_offsets(masses: Masses, R: float) -> None:
     """The receiver has another solution: the offset is reset."""
     for k in range(COUNT):
         masses.means[k, 0, :] = 0.0
@@ -167,7 +172,7 @@ def _renew_offsets(masses: Any, R: float) -> None:
 
 
 @compiled
-def _learn(s: Any, masses: Any, R: float, spread: float) -> None:
+def _learn(s: Receiver, masses: Masses, R: float, spread: float) -> None:
     """All masses predict r, are weighed by it and corrected."""
     dt, squared = s.elapsed, (s.driven / s.elapsed) ** 2
     walk = dt * (squared * _WAY_ERROR**2 + _WAY_RATE**2)
@@ -212,7 +217,7 @@ def surprise(nis: float, m: int) -> float:
 
 
 @compiled
-def _set_means(s: Any, w: FloatArray) -> None:
+def _set_means(s: Receiver, w: FloatArray) -> None:
     """f, g and τ as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
     best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):

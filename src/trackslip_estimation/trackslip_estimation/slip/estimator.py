@@ -5,6 +5,8 @@
 Live node and replay run this same class. It knows no clock: time is in the stamps.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any

@@ -26,16 +26,19 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
 Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.levers import to_sensor
@@ -53,7 +56,9 @@ from trackslip_estimation.slip.models.model import (
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
 from trackslip_estimation.slip.own_errors import number_of, to_offset, usual_variance
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 
 class Event(IntEnum):
@@ -114,22 +119,24 @@ _MOST_OPENED = 1 + len(_LEARNED_BY_HEADING)  # states
 _SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
-CONSTANTS = np.dtype(
-    [
-        ("fault_time", np.float64),
-        ("repeat_share", np.float64),
-        ("scatter_share", np.float64),
-        ("heading_rate", np.float64),
-        ("slip_rate", np.float64),
-        ("slide_rate", np.float64),
-        ("skid_rate", np.float64),
-        ("skid_share", np.float64),
-        ("skid_stddev", np.float64),
-        ("noise_rate", np.float64),
-        ("slip_stddev", np.float64),
-    ],
-    align=True,
-)
+
+class EventConstants(Record):
+    """Parameters of the events."""
+
+    fault_time: float
+    repeat_share: float
+    scatter_share: float
+    heading_rate: float
+    slip_rate: float
+    slide_rate: float
+    skid_rate: float
+    skid_share: float
+    skid_stddev: float
+    noise_rate: float
+    slip_stddev: float
+
+
+CONSTANTS = dtype_of(EventConstants)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +164,7 @@ def constants(p: EventParameters) -> tuple[float, ...]:
 
 
 @compiled
-def log_rate(event: int, source: int, c: Any) -> float:
+def log_rate(event: int, source: int, c: Config) -> float:
     """ln of the rate of an event of a source, 1/s."""
     e = c.events
     if event == OFFSET:
@@ -182,7 +189,7 @@ def log_rate(event: int, source: int, c: Any) -> float:
 
 
 @compiled
-def latest_pose_source(state: Any, c: Any) -> int:
+def latest_pose_source(state: State, c: Config) -> int:
     """Number of the source of poses that was consistent last; 0 where there is none."""
     latest = -1
     for k in range(c.offsets.size):
@@ -199,7 +206,7 @@ def sector(part: int) -> tuple[float, float]:
 
 
 @compiled
-def apply_event(state: Any, event: int, source: int, part: int, value: float, c: Any) -> int:
+def apply_event(state: State, event: int, source: int, part: int, value: float, c: Config) -> int:
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
     ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a skid
@@ -239,7 +246,7 @@ class Opened(NamedTuple):
 
 
 @compiled
-def _assume(state: Any, event: int, source: int) -> None:
+def _assume(state: State, event: int, source: int) -> None:
     """What a branch assumes of a source from an event on."""
     if event == OUTLIER:
         state.fault[source] = IS_IGNORED
@@ -258,7 +265,9 @@ def _assume(state: Any, event: int, source: int) -> None:
 
 
 @compiled
-def _set_opened(state: Any, event: int, source: int, part: int, value: float, opened: Opened, c: Any) -> int:
+def _set_opened(
+    state: State, event: int, source: int, part: int, value: float, opened: Opened, c: Config
+) -> int:
     """States that an event replaces, their means and variances; how many."""
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
@@ -295,7 +304,7 @@ def _set_opened(state: Any, event: int, source: int, part: int, value: float, op
 
 
 @compiled
-def is_steep(state: Any) -> bool:
+def is_steep(state: State) -> bool:
     """Whether the ground is so steep that the machine may slide."""
     level = state.attitude.level
     return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)

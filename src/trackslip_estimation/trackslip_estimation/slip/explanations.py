@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bank's branches in the user's words: what may have happened, how probably, and what did."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +14,9 @@ from trackslip_estimation.slip.events import Event, SourceFault
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import HISTORY
 from trackslip_estimation.slip.window import Window
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.records import Branch, EventRecord, State
 
 _RECENT_NS = 30_000_000_000  # for which an event still explains what is seen
 _LEAST = 0.005  # probability that is worth a word
@@ -136,7 +141,7 @@ def recent(events: Sequence[Happened]) -> str:
     return f"{listed}; probability {100.0 * lasting[-1].probability:.0f} %"
 
 
-def history(branch: Any, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
+def history(branch: Branch, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
     """Events of a record of ``BRANCH``, the last ones read from it, those before from ``known``.
 
     ``probability``: that of the branch.
@@ -150,18 +155,18 @@ def history(branch: Any, sources: Sources, known: list[Happened], probability: f
     return found
 
 
-def _begins(e: Any) -> bool:
+def _begins(e: EventRecord) -> bool:
     """Whether a record of ``EVENT`` gave the branch a share of an unknown heading."""
     return bool(e["event"] == Event.TURNED and e["after"] == 1)
 
 
-def _share(branch: Any) -> int:
+def _share(branch: Branch) -> int:
     """Number of the share of an unknown heading that a branch has; −1: none that it remembers."""
     events = branch["history"][: int(branch["events"])]
     return next((int(e["part"]) for e in events if _begins(e)), -1)
 
 
-def _of_branch(state: Any, branch: Any, sources: Sources, is_found: bool) -> tuple[str, Explanation]:
+def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -> tuple[str, Explanation]:
     """What a branch assumes, without numbers and with them; its probability is left 0.
 
     ``is_found``: the heading is, where it was unknown.
@@ -199,7 +204,7 @@ def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
     return int(next(own, {"decided_ns": stamp_ns})["decided_ns"])
 
 
-def _fault_text(state: Any, number: int, fault: SourceFault, sources: Sources) -> str:
+def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources) -> str:
     name, own = sources.names[number], sources.offsets[number]
     if fault is SourceFault.REPEATS:
         return f"{name} repeats itself"

@@ -12,9 +12,15 @@ end: the time that takes grows with the logarithm of how far off it is. Poses, h
 weighed by the bank (``weighing``).
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _WIDEST = 100.0  # timeouts: beyond, the gate is open to anything finite
 
@@ -29,7 +35,7 @@ def width(refused_ns: int, timeout_ns: int, relaxation: float) -> float:
 
 
 @compiled
-def limit_of(state: Any, measurement: Any, rows: int, c: Any) -> float:
+def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config) -> float:
     """w g of a measurement of so many rows."""
     source = measurement.source
     wide = width(state.refused_ns[source], c.timeouts_ns[source], c.gate_relaxation)
@@ -37,7 +43,7 @@ def limit_of(state: Any, measurement: Any, rows: int, c: Any) -> float:
 
 
 @compiled
-def hear(state: Any, measurement: Any, c: Any) -> None:
+def hear(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """A source outside its gate insists for longer by the time since its last measurement, not by silence."""
     source = measurement.source
     if state.consistent_ns[source] >= state.heard_ns[source]:

@@ -12,12 +12,14 @@ With age each state is a first-order Gauss–Markov process about its prior: x �
 aged is the prior of the next run; it stands in the bag beside the parameters, and a replay starts from it.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,9 @@ from trackslip_estimation.slip.config import ConfigRecord, make_config
 from trackslip_estimation.slip.models.dispatch import MODELS
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Mounted
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.records import State
 
 FloatArray = NDArray[np.float64]
 
@@ -84,7 +89,7 @@ class Meaning(NamedTuple):
 
     machine: str  # digest of the vehicle, its sources and the model
     places: Mapping[str, int]  # name → place in the state vector of what is kept, in the model's order
-    prior: "Learned"
+    prior: Learned
     constants: Any  # record of ``adaptation.CONSTANTS``
     has_track_error: bool  # whether the model knows any
     stamp_errors: Mapping[str, float]  # σ_t of each source of poses, s
@@ -139,7 +144,7 @@ def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:
     return found
 
 
-def learned_of(state: Any, of: Meaning, sources: Mapping[str, int]) -> Learned:
+def learned_of(state: State, of: Meaning, sources: Mapping[str, int]) -> Learned:
     """Of a record of ``STATE``; ``sources``: name → number."""
     adaptation = state["adaptation"]
     kept = list(of.places.values())

@@ -13,7 +13,9 @@
 A sensor above sees φ + σ, its gyro ω + σ̇.
 """
 
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,11 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state
 from trackslip_estimation.slip.models.dispatch import horizontal_twist
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW, X, Y
+
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import ImuSample, Level
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 FloatArray = NDArray[np.float64]
 UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
@@ -38,13 +45,13 @@ class Lever(NamedTuple):
 
 
 @compiled
-def arm_of(source: int, c: Any) -> tuple[float, float]:
+def arm_of(source: int, c: Config) -> tuple[float, float]:
     """l − a of a sensor above, from the swing axis to it, seen from above."""
     return c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
 
 
 @compiled
-def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
+def unknown_arm(P: FloatArray, source: int, c: Config) -> float:
     """Variance of its place along an axis, m², where nobody knows σ: no derivative goes round a circle."""
     x, y = arm_of(source, c)
     known = P[SWING, SWING] <= UNKNOWN_SWING**2
@@ -52,14 +59,14 @@ def unknown_arm(P: FloatArray, source: int, c: Any) -> float:
 
 
 @compiled
-def swung_place(swing: float, source: int, c: Any) -> Place:
+def swung_place(swing: float, source: int, c: Config) -> Place:
     """x and y of its place in base_link, and their derivatives by σ."""
     x, y = c.levers[source, 0], c.levers[source, 1]
     return _swung(x, y, swing, c) if c.above[source] == 1 else (x, y, 0.0, 0.0)
 
 
 @compiled
-def _swung(x: float, y: float, swing: float, c: Any) -> Place:
+def _swung(x: float, y: float, swing: float, c: Config) -> Place:
     """x and y in base_link of a place above, and their derivatives by σ; ``x``, ``y``: looking forward."""
     cos, sin, ahead, left = np.cos(swing), np.sin(swing), x - c.swing_axis[0], y - c.swing_axis[1]
     by_x, by_y = -sin * ahead - cos * left, cos * ahead - sin * left
@@ -67,7 +74,7 @@ def _swung(x: float, y: float, swing: float, c: Any) -> Place:
 
 
 @compiled
-def sensor_place(level: Any, swing: float, source: int, c: Any) -> Place:
+def sensor_place(level: Level, swing: float, source: int, c: Config) -> Place:
     """p and p'; ``level``: the record of ``attitude`` that says how the machine leans."""
     z = c.levers[source, 2]
     x, y, by_x, by_y = swung_place(swing, source, c)
@@ -78,7 +85,7 @@ def sensor_place(level: Any, swing: float, source: int, c: Any) -> Place:
 
 
 @compiled
-def lever(x: FloatArray, level: Any, source: int, c: Any) -> Lever:
+def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
     """R(φ) p, with what the lasting error of the tilt moves it by, and its derivatives."""
     above, by, cos, sin = c.above[source] == 1, np.zeros((2, x.size)), np.cos(x[YAW]), np.sin(x[YAW])
     ahead, left, by_ahead, by_left = sensor_place(level, x[SWING] if above else 0.0, source, c)
@@ -96,7 +103,7 @@ def lever(x: FloatArray, level: Any, source: int, c: Any) -> Lever:
 
 
 @compiled
-def to_sensor(x: FloatArray, P: FloatArray, level: Any, source: int, sign: float, c: Any) -> None:
+def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: float, c: Config) -> None:
     """The state with a sensor's pose for that of base_link (``sign`` 1), or back again (−1); in place."""
     above = c.above[source] == 1
     if above and sign < 0.0:
@@ -111,7 +118,7 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Any, source: int, sign: float
 
 @compiled
 def turn_about(
-    x: FloatArray, P: FloatArray, before: FloatArray, place: Lever, level: Any, source: int, c: Any
+    x: FloatArray, P: FloatArray, before: FloatArray, place: Lever, level: Level, source: int, c: Config
 ) -> None:
     """A correction of x, ``before`` it, with the ``place`` of a sensor then: C goes round the sensor.
 
@@ -137,21 +144,21 @@ def _shear_place(P: FloatArray, by: FloatArray, sign: float) -> None:
 
 
 @compiled
-def _turn_heading(x: FloatArray, P: FloatArray, level: Any, sign: float) -> None:
+def _turn_heading(x: FloatArray, P: FloatArray, level: Level, sign: float) -> None:
     """φ + σ, seen from above, for φ, or back again; in place."""
     x[YAW] = wrap(x[YAW] + sign * seen_from_above(x[SWING], level))
     add_state(P, YAW, SWING, sign)
 
 
 @compiled
-def other_lean(level: Any, source: int, c: Any) -> float:
+def other_lean(level: Level, source: int, c: Config) -> float:
     """Variance of a sensor's place along an axis, m², as the tilt errs by more than its lasting error."""
     more = max(level.lean_variance - c.lean_stddev**2, 0.0)
     return float(c.levers[source, 2] ** 2 * more)
 
 
 @compiled
-def swing_lever(imu: Any, swing_rate: float, c: Any) -> None:
+def swing_lever(imu: ImuSample, swing_rate: float, c: Config) -> None:
     """Place and velocity of an IMU above, into its record, which has σ and what they would be below."""
     imu.lever[0], imu.lever[1], by_x, by_y = _swung(imu.lever[0], imu.lever[1], imu.turn, c)
     imu.velocity[0] += swing_rate * by_x
@@ -159,7 +166,7 @@ def swing_lever(imu: Any, swing_rate: float, c: Any) -> None:
 
 
 @compiled
-def seen_from_above(angle: float, level: Any) -> float:
+def seen_from_above(angle: float, level: Level) -> float:
     """Direction against the heading of what points along ``angle`` in base_link, rad."""
     if level.tilted == 0:
         return angle
@@ -168,7 +175,7 @@ def seen_from_above(angle: float, level: Any) -> float:
 
 
 @compiled
-def stamp_shift(state: Any, source: int, c: Any) -> tuple[float, float, float]:
+def stamp_shift(state: State, source: int, c: Config) -> tuple[float, float, float]:
     """How the pose of a source's sensor changes in its σ_t; nothing while nobody knows how fast it does."""
     seconds = 0.0 if state.coasting else c.stamp_errors[source]
     v_x, v_y, rate = horizontal_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)

@@ -21,6 +21,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import Record, RecordT, Table, dtype_of, make_table
 
 _SIGNIFICANT = 2.5  # standard deviations of rounding
 
@@ -34,33 +35,46 @@ class Motion(IntEnum):
     TURNING = 3
 
 
-SPEEDS = np.dtype(
-    [("left", np.float64), ("right", np.float64), ("interval", np.float64), ("differenced", np.bool_)],
-    align=True,
-)
-MOTION = np.dtype(
-    [
-        ("motion", np.int64),
-        ("changing", np.bool_),
-        ("left", np.float64),
-        ("right", np.float64),
-        ("left_mean", np.float64),
-        ("right_mean", np.float64),
-        ("departure", np.float64),
-    ],
-    align=True,
-)
-LIMITS = np.dtype(
-    [
-        ("standing_speed", np.float64),
-        ("turning_ratio", np.float64),
-        ("change_ratio", np.float64),
-        ("hysteresis", np.float64),
-        ("smoothing_time", np.float64),
-        ("memory_time", np.float64),
-    ],
-    align=True,
-)
+class SpeedsRecord(Record):
+    """``Speeds`` in compiled code."""
+
+    left: float
+    right: float
+    interval: float
+    differenced: bool
+
+
+SPEEDS = dtype_of(SpeedsRecord)
+
+
+class MotionRecord(Record):
+    """``MotionState`` in compiled code."""
+
+    motion: int
+    changing: bool
+    left: float
+    right: float
+    left_mean: float
+    right_mean: float
+    departure: float
+
+
+MOTION = dtype_of(MotionRecord)
+
+
+class LimitsRecord(Record):
+    """``MotionParameters`` in compiled code."""
+
+    standing_speed: float
+    turning_ratio: float
+    change_ratio: float
+    hysteresis: float
+    smoothing_time: float
+    memory_time: float
+
+
+LIMITS = dtype_of(LimitsRecord)
+
 _UNKNOWN, _STANDING, _STRAIGHT, _TURNING = map(int, Motion)
 
 
@@ -109,44 +123,61 @@ def classify(
 
     ``resolution`` is the angle of a count, rad.
     """
-    motion = np.array([tuple(state)], MOTION)
-    _classify(motion, np.array([tuple(speeds)], SPEEDS), dt, limits_record(limits), resolution)
-    code, changing, *remembered = motion[0].item()
-    return MotionState(Motion(code), changing, *remembered)
+    motion = _table(MotionRecord, MOTION, state)
+    _classify(motion, _table(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits), resolution)
+    code, changing, *remembered = motion.item(0)
+    return MotionState(Motion(code), bool(changing), *remembered)
 
 
 def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters, resolution: float = 0.0) -> Speeds:
     """What a gyro is compared with: ``steady_speeds``."""
-    records = np.array([tuple(speeds)], SPEEDS), np.array([tuple(state)], MOTION)
-    return Speeds(*_steady_speeds(*records, limits_record(limits), resolution), speeds.differenced)
+    now, before = _table(SpeedsRecord, SPEEDS, speeds), _table(MotionRecord, MOTION, state)
+    return Speeds(*_steady_speeds(now, before, limits_record(limits), resolution), speeds.differenced)
 
 
-def limits_record(limits: MotionParameters) -> Any:
+def limits_record(limits: MotionParameters) -> Table[LimitsRecord]:
     """(1,) of ``LIMITS``."""
-    return np.array([tuple(getattr(limits, name) for name in LIMITS.names or ())], LIMITS)
+    return _table(LimitsRecord, LIMITS, tuple(getattr(limits, name) for name in LIMITS.names or ()))
+
+
+def _table(declared: type[RecordT], dtype: np.dtype[np.void], fields: tuple[Any, ...]) -> Table[RecordT]:
+    """(1,) of ``declared``."""
+    table = make_table(declared, dtype, 1)
+    table[:] = np.array([tuple(fields)], dtype)
+    return table
 
 
 @compiled
-def _classify(motion: Any, speeds: Any, dt: float, limits: Any, resolution: float) -> None:
+def _classify(
+    motion: Table[MotionRecord],
+    speeds: Table[SpeedsRecord],
+    dt: float,
+    limits: Table[LimitsRecord],
+    resolution: float,
+) -> None:
     """``update_motion`` as called from Python."""
     update_motion(motion[0], speeds[0], dt, limits[0], resolution)
 
 
 @compiled
-def _steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> tuple[float, float, float]:
+def _steady_speeds(
+    speeds: Table[SpeedsRecord], motion: Table[MotionRecord], limits: Table[LimitsRecord], resolution: float
+) -> tuple[float, float, float]:
     """``steady_speeds`` as called from Python."""
     return steady_speeds(speeds[0], motion[0], limits[0], resolution)
 
 
 @compiled
-def reset_motion(state: Any) -> None:
+def reset_motion(state: MotionRecord) -> None:
     """The record ``state`` of ``MOTION`` where nothing of the sprockets is known."""
     state.motion, state.changing = _UNKNOWN, True
     state.left = state.right = state.left_mean = state.right_mean = state.departure = 0.0
 
 
 @compiled
-def update_motion(state: Any, speeds: Any, dt: float, limits: Any, resolution: float) -> None:
+def update_motion(
+    state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: LimitsRecord, resolution: float
+) -> None:
     """The record ``state`` of ``MOTION``, ``dt`` s later with mean ``speeds``."""
     if dt <= 0.0:
         return
@@ -178,7 +209,9 @@ def update_motion(state: Any, speeds: Any, dt: float, limits: Any, resolution: f
 
 
 @compiled
-def steady_speeds(speeds: Any, motion: Any, limits: Any, resolution: float) -> tuple[float, float, float]:
+def steady_speeds(
+    speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord, resolution: float
+) -> tuple[float, float, float]:
     """Left, right and interval with which a gyro is compared.
 
     No rounding of counts passes for a turn, or a change of speed: low-passed, where rounding explains how the

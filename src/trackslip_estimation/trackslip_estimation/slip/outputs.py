@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a state means: pose, twist, slips, tilt and swing, with their covariances; compiled."""
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +24,17 @@ from trackslip_estimation.slip.models.model import SWING, SWING_RATE
 from trackslip_estimation.slip.motion import rounding, steady_speeds
 from trackslip_estimation.slip.tilt import fill_tilt
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import EstimateRecord, State, SwingRecord
+
 FloatArray = NDArray[np.float64]
 
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
 
 
 @inlined
-def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
+def fill_estimate(state: State, c: Config, estimate: EstimateRecord) -> None:
     """What is published of a state, into a record of ``ESTIMATE``."""
     fill_motion(state, c, estimate)
     fill_tilt(state, estimate)
@@ -37,7 +43,7 @@ def fill_estimate(state: Any, c: Any, estimate: Any) -> None:
 
 
 @compiled
-def fill_motion(state: Any, c: Any, estimate: Any) -> None:
+def fill_motion(state: State, c: Config, estimate: EstimateRecord) -> None:
     """Pose, twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
     fill_outputs(state, c, estimate)
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
@@ -46,7 +52,7 @@ def fill_motion(state: Any, c: Any, estimate: Any) -> None:
 
 
 @compiled
-def _outputs(state: Any, left: float, right: float, c: Any) -> FloatArray:
+def _outputs(state: State, left: float, right: float, c: Config) -> FloatArray:
     """(6,) v_x, v_y, yaw rate; left slip, right slip, slip angle."""
     found, x = np.empty(6), state.mean
     twist_ = body_twist(x, left, right, state, c)
@@ -56,7 +62,7 @@ def _outputs(state: Any, left: float, right: float, c: Any) -> FloatArray:
 
 
 @compiled
-def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
+def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
     """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
     x, P = state.mean[: c.size], state.covariance[:]
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
@@ -80,7 +86,7 @@ def fill_outputs(state: Any, c: Any, estimate: Any) -> None:
 
 
 @compiled
-def fill_swing(state: Any, swing: Any, c: Any) -> None:
+def fill_swing(state: State, swing: SwingRecord, c: Config) -> None:
     """What is published of the upper structure, into a record of ``SWINGING``."""
     swing.known, swing.angle, swing.rate = 0, 0.0, 0.0
     swing.covariance[:] = 0.0

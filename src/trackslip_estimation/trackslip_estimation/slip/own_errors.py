@@ -10,8 +10,10 @@ find. Of precise fixes that follow each other closely, what they state and do no
 offset is zero until an event opens it.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,10 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state, decay_state, replace_state
 from trackslip_estimation.slip.correlated_errors import PRECISE, is_coarse, same_quality
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import Offset, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -33,14 +39,14 @@ SURPRISED = 4.0  # variance of an offset at the most by fixes that surprise, ove
 
 
 @compiled
-def number_of(source: int, c: Any) -> int:
+def number_of(source: int, c: Config) -> int:
     """Number of a source among those of poses; −1: it is none."""
     own = c.offsets[source]
     return -1 if own < 0 or c.compass[source] == 1 else (own - SENSOR_ERRORS) // 2
 
 
 @compiled
-def is_correlated(state: Any, source: int, c: Any) -> bool:
+def is_correlated(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err more to one side than at random."""
     number = number_of(source, c)
     if number < 0:
@@ -50,14 +56,16 @@ def is_correlated(state: Any, source: int, c: Any) -> bool:
 
 
 @compiled
-def is_new(state: Any, source: int, c: Any) -> bool:
+def is_new(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err to one side, and were not observed for several times that long."""
     offset = state.offsets[number_of(source, c)]
     return is_correlated(state, source, c) and bool(offset.observed < OBSERVED * offset.time)
 
 
 @compiled
-def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open: bool, c: Any) -> None:
+def prepare_offset(
+    state: State, update: Update, source: int, R: FloatArray, is_open: bool, c: Config
+) -> None:
     """The offset of a source as its next fix, of covariance R, finds it.
 
     When the standard deviation becomes another (ambiguities fixed, floating, code alone), so does the offset.
@@ -88,14 +96,14 @@ def prepare_offset(state: Any, update: Any, source: int, R: FloatArray, is_open:
 
 
 @compiled
-def lasting_share(offset: Any) -> float:
+def lasting_share(offset: Offset) -> float:
     """Share of the variance of precise fixes by which they do not jitter, although they state it."""
     share = 1.0 - offset.jitter
     return min(share, MOST_LASTING) if offset.count >= JITTERS and share > LEAST_LASTING else 0.0
 
 
 @compiled
-def learn_jitter(offset: Any, shown: FloatArray, way: FloatArray, elapsed: float, variance: float) -> None:
+def learn_jitter(offset: Offset, shown: FloatArray, way: FloatArray, elapsed: float, variance: float) -> None:
     """How far a fix is from the one before, but for the way between both; ``variance`` is what it states."""
     if 0.0 < elapsed <= CLOSE:
         squared = 0.0
@@ -140,14 +148,14 @@ def _exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: fl
 
 
 @compiled
-def offset_left(state: Any, number: int, dt: float) -> float:
+def offset_left(state: State, number: int, dt: float) -> float:
     """Share of an offset that is left after dt."""
     offset = state.offsets[number]
     return math.exp(-dt / offset.time) if offset.variance > 0.0 else 1.0
 
 
 @compiled
-def pass_offsets(state: Any, dt: float, c: Any) -> None:
+def pass_offsets(state: State, dt: float, c: Config) -> None:
     """Offsets of coarse receivers dt later."""
     x, P = state.mean, state.covariance
     for number in range(c.poses):
@@ -160,7 +168,7 @@ def pass_offsets(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def fade_offsets(F: FloatArray, state: Any, dt: float, c: Any) -> None:
+def fade_offsets(F: FloatArray, state: State, dt: float, c: Config) -> None:
     """The transition F (n, n) of a step, with what is left of offsets after it."""
     for number in range(c.poses):
         for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
@@ -168,7 +176,7 @@ def fade_offsets(F: FloatArray, state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def inflate_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: Any) -> None:
+def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c: Config) -> None:
     """P, where the offset of a source is by ``more`` (2,), m², more uncertain."""
     own, most = c.offsets[source], SURPRISED * state.offsets[number_of(source, c)].variance
     for axis in (X, Y):
@@ -177,7 +185,7 @@ def inflate_offset(state: Any, P: FloatArray, source: int, more: FloatArray, c: 
 
 
 @compiled
-def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
+def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Config) -> None:
     """The state whose heading is that of a pose of a source, without its yaw offset."""
     own = c.yaw_offsets[source]
     if own >= 0:
@@ -186,14 +194,14 @@ def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Any) -> None:
 
 
 @compiled
-def usual_variance(state: Any, source: int, c: Any) -> float:
+def usual_variance(state: State, source: int, c: Config) -> float:
     """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
     offset = state.offsets[number_of(source, c)]
     return float(offset.g * offset.stddev**2) if offset.stddev > PRECISE else 0.0
 
 
 @compiled
-def begin_offset(state: Any, source: int, c: Any) -> None:
+def begin_offset(state: State, source: int, c: Config) -> None:
     """The state at the start, whose place is that of a coarse fix: its error is in both."""
     x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
@@ -207,7 +215,7 @@ def begin_offset(state: Any, source: int, c: Any) -> None:
 
 
 @compiled
-def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Any) -> None:
+def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
     """The state with the place, or heading, that a source with an offset shows; or back (−1)."""
     own = c.offsets[source]
     if own < 0:

@@ -7,8 +7,10 @@ over measurements: after a live one was inserted it goes on from there; tuning, 
 run over windows that they filled.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,6 +39,11 @@ from trackslip_estimation.slip.window import (
     trim,
 )
 
+if TYPE_CHECKING:
+    from trackslip_common.record_types import FloatArray
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import EstimateRecord, MeasurementRecord, Result
+
 _ACCEPTED, _TOO_LATE, _DUPLICATE = int(Outcome.ACCEPTED), int(Outcome.TOO_LATE), int(Outcome.DUPLICATE)
 _INVALID, _WAITING, _AHEAD = int(Outcome.INVALID), int(Outcome.WAITING), int(Outcome.AHEAD)
 _JUMPED, _RESTARTED, _FROZEN = int(Outcome.JUMPED), int(Outcome.RESTARTED), int(Outcome.FROZEN)
@@ -46,7 +53,7 @@ _STAMP_BACK = int(StampStatus.BACK)
 
 
 @compiled
-def process(window: Window, arrivals: Records, results: Records, config: Any) -> int:
+def process(window: Window, arrivals: Records, results: Records, config: Records) -> int:
     """Measurements in the order of their arrival; returns how many there was room for.
 
     First come the states that the window's own measurements do not have yet.
@@ -78,7 +85,7 @@ def process(window: Window, arrivals: Records, results: Records, config: Any) ->
 
 
 @inlined
-def _take(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
+def _take(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
     """Outcome so far, and entry of a measurement that was put in its place; 0 where it was not, or begins."""
     outcome = _check(window, measurement, c)
     if outcome not in (_ACCEPTED, _RESTARTED):
@@ -91,7 +98,12 @@ def _take(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
 
 @inlined
 def _tell(
-    window: Window, measurement: Any, became: tuple[int, int], was_head_ns: int, result: Any, c: Any
+    window: Window,
+    measurement: MeasurementRecord,
+    became: tuple[int, int],
+    was_head_ns: int,
+    result: Result,
+    c: Config,
 ) -> None:
     """What became of the arrival, its outcome so far and its entry, once all states are known."""
     status, (outcome, entry) = window.status[0], became
@@ -109,7 +121,7 @@ def _tell(
 
 
 @inlined
-def _check(window: Window, measurement: Any, c: Any) -> int:
+def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     """What its numbers and its stamp say; a clock that goes back clears the window."""
     status = window.status[0]
     if fault_of(measurement, c) > 0:
@@ -146,7 +158,7 @@ def clear(window: Window) -> None:
 
 
 @compiled
-def _contradicts(window: Window, sample: Any, c: Any) -> bool:
+def _contradicts(window: Window, sample: MeasurementRecord, c: Config) -> bool:
     """Whether positions of a late sample cannot be reached from those of the last one up to its stamp."""
     status, measurements = window.status[0], window.measurements
     if not status.clock.running or sample.stamp_ns > status.clock.head_ns or math.isnan(sample.left_angle):
@@ -164,7 +176,7 @@ def _contradicts(window: Window, sample: Any, c: Any) -> bool:
 
 
 @inlined
-def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
+def _add(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
     """Put a measurement in its place; all that depends on it is to be done again."""
     status, measurements = window.status[0], window.measurements
     if measurement.stamp_ns < horizon_ns(window, c):
@@ -179,7 +191,7 @@ def _add(window: Window, measurement: Any, c: Any) -> tuple[int, int]:
 
 
 @inlined
-def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) -> None:
+def _publish(window: Window, entry: int, was_head_ns: int, result: Result, c: Config) -> None:
     """The estimate at the newest sprocket sample, or at what carries the clock on while they are silent."""
     status, measurement = window.status[0], window.measurements[entry]
     carries = was_head_ns < status.clock.head_ns == measurement.stamp_ns
@@ -190,7 +202,7 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Any, c: Any) 
 
 
 @compiled
-def fill_mixture(window: Window, k: int, c: Any, estimate: Any) -> None:
+def fill_mixture(window: Window, k: int, c: Config, estimate: EstimateRecord) -> None:
     """What is published of row k: the most probable branch, with the covariance of the whole row about it."""
     fill_estimate(window.states[0, k], c, estimate)
     if window.counts[k] == 1:
@@ -211,7 +223,9 @@ def fill_mixture(window: Window, k: int, c: Any, estimate: Any) -> None:
 
 
 @compiled
-def _add_spread(mean: Any, other: Any, covariance: Any, P: Any, w: float, angle: int) -> None:
+def _add_spread(
+    mean: FloatArray, other: FloatArray, covariance: FloatArray, P: FloatArray, w: float, angle: int
+) -> None:
     """To a covariance (3, 3) about ``mean`` that of another Gaussian of weight w; in place."""
     for i in range(3):
         for j in range(3):

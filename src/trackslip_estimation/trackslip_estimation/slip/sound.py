@@ -6,13 +6,18 @@
 Should a state be broken nevertheless, ``process`` counts a divergence and begins anew, as after a reset.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.records import State
+
 
 @compiled
-def is_sound(state: Any, n: int) -> bool:
+def is_sound(state: State, n: int) -> bool:
     """Whether means and variances of the ``n`` states, and of the attitude, are finite, no variance negative.
 
     What else is not finite makes one of them so in the next step.

@@ -17,16 +17,23 @@ measured ones of the sample that closes the interval.
     c         record of ``config.CONFIG``
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.records import SPROCKETS
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.motion import SpeedsRecord
+    from trackslip_estimation.slip.records import MeasurementRecord, SprocketSample, State
+
 
 @compiled
-def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
+def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> int:
     """Mean speeds up to ``stamp_ns`` into ``state.speeds``; returns the stamp until which they are known.
 
     That is ``stamp_ns``, or an earlier one beyond which there is silence.
@@ -48,7 +55,9 @@ def set_speeds(state: Any, closing: Any, stamp_ns: int, c: Any) -> int:
 
 
 @compiled
-def interval_speeds(sample: Any, closing: Any, c: Any, speeds: Any) -> bool:
+def interval_speeds(
+    sample: SprocketSample, closing: MeasurementRecord, c: Config, speeds: SpeedsRecord
+) -> bool:
     """Mean speeds between ``sample`` and ``closing`` into ``speeds``; whether they are known."""
     elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
     interval = min(elapsed_ns, c.sprocket_timeout_ns) * 1e-9
@@ -65,7 +74,7 @@ def interval_speeds(sample: Any, closing: Any, c: Any, speeds: Any) -> bool:
 
 
 @compiled
-def has_angles(sample: Any, closing: Any) -> bool:
+def has_angles(sample: SprocketSample, closing: MeasurementRecord) -> bool:
     """Whether both have positions, with time between them."""
     if not sample.seen or closing.stamp_ns <= sample.stamp_ns:
         return False
@@ -73,7 +82,7 @@ def has_angles(sample: Any, closing: Any) -> bool:
 
 
 @compiled
-def is_sound(sample: Any, closing: Any, c: Any) -> bool:
+def is_sound(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
     """Whether the positions of ``closing`` are the continuation of those of ``sample``."""
     if not has_angles(sample, closing):
         return False
@@ -83,14 +92,14 @@ def is_sound(sample: Any, closing: Any, c: Any) -> bool:
 
 
 @compiled
-def jumps(sample: Any, closing: Any, c: Any) -> bool:
+def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
     """Whether its positions are not the continuation of those before, though it came in time."""
     in_time = has_angles(sample, closing) and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
     return in_time and not is_sound(sample, closing, c)
 
 
 @compiled
-def remember(state: Any, closing: Any, c: Any) -> None:
+def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
     """Makes ``closing`` the last sample of ``state``."""
     sample = state.sample
     sample.known = interval_speeds(sample, closing, c, sample.speeds)
@@ -99,13 +108,13 @@ def remember(state: Any, closing: Any, c: Any) -> None:
 
 
 @compiled
-def _copy(source: Any, target: Any) -> None:
+def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
     target.left, target.right = source.left, source.right
     target.interval, target.differenced = source.interval, source.differenced
 
 
 @compiled
-def stand_still(speeds: Any) -> None:
+def stand_still(speeds: SpeedsRecord) -> None:
     """No motion."""
     speeds.left = speeds.right = speeds.interval = 0.0
     speeds.differenced = False

@@ -9,7 +9,9 @@ A laser that sees the same edges by the same beams errs alike in every scan, so 
 less: n fixes of one stand have together ρ R + (1 − ρ) R/n, and not R/n. Of the heading they share nothing.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,10 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import Motion
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
 FloatArray = NDArray[np.float64]
 
 _STANDING = int(Motion.STANDING)
@@ -26,7 +32,7 @@ _SWUNG = 0.1  # rad, beyond which what sits above is seen from another side
 
 
 @compiled
-def stands_still(state: Any, source: int, c: Any) -> bool:
+def stands_still(state: State, source: int, c: Config) -> bool:
     """Whether a sensor, whose fixes from one place share a part, stands where it was at the last."""
     stand, shares = state.stands[source], c.standing_share[source] > 0.0
     turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - stand.swing)) > _SWUNG
@@ -42,7 +48,7 @@ def repeats_stand(count: int, share: float) -> float:
 
 
 @compiled
-def count_fix(state: Any, source: int, alone: bool, R: FloatArray, c: Any) -> None:
+def count_fix(state: State, source: int, alone: bool, R: FloatArray, c: Config) -> None:
     """R of a fix that is used, ``alone`` or as one more of its stand; in place."""
     stand = state.stands[source]
     if alone:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How an estimate begins: with which measurement, and in which state; compiled into ``process``."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
@@ -24,6 +26,10 @@ from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import has_heading
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
 _OUTLIER_SHARE = 0.01  # of measurements of a source that nothing is known of
 _LEAN = 0.2  # rad, standard deviation of the tilt of ground that nobody has seen
 
@@ -31,7 +37,7 @@ _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE),
 
 
 @inlined
-def begin(window: Window, measurement: Any, c: Any) -> int:
+def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
     status, measurements = window.status[0], window.measurements
     entry = place_of(measurements, status.count, measurement)
@@ -66,7 +72,7 @@ def begin(window: Window, measurement: Any, c: Any) -> int:
 
 
 @inlined
-def _set_start(state: Any, measurement: Any, c: Any) -> None:
+def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """The state at the start; a heading that a fix does not have is that of the parameters."""
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     forget_attitude(state.attitude)

@@ -11,8 +11,10 @@
 Live node, replay, tuning, studies and smoother all make this step, and no other.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +50,10 @@ from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember
 from trackslip_estimation.slip.tilt import follow_ground, rise
 from trackslip_estimation.slip.update import use
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+
 FloatArray = NDArray[np.float64]
 
 _SETTLED = 0.2  # rad, standard deviation of a heading that is known
@@ -56,7 +62,9 @@ _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 
 @inlined
-def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> None:
+def step(
+    state: State, closing: MeasurementRecord, measurement: MeasurementRecord, c: Config, update: Update
+) -> None:
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
@@ -86,7 +94,7 @@ def step(state: Any, closing: Any, measurement: Any, c: Any, update: Any) -> Non
 
 
 @inlined
-def _follow_ground(state: Any, update: Any) -> None:
+def _follow_ground(state: State, update: Update) -> None:
     """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
     jumped = update.opened == MOVED or update.opened == FOLDED or update.opened == TURNED
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
@@ -95,14 +103,14 @@ def _follow_ground(state: Any, update: Any) -> None:
 
 
 @inlined
-def _settle_heading(state: Any) -> None:
+def _settle_heading(state: State) -> None:
     """Measurements have shown more of the heading than its share of the circle."""
     if state.is_sector and state.covariance[YAW, YAW] < _SETTLED**2:
         state.is_sector = False
 
 
 @inlined
-def follow_sprockets(state: Any, closing: Any, stamp_ns: int, c: Any) -> None:
+def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> None:
     """The state at ``stamp_ns``, as the sprockets and the model say; it coasts while they are silent."""
     if state.sample.seen and state.sample.stamp_ns == stamp_ns == state.stamp_ns:
         return  # at the sample: nothing passes
@@ -122,7 +130,7 @@ def follow_sprockets(state: Any, closing: Any, stamp_ns: int, c: Any) -> None:
 
 
 @compiled
-def coast(state: Any, dt: float, c: Any) -> None:
+def coast(state: State, dt: float, c: Config) -> None:
     """``dt`` s of silence later. Beyond the largest gap nothing grows: the pose is lost."""
     dt = min(dt, c.max_gap)
     if not state.coasting:
@@ -143,7 +151,7 @@ def coast(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def limit_heading(state: Any) -> None:
+def limit_heading(state: State) -> None:
     """An unknown heading has the variance of any on the circle, or of its share of it; in place."""
     P, most = state.covariance, UNKNOWN_HEADING if state.is_sector else ANY_HEADING
     if P[YAW, YAW] <= most * most:
@@ -156,14 +164,14 @@ def limit_heading(state: Any) -> None:
 
 
 @compiled
-def follow_tracks(state: Any, dt: float, c: Any) -> None:
+def follow_tracks(state: State, dt: float, c: Config) -> None:
     """Distance of the tracks, forward or not, after ``dt`` s more."""
     left, right = state.speeds.left, state.speeds.right
     state.ran += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
 
 
 @compiled
-def propagate(state: Any, dt: float, c: Any) -> None:
+def propagate(state: State, dt: float, c: Config) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean[: c.size], state.covariance[:]
     follow_motion(state, dt, c)
@@ -199,7 +207,7 @@ def propagate(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def place(state: Any, manual: Any) -> None:
+def place(state: State, manual: MeasurementRecord) -> None:
     """A manual pose for the estimated one; what else was learned stays."""
     x, P = state.mean, state.covariance
     for i in range(3):

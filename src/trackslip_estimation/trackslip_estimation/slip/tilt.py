@@ -10,8 +10,10 @@ The height follows the ground along the estimated way: the tracks', and what mea
 slips that nobody expected are climbed, or slid down, too.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.filter import climb, force_of, has_force, rise_of, use_sample
@@ -22,9 +24,13 @@ from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_twist
 from trackslip_estimation.slip.models.model import GYRO_SCALE, SWING, SWING_RATE, YAW, X, Y
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import EstimateRecord, MeasurementRecord, State
+
 
 @compiled
-def tilt_by(state: Any, measurement: Any, bias: int, c: Any) -> int:
+def tilt_by(state: State, measurement: MeasurementRecord, bias: int, c: Config) -> int:
     """The attitude at the stamp of a sample of its IMU; why its orientation was not used, 0 where it was.
 
     ``bias``: number of the state that is the bias of its gyro.
@@ -53,7 +59,7 @@ def tilt_by(state: Any, measurement: Any, bias: int, c: Any) -> int:
 
 
 @compiled
-def rise(state: Any, dt: float, c: Any) -> None:
+def rise(state: State, dt: float, c: Config) -> None:
     """The height ``dt`` s later, with the state's speeds."""
     if state.attitude.known == 1 and dt > 0.0:
         v_x, v_y, _ = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
@@ -61,7 +67,7 @@ def rise(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def follow_ground(state: Any, east: float, north: float) -> None:
+def follow_ground(state: State, east: float, north: float) -> None:
     """The height, where a measurement has moved the place by so much: it has shown a way along the ground."""
     if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
         ahead, left = _along_ground(state, east, north)
@@ -69,7 +75,7 @@ def follow_ground(state: Any, east: float, north: float) -> None:
 
 
 @compiled
-def _along_ground(state: Any, east: float, north: float) -> tuple[float, float]:
+def _along_ground(state: State, east: float, north: float) -> tuple[float, float]:
     """What is so long on the map, along the machine's axes on the ground: ahead and to its left."""
     level = state.attitude.level
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
@@ -78,7 +84,7 @@ def _along_ground(state: Any, east: float, north: float) -> tuple[float, float]:
 
 
 @compiled
-def _of_place(state: Any) -> float:
+def _of_place(state: State) -> float:
     """Variance of the height, m², by what the place errs by on the slope."""
     tilt, P = state.attitude.mean, state.covariance
     ahead, left = _along_ground(state, 1.0, 0.0)
@@ -89,7 +95,7 @@ def _of_place(state: Any) -> float:
 
 
 @compiled
-def fill_tilt(state: Any, estimate: Any) -> None:
+def fill_tilt(state: State, estimate: EstimateRecord) -> None:
     """What is published of the attitude, into a record of ``ESTIMATE`` that has its twist.
 
     The height errs by the slope times what the place errs by.

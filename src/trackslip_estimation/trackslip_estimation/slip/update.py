@@ -12,7 +12,9 @@ leaves alone. Poses, headings and swing angles are weighed by the bank (``weighi
 that widens (``gate``). What is refused leaves mean and covariance as they were.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
@@ -27,9 +29,13 @@ from trackslip_estimation.slip.records import HEADING, ODOMETRY, ON_SWING, POSE,
 from trackslip_estimation.slip.tilt import tilt_by
 from trackslip_estimation.slip.weighing import use_weighed
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+
 
 @inlined
-def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
+def use(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """The state, given the measurement."""
     kind = measurement.kind
     if kind in (POSE, HEADING, ON_SWING):
@@ -47,7 +53,7 @@ def use(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @compiled
-def observe(state: Any, measurement: Any, c: Any) -> Observation:
+def observe(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """What a measurement says of a state by itself; of odometry, which knows of two states, nothing."""
     kind = measurement.kind
     if kind == POSE:

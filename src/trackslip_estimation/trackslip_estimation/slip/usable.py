@@ -10,8 +10,10 @@ All limits stand here. What lies beyond them is no measurement of a ground vehic
 digits that it needs: 64 bits hold numbers to 1e-16 of the largest.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,10 @@ from trackslip_estimation.slip.records import (
     SPROCKETS,
     YAW_RATE,
 )
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +62,7 @@ _NO_ROTATION = int(Fault.NO_ROTATION)
 
 
 @compiled
-def fault_of(measurement: Any, c: Any) -> int:
+def fault_of(measurement: MeasurementRecord, c: Config) -> int:
     """``Fault`` of a record of ``MEASUREMENT``; 0 where it has none."""
     z, R, kind = measurement.value, measurement.noise, measurement.kind
     if kind == SPROCKETS:
@@ -74,7 +80,7 @@ def fault_of(measurement: Any, c: Any) -> int:
 
 
 @compiled
-def has_heading(measurement: Any) -> bool:
+def has_heading(measurement: MeasurementRecord) -> bool:
     """Whether a pose has a heading at all: a number, with a variance of an angle that is known."""
     variance = measurement.noise[2, 2]
     return bool(abs(measurement.value[2]) < LARGEST_ANGLE and 0.0 < variance <= math.pi**2) and (
@@ -105,7 +111,7 @@ def _of_variance(variance: float, largest: float) -> int:
 
 
 @compiled
-def _of_sprockets(measurement: Any) -> int:
+def _of_sprockets(measurement: MeasurementRecord) -> int:
     left, right = measurement.left_angle, measurement.right_angle
     fault = max(
         _of_number(measurement.left_speed, LARGEST_COUNT), _of_number(measurement.right_speed, LARGEST_COUNT)
@@ -116,7 +122,7 @@ def _of_sprockets(measurement: Any) -> int:
 
 
 @compiled
-def _of_imu(measurement: Any) -> int:
+def _of_imu(measurement: MeasurementRecord) -> int:
     fault = _of_number(measurement.value[0], FASTEST_TURN)
     for k in range(3):
         if k > 0:
@@ -126,7 +132,7 @@ def _of_imu(measurement: Any) -> int:
 
 
 @compiled
-def _of_pose(measurement: Any, c: Any) -> int:
+def _of_pose(measurement: MeasurementRecord, c: Config) -> int:
     """Of a fix: of its heading only where its source shows one, which may be as good as unknown."""
     z, R, source = measurement.value, measurement.noise, measurement.source
     fault = max(_of_number(z[0], FARTHEST), _of_number(z[1], FARTHEST))
@@ -140,7 +146,7 @@ def _of_pose(measurement: Any, c: Any) -> int:
 
 
 @compiled
-def _of_odometry(measurement: Any) -> int:
+def _of_odometry(measurement: MeasurementRecord) -> int:
     """A pose, and variances: none negative, zero where there is none."""
     norm = 0.0
     for k in range(3):

@@ -12,8 +12,10 @@ the gate. ``update.evidence`` is the log of that likelihood, by which the bank w
 coarse receiver have its offset in them (``correlated_errors``); a large innovation inflates that first.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +61,10 @@ from trackslip_estimation.slip.own_errors import (
 from trackslip_estimation.slip.records import HEADING, POSE
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+
 FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
@@ -79,7 +85,7 @@ def log_density_of_any_size(squared: float) -> float:
 
 
 @inlined
-def use_weighed(state: Any, measurement: Any, c: Any, update: Any) -> None:
+def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """Weigh a measurement, and update with it; arguments as in ``update``."""
     kind, source, fault = measurement.kind, measurement.source, state.fault[measurement.source]
     elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
@@ -121,7 +127,7 @@ def use_weighed(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @inlined
-def _observe(state: Any, measurement: Any, c: Any) -> Observation:
+def _observe(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     if measurement.kind == POSE:
         return observe_pose(state, measurement, c)
     if measurement.kind == HEADING:
@@ -130,7 +136,7 @@ def _observe(state: Any, measurement: Any, c: Any) -> Observation:
 
 
 @compiled
-def _correct(state: Any, measurement: Any, o: Observation, c: Any) -> None:
+def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Config) -> None:
     """The update; the machine turns about the sensor that has shown its place last."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     about = _turns_about(state, measurement, c)
@@ -144,7 +150,7 @@ def _correct(state: Any, measurement: Any, o: Observation, c: Any) -> None:
 
 
 @compiled
-def _turns_about(state: Any, measurement: Any, c: Any) -> int:
+def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int:
     """Source of poses whose sensor stays where it is as the heading, or the swing, is corrected; −1: none."""
     if measurement.kind == POSE:
         return int(measurement.source)
@@ -155,7 +161,7 @@ def _turns_about(state: Any, measurement: Any, c: Any) -> int:
 
 
 @compiled
-def _show_place(state: Any, source: int, o: Observation, elapsed: float, update: Any, c: Any) -> None:
+def _show_place(state: State, source: int, o: Observation, elapsed: float, update: Update, c: Config) -> None:
     """The place of base_link that a pose shows, and what precise fixes jitter by."""
     for axis in (X, Y):
         update.shown[axis] = o.innovation[axis] + state.mean[axis]
@@ -167,7 +173,9 @@ def _show_place(state: Any, source: int, o: Observation, elapsed: float, update:
 
 
 @compiled
-def _learn_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapsed: float, c: Any) -> None:
+def _learn_track_error(
+    state: State, innovation: FloatArray, S: FloatArray, elapsed: float, c: Config
+) -> None:
     """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
     if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= _LONGEST_WAY:
         return
@@ -185,7 +193,13 @@ def _learn_track_error(state: Any, innovation: FloatArray, S: FloatArray, elapse
 
 @inlined
 def _weigh(
-    state: Any, measurement: Any, o: Observation, predicted: FloatArray, outside: float, c: Any, update: Any
+    state: State,
+    measurement: MeasurementRecord,
+    o: Observation,
+    predicted: FloatArray,
+    outside: float,
+    c: Config,
+    update: Update,
 ) -> tuple[FloatArray, bool, bool]:
     """R (m, m) of a measurement, whether it is used, and whether it counts alone; fills in ``update``.
 
@@ -226,7 +240,7 @@ def _weigh(
 
 
 @compiled
-def _compare_with_last(state: Any, measurement: Any, update: Any) -> float:
+def _compare_with_last(state: State, measurement: MeasurementRecord, update: Update) -> float:
     """Squared distance to the source's fix before, m²; the fix becomes the last one."""
     last, z = state.last_fix[measurement.source], measurement.value
     again = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
@@ -256,7 +270,7 @@ def _density_of_scatter(kind: int, m: int) -> float:
 
 
 @compiled
-def _weigh_repeat(again: float, m: int, c: Any, update: Any) -> None:
+def _weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
     """Evidence of a source that repeats itself, by the squared distance to its fix before."""
     limit = c.gate_limits[YAW]
     update.dof, update.gate, update.nis = YAW, limit, again / _SAME**2
@@ -267,7 +281,7 @@ def _weigh_repeat(again: float, m: int, c: Any, update: Any) -> None:
 
 
 @compiled
-def _whiten(state: Any, innovation: FloatArray, S: FloatArray, update: Any) -> None:
+def _whiten(state: State, innovation: FloatArray, S: FloatArray, update: Update) -> None:
     """Innovation along and across the heading, over its standard deviation, for the CUSUM."""
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     along = cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]

@@ -9,14 +9,17 @@ A state is *settled* once it is older than the window: nothing that may still co
 where the estimate started, or the last state that was settled.
 """
 
-from typing import Any, NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import CLOCK, NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.correlated_errors import MASSES, MOST_RECEIVERS, RECEIVER
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
+from trackslip_estimation.slip.correlated_errors import MASSES, MOST_RECEIVERS, RECEIVER, Masses, Receiver
 from trackslip_estimation.slip.records import (
     BRANCH,
     ESTIMATE,
@@ -29,28 +32,40 @@ from trackslip_estimation.slip.records import (
     SPROCKETS,
     STATE,
     UPDATE,
+    Branch,
+    EstimateRecord,
+    EventRecord,
+    MeasurementRecord,
+    State,
+    Update,
 )
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
 
 Records = NDArray[np.void]
 
-WINDOW = np.dtype(
-    [
-        ("started", np.bool_),  # else it holds only the sprocket samples of late
-        ("frozen", np.bool_),  # poses are not wanted now
-        ("count", np.int64),  # entries in use
-        ("known", np.int64),  # of these, once started: how many have their state
-        ("restarts", np.int64),  # since the clock went back, not those a user asked for
-        ("published_ns", np.int64),  # stamp of the newest estimate
-        ("divergences", np.int64),  # how often a state was not finite, and the estimate began anew
-        ("scripted", np.bool_),  # one branch, whose events are those of the script
-        ("played", np.int64),  # events of the script so far
-        ("begun", np.int64),  # of these up to the first entry
-        ("pooled", np.int64),  # entries of the pool in use, while children are made
-        ("steps_left", np.int64),  # that further children may make
-        ("clock", CLOCK),
-    ],
-    align=True,
-)
+
+class Status(Record):
+    """Where a window stands."""
+
+    started: bool  # else it holds only the sprocket samples of late
+    frozen: bool  # poses are not wanted now
+    count: int  # entries in use
+    known: int  # of these, once started: how many have their state
+    restarts: int  # since the clock went back, not those a user asked for
+    published_ns: int  # stamp of the newest estimate
+    divergences: int  # how often a state was not finite, and the estimate began anew
+    scripted: bool  # one branch, whose events are those of the script
+    played: int  # events of the script so far
+    begun: int  # of these up to the first entry
+    pooled: int  # entries of the pool in use, while children are made
+    steps_left: int  # that further children may make
+    clock: Annotated[Any, CLOCK]
+
+
+WINDOW = dtype_of(Status)
+
 MOST_BRANCHES, POOL = 10, 64  # of the bank that stay; with children
 SPARE = 8  # entries that a full window still has; the last one is where an arrival waits for its place
 
@@ -58,26 +73,25 @@ SPARE = 8  # entries that a full window still has; the last one is where an arri
 class Window(NamedTuple):
     """The records of one estimator."""
 
-    status: Records  # (1,) of ``WINDOW``
-    measurements: Records  # (capacity,) of ``MEASUREMENT``
-    states: Records  # (MOST_BRANCHES, capacity) of ``STATE``; the most probable branch first
-    branches: Records  # (MOST_BRANCHES, capacity) of ``BRANCH``
+    status: Table[Status]  # (1,) of ``WINDOW``
+    measurements: Table[MeasurementRecord]  # (capacity,) of ``MEASUREMENT``
+    states: Table[State]  # (MOST_BRANCHES, capacity) of ``STATE``; the most probable branch first
+    branches: Table[Branch]  # (MOST_BRANCHES, capacity) of ``BRANCH``
     counts: NDArray[np.int64]  # (capacity,) branches of each entry
-    updates: Records  # (capacity,) of ``UPDATE``, of the first branch
-    trials: Records  # (MOST_BRANCHES,) of ``UPDATE``, of the others at the newest entry
-    pool_states: Records  # (POOL,) branches with children while they are weighed
-    pool_branches: Records
-    pool_updates: Records
-    receivers: Records  # (capacity, MOST_RECEIVERS) of ``RECEIVER``: what is known of the errors of fixes
-    masses: Records  # (capacity, MOST_RECEIVERS) of ``MASSES``; of receivers that gave coarse fixes
-    other: Records  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
-    script: Records  # (n,) of ``EVENT``
+    updates: Table[Update]  # (capacity,) of ``UPDATE``, of the first branch
+    trials: Table[Update]  # (MOST_BRANCHES,) of ``UPDATE``, of the others at the newest entry
+    pool_states: Table[State]  # (POOL,) branches with children while they are weighed
+    pool_branches: Table[Branch]
+    pool_updates: Table[Update]
+    receivers: Table[Receiver]  # (capacity, MOST_RECEIVERS) of ``RECEIVER``: errors of fixes
+    masses: Table[Masses]  # (capacity, MOST_RECEIVERS) of ``MASSES``; of receivers that gave coarse fixes
+    other: Table[EstimateRecord]  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
+    script: Table[EventRecord]  # (n,) of ``EVENT``
 
     @property
     def best(self) -> Records:
         """(capacity,) of ``STATE``, of the most probable branch."""
-        best: Records = self.states[0]
-        return best
+        return cast("Records", self.states[0])
 
     @property
     def count(self) -> int:  # type: ignore[override]  # of all tuples
@@ -88,20 +102,20 @@ class Window(NamedTuple):
 def make_window(capacity: int, script: Records | None = None) -> Window:
     """An empty one; ``script``: (n,) of ``EVENT``, by which it has one branch, and no event but these."""
     window = Window(
-        np.zeros(1, WINDOW),
-        np.zeros(capacity, MEASUREMENT),
-        np.zeros((MOST_BRANCHES, capacity), STATE),
-        np.zeros((MOST_BRANCHES, capacity), BRANCH),
+        make_table(Status, WINDOW, 1),
+        make_table(MeasurementRecord, MEASUREMENT, capacity),
+        make_table(State, STATE, MOST_BRANCHES, capacity),
+        make_table(Branch, BRANCH, MOST_BRANCHES, capacity),
         np.zeros(capacity, np.int64),
-        np.zeros(capacity, UPDATE),
-        np.zeros(MOST_BRANCHES, UPDATE),
-        np.zeros(POOL, STATE),
-        np.zeros(POOL, BRANCH),
-        np.zeros(POOL, UPDATE),
-        np.zeros((capacity, MOST_RECEIVERS), RECEIVER),
-        np.zeros((capacity, MOST_RECEIVERS), MASSES),
-        np.zeros(1, ESTIMATE),
-        np.zeros(0, EVENT) if script is None else script,
+        make_table(Update, UPDATE, capacity),
+        make_table(Update, UPDATE, MOST_BRANCHES),
+        make_table(State, STATE, POOL),
+        make_table(Branch, BRANCH, POOL),
+        make_table(Update, UPDATE, POOL),
+        make_table(Receiver, RECEIVER, capacity, MOST_RECEIVERS),
+        make_table(Masses, MASSES, capacity, MOST_RECEIVERS),
+        make_table(EstimateRecord, ESTIMATE, 1),
+        make_table(EventRecord, EVENT, 0) if script is None else cast("Table[EventRecord]", script),
     )
     window.status["scripted"] = script is not None
     window.status["published_ns"] = NEVER_NS
@@ -133,7 +147,7 @@ def copy_first(window: Window, other: Window) -> None:
 
 
 @compiled
-def is_weighed(measurement: Any) -> bool:
+def is_weighed(measurement: MeasurementRecord) -> bool:
     """Whether branches are weighed by a measurement."""
     kind = measurement.kind
     return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING))
@@ -167,7 +181,7 @@ def last_sample(measurements: Records, before: int) -> int:
 
 
 @compiled
-def precedes(a: Any, b: Any) -> bool:
+def precedes(a: MeasurementRecord, b: MeasurementRecord) -> bool:
     """The one order of all measurements: stamp, then kind, then source."""
     if a.stamp_ns != b.stamp_ns:
         return bool(a.stamp_ns < b.stamp_ns)
@@ -177,13 +191,13 @@ def precedes(a: Any, b: Any) -> bool:
 
 
 @compiled
-def is_same(a: Any, b: Any) -> bool:
+def is_same(a: MeasurementRecord, b: MeasurementRecord) -> bool:
     """Whether two measurements have the same place in it."""
     return not precedes(a, b) and not precedes(b, a)
 
 
 @compiled
-def place_of(measurements: Records, count: int, measurement: Any) -> int:
+def place_of(measurements: Records, count: int, measurement: MeasurementRecord) -> int:
     """Where a measurement belongs; after those that precede it."""
     k = count
     while k > 0 and not precedes(measurements[k - 1], measurement):
@@ -192,7 +206,7 @@ def place_of(measurements: Records, count: int, measurement: Any) -> int:
 
 
 @compiled
-def is_at(measurements: Records, count: int, k: int, measurement: Any) -> bool:
+def is_at(measurements: Records, count: int, k: int, measurement: MeasurementRecord) -> bool:
     """Whether the measurement, whose place is k, is there already."""
     return k < count and not precedes(measurement, measurements[k])
 
@@ -244,7 +258,7 @@ def keep_tail(window: Window) -> None:
 
 
 @compiled
-def horizon_ns(window: Window, c: Any) -> int:
+def horizon_ns(window: Window, c: Config) -> int:
     """Measurements before this stamp come too late: the start, or what is settled."""
     status = window.status[0]
     if not status.started:
@@ -260,7 +274,7 @@ def is_full(window: Window) -> bool:
 
 
 @compiled
-def trim(window: Window, c: Any) -> bool:
+def trim(window: Window, c: Config) -> bool:
     """Let settled entries go, but for the one that the window stands on; whether there is room again."""
     status = window.status[0]
     settled, kept_samples = 0, 0 if status.started else 2

@@ -98,7 +98,7 @@ def _estimates(window: Window, config: Records) -> Records:
 
 @compiled
 def _smooth_back(window: Window, last: int, config: Records) -> None:
-    c, states = config[0], window.states[0]
+    c, states = config[0], window.best
     n = c.size
     x, P = states[last].mean[:n].copy(), states[last].covariance[:n, :n].copy()
     for k in range(last, 0, -1):

@@ -7,8 +7,10 @@ measurement before, or since the snapshot, from which the child makes its steps 
 likely at every place, or for every angle, has the density of that.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.pool import to_pool, update_of
@@ -49,6 +51,10 @@ from trackslip_estimation.slip.records import HEADING, HISTORY, MOST_SOURCES, ON
 from trackslip_estimation.slip.weighing import log_density_of_any_size
 from trackslip_estimation.slip.window import POOL, Window
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
 _SPAWNS = 4.0  # w below the best of a branch that has no children
 _DRIFT, _LIMIT = 0.5, 5.0  # of the CUSUM, in standard deviations
 _LARGEST = 3.0  # standard deviations of one innovation in the CUSUM
@@ -66,7 +72,7 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 
 @compiled
-def propose(window: Window, k: int, c: Any) -> int:
+def propose(window: Window, k: int, c: Config) -> int:
     """Weigh the branches of row k, and put the children of those that it contradicts into the pool.
 
     Returns the number of branches and children; the branches are in the pool, too, if there is more than one
@@ -91,7 +97,7 @@ def propose(window: Window, k: int, c: Any) -> int:
 
 
 @compiled
-def _pay(window: Window, s: int, k: int, c: Any) -> None:
+def _pay(window: Window, s: int, k: int, c: Config) -> None:
     """What branch s of row k pays for a fault that lasts and for a slip that no track has; its CUSUM."""
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
@@ -109,7 +115,7 @@ def _pay(window: Window, s: int, k: int, c: Any) -> None:
 
 
 @compiled
-def outside_range(state: Any, c: Any) -> float:
+def outside_range(state: State, c: Config) -> float:
     """By how much less likely a branch is whose i₀ no track can have."""
     if not has_velocity_errors(c):
         return 0.0
@@ -120,7 +126,7 @@ def outside_range(state: Any, c: Any) -> float:
 
 
 @compiled
-def _contradicts(window: Window, s: int, k: int, c: Any) -> bool:
+def _contradicts(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether measurement k is not what branch s predicts."""
     before, update = window.states[s, k - 1], update_of(window, s, k)
     limit, fault = c.gate_limits[update.dof] / 2.0, before.fault[window.measurements[k].source]
@@ -128,7 +134,7 @@ def _contradicts(window: Window, s: int, k: int, c: Any) -> bool:
 
 
 @compiled
-def _wants_children(window: Window, s: int, k: int, c: Any) -> bool:
+def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether branch s of row k has children."""
     measurement, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
     fault, update = before.fault[measurement.source], update_of(window, s, k)
@@ -145,7 +151,7 @@ def _wants_children(window: Window, s: int, k: int, c: Any) -> bool:
 
 
 @compiled
-def _may_fold(window: Window, s: int, k: int, c: Any) -> bool:
+def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     if s != 0 or before.fault[source] != IS_OFFSET or c.offsets[source] < 0:
@@ -160,7 +166,7 @@ def _may_fold(window: Window, s: int, k: int, c: Any) -> bool:
 
 
 @compiled
-def _have_children(window: Window, p: int, k: int, c: Any) -> None:
+def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at measurement k."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k)
@@ -196,13 +202,13 @@ def _log_time(window: Window, p: int, k: int) -> float:
 
 
 @compiled
-def _correlated_penalty(window: Window, p: int, k: int, c: Any) -> float:
+def _correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
     """By which w of events of the machine is less, where fixes of the source err to one side."""
     return _OF_CORRELATED if is_correlated(window.states[p, k - 1], window.measurements[k].source, c) else 0.0
 
 
 @compiled
-def _jump(window: Window, p: int, k: int, c: Any) -> None:
+def _jump(window: Window, p: int, k: int, c: Config) -> None:
     """Children in which the source, or the machine, jumped just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, now = m.source, _log_time(window, p, k)
@@ -224,7 +230,7 @@ def _jump(window: Window, p: int, k: int, c: Any) -> None:
 
 @compiled
 def _have_earlier_children(
-    window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Any
+    window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
 ) -> None:
     """Children in which an event happened since the snapshot, and shows in a fix now."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
@@ -258,7 +264,7 @@ def _driven_since(window: Window, p: int, k: int) -> float:
 
 
 @compiled
-def _have_angle_children(window: Window, p: int, k: int, c: Any) -> None:
+def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at a heading or an angle of the upper structure that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, now = m.source, _log_time(window, p, k)
@@ -276,7 +282,7 @@ def _have_angle_children(window: Window, p: int, k: int, c: Any) -> None:
 
 @compiled
 def _child(
-    window: Window, p: int, k: int, event: int, part: int, since: bool, log_prior: float, c: Any
+    window: Window, p: int, k: int, event: int, part: int, since: bool, log_prior: float, c: Config
 ) -> None:
     """A child of branch p in the pool: an event was just before measurement k, or ``since`` the snapshot.
 

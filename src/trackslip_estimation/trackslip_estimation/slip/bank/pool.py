@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pool: branches of one row and their children, merged where alike, pruned where improbable; compiled."""
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,13 +17,17 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
 from trackslip_estimation.slip.window import MOST_BRANCHES, Window
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State, Update
+
 _PRUNED = 10.0  # w below the best that is pruned
 _LEAST_SOUND = 9.0  # w below the best that the last branch without a fault has at the least
 _ALIKE = 0.05  # mean squared distance of two branches that are one
 
 
 @compiled
-def update_of(window: Window, s: int, k: int) -> Any:
+def update_of(window: Window, s: int, k: int) -> Update:
     """Record of ``UPDATE`` of branch s of row k, the newest one."""
     return window.updates[k] if s == 0 else window.trials[s]
 
@@ -103,7 +109,7 @@ def _heaviest(window: Window, count: int) -> int:
 
 
 @compiled
-def merge(window: Window, count: int, c: Any) -> None:
+def merge(window: Window, count: int, c: Config) -> None:
     """Of two branches of the pool that are alike, the more probable one, with the weight of both."""
     branches = window.pool_branches
     for a in range(count):
@@ -116,7 +122,7 @@ def merge(window: Window, count: int, c: Any) -> None:
 
 
 @compiled
-def _are_alike(a: Any, b: Any, c: Any) -> bool:
+def _are_alike(a: State, b: State, c: Config) -> bool:
     """Whether two states make the same assumptions of the sources, and differ by little."""
     total, n = 0.0, 0
     for k in range(MOST_SOURCES):
@@ -135,7 +141,7 @@ def _are_alike(a: Any, b: Any, c: Any) -> bool:
 
 
 @compiled
-def _distance(a: Any, b: Any, i: int) -> float:
+def _distance(a: State, b: State, i: int) -> float:
     """Squared distance of state i, over the sum of its variances; infinite where these differ much."""
     d = a.mean[i] - b.mean[i]
     if i in (YAW, SWING):

@@ -6,8 +6,10 @@ It belongs to a row, not to a branch: the way that fixes are compared with is th
 (``correlated_errors``).
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
@@ -19,19 +21,23 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.own_errors import number_of
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
 _DRIVEN = 0.05  # m of the tracks, with which a heading shows in the place
 
 
 @compiled
-def take_errors(state: Any, receivers: Any, c: Any) -> None:
-    """What is known of the errors of fixes, for the next step."""
+def take_errors(state: State, window: Window, k: int, c: Config) -> None:
+    """What row k knows of the errors of fixes, for the next step."""
     for n in range(c.poses):
-        offset, of = state.offsets[n], receivers[n]
+        offset, of = state.offsets[n], window.receivers[k, n]
         offset.f, offset.g, offset.time, offset.observed = of.f, of.g, of.time, of.observed
 
 
 @compiled
-def follow_receivers(window: Window, k: int, c: Any) -> None:
+def follow_receivers(window: Window, k: int, c: Config) -> None:
     """What row k knows of the errors of fixes, by the way of the most probable branch before it.
 
     While it drives with an unknown heading there is no way to compare them with.
@@ -73,7 +79,7 @@ def heading_variance(window: Window, k: int) -> float:
 
 
 @compiled
-def add_first_fix(window: Window, c: Any) -> None:
+def add_first_fix(window: Window, c: Config) -> None:
     """A coarse fix with which the estimate begins is the first that its receiver's masses know."""
     state, m = window.states[0, 0], window.measurements[0]
     number = number_of(m.source, c) if is_weighed(m) else -1

@@ -16,8 +16,10 @@ late measurement makes the rows after its place again, and replay equals live bi
 Source: Gaussian sum filter with change points; Willsky & Jones (1976).
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.children import outside_range, propose
@@ -41,13 +43,17 @@ from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
 _CALM = 1.5  # standard deviations: a CUSUM below it agrees
 _LOOK_BACK = 8  # measurements, of which one began whatever shows now
 LOOK_BACK_NS = 5_000_000_000
 
 
 @inlined
-def make_row(window: Window, k: int, closing: int, c: Any) -> None:
+def make_row(window: Window, k: int, closing: int, c: Config) -> None:
     """Row k from the row before it; ``closing``: entry of the next sprocket sample.
 
     First the branches there are make their step, then the children that these have run up to here. With a
@@ -69,7 +75,7 @@ def make_row(window: Window, k: int, closing: int, c: Any) -> None:
             if scripted:
                 play_script(window, k, 0, c)
         for i in range(branch.first, k + 1):
-            take_errors(state, window.receivers[i - 1], c)
+            take_errors(state, window, i - 1, c)
             if closes < i or i == branch.first:
                 closes = closing if i == k else next_sample(measurements, i, entries)
             sample = measurements[closes if closes < entries else i]
@@ -91,12 +97,12 @@ def make_row(window: Window, k: int, closing: int, c: Any) -> None:
 
 
 @compiled
-def begin_row(window: Window, k: int, c: Any) -> None:
+def begin_row(window: Window, k: int, c: Config) -> None:
     """One branch at entry k, where the estimate begins."""
     window.counts[k] = 1
     for n in range(c.poses):
         reset_receiver(window.receivers[k, n])
-    take_errors(window.states[0, k], window.receivers[k], c)
+    take_errors(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
     branch.weight = branch.snapshot_weight = 0.0
     branch.events = 0
@@ -106,7 +112,7 @@ def begin_row(window: Window, k: int, c: Any) -> None:
 
 
 @compiled
-def split_unknown_heading(window: Window, k: int, c: Any) -> None:
+def split_unknown_heading(window: Window, k: int, c: Config) -> None:
     """A first branch of row k that drives with an unknown heading becomes one for each share of the circle.
 
     At rest nothing depends on the heading.
@@ -131,13 +137,13 @@ def split_unknown_heading(window: Window, k: int, c: Any) -> None:
 
 
 @compiled
-def _drives(state: Any) -> bool:
+def _drives(state: State) -> bool:
     """Whether the tracks move, as far as it is known."""
     return bool(not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0))
 
 
 @compiled
-def _take_sector(window: Window, h: int, part: int, k: int, c: Any) -> None:
+def _take_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
     """Branch h of the pool gets a share of the circle for its heading."""
     state, branch, measurement = window.pool_states[h], window.pool_branches[h], window.measurements[k]
     source = latest_pose_source(state, c)
@@ -148,7 +154,7 @@ def _take_sector(window: Window, h: int, part: int, k: int, c: Any) -> None:
 
 
 @compiled
-def settle_row(window: Window, k: int, jobs: int, c: Any) -> None:
+def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
     """Row k of the branches and children that ran, ``jobs`` in all: merged and pruned."""
     measurement, count = window.measurements[k], window.counts[k]
     if jobs > 1:
@@ -167,7 +173,7 @@ def settle_row(window: Window, k: int, jobs: int, c: Any) -> None:
 
 
 @compiled
-def _move_snapshots(window: Window, k: int, c: Any) -> None:
+def _move_snapshots(window: Window, k: int, c: Config) -> None:
     """Branches that agree with measurement k, or have looked back for long enough, look back to it only."""
     measurement = window.measurements[k]
     for s in range(window.counts[k]):

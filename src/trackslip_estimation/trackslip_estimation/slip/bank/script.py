@@ -2,17 +2,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of a branch: written down as they happen, played again on a scripted run; compiled."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.events import IS_IGNORED, IS_SOUND, apply_event
 from trackslip_estimation.slip.records import HISTORY
 from trackslip_estimation.slip.window import Window
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import Branch, MeasurementRecord
+
 
 @compiled
 def remember(
-    branch: Any, event: int, source: int, part: int, value: float, decides: Any, steps: Any, after: int
+    branch: Branch,
+    event: int,
+    source: int,
+    part: int,
+    value: float,
+    decides: MeasurementRecord,
+    steps: MeasurementRecord,
+    after: int,
 ) -> None:
     """One more event of a branch, which explains ``decides`` and opens states at the step to ``steps``."""
     e = branch.history[branch.events % HISTORY]
@@ -22,7 +35,7 @@ def remember(
 
 
 @compiled
-def play_script(window: Window, k: int, after: int, c: Any) -> None:
+def play_script(window: Window, k: int, after: int, c: Config) -> None:
     """The script's events before, or after, the step to measurement k, on the only branch."""
     script, status, m = window.script, window.status[0], window.measurements[k]
     state, update = window.states[0, k], window.updates[k]

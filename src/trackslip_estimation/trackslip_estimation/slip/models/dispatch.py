@@ -14,10 +14,12 @@ Noise densities are in continuous time, so that splitting a step does not change
 below the pose, but for what the swing moves.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,10 @@ from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
 from trackslip_estimation.slip.models.turning import TurningNoise
 from trackslip_estimation.slip.motion import Motion
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +73,7 @@ class ModelParameters(Parameters):
 
 
 @compiled
-def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float, float]:
+def twist(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float, float]:
     """v_x m/s, v_y m/s, yaw rate rad/s of C."""
     if c.model == _TURNING:
         return turning.twist(x, left, right, c)
@@ -77,7 +83,7 @@ def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, floa
 
 
 @compiled
-def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(3, n) derivative of ``twist`` by the state."""
     if c.model == _TURNING:
         return turning.twist_jacobian(x, left, right, c)
@@ -87,13 +93,15 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
 
 
 @compiled
-def body_twist(x: FloatArray, left: float, right: float, drive: Any, c: Any) -> tuple[float, float, float]:
+def body_twist(
+    x: FloatArray, left: float, right: float, drive: State, c: Config
+) -> tuple[float, float, float]:
     """``twist`` on the ground as it lies, in the machine's axes."""
     return slope.slide(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
 
 
 @compiled
-def body_jacobian(x: FloatArray, left: float, right: float, drive: Any, c: Any) -> FloatArray:
+def body_jacobian(x: FloatArray, left: float, right: float, drive: State, c: Config) -> FloatArray:
     """(3, n) derivative of ``body_twist`` by the state."""
     J = twist_jacobian(x, left, right, c)
     slope.slide_jacobian(J, (left, right), drive.attitude.level, c)
@@ -102,14 +110,16 @@ def body_jacobian(x: FloatArray, left: float, right: float, drive: Any, c: Any) 
 
 @compiled
 def horizontal_twist(
-    x: FloatArray, left: float, right: float, drive: Any, c: Any
+    x: FloatArray, left: float, right: float, drive: State, c: Config
 ) -> tuple[float, float, float]:
     """What of it is horizontal: speeds along the heading and to its left, and rate of the heading."""
     return slope.horizontal(body_twist(x, left, right, drive, c), drive.attitude.level)
 
 
 @compiled
-def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Any) -> FloatArray:
+def slips(
+    x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Config
+) -> FloatArray:
     """(3,) left slip, right slip, slip angle, where the twist is ``twist_``."""
     if c.model == _FREE_SLIPS:
         return free_slips.slips(x)
@@ -118,7 +128,7 @@ def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right:
 
 @compiled
 def slips_jacobian(
-    x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Any
+    x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Config
 ) -> FloatArray:
     """(3, n) derivative of ``slips`` by the state, where that of the twist is J."""
     if c.model == _FREE_SLIPS:
@@ -127,26 +137,26 @@ def slips_jacobian(
 
 
 @compiled
-def has_velocity_errors(c: Any) -> bool:
+def has_velocity_errors(c: Config) -> bool:
     """Whether speed and yaw rate beyond the equations are states."""
     return bool(c.model != _FREE_SLIPS)
 
 
 @compiled
-def couple(P: FloatArray, variance: float, c: Any) -> None:
+def couple(P: FloatArray, variance: float, c: Config) -> None:
     """What else of P (n, n) follows from a ``variance`` that the first of the turning pair has, in place."""
     if c.model == _TURNING:
         turning.couple(P, variance)
 
 
 @compiled
-def _persistence(dt: float, drive: Any, c: Any) -> tuple[float, float]:
+def _persistence(dt: float, drive: State, c: Config) -> tuple[float, float]:
     """Share of the velocity errors that is left after dt, and the mean share over it."""
     return speed.persistence(dt, drive.motion.motion, c) if has_velocity_errors(c) else (1.0, 1.0)
 
 
 @compiled
-def move(x: FloatArray, drive: Any, dt: float, c: Any) -> FloatArray:
+def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
     """f: the heading halfway through the step turns the velocity into the site frame."""
     kept, share = _persistence(dt, drive, c)
     moved = x.copy()
@@ -168,14 +178,14 @@ def move(x: FloatArray, drive: Any, dt: float, c: Any) -> FloatArray:
 
 
 @compiled
-def error_left(i: int, dt: float, c: Any) -> float:
+def error_left(i: int, dt: float, c: Config) -> float:
     """Share of the number ``i`` of the state, an error of a sensor, that is left after dt."""
     return math.exp(-dt / c.error_times[i]) if c.error_times[i] > 0.0 else 1.0
 
 
 @compiled
 def linearize(
-    x: FloatArray, P: FloatArray, drive: Any, dt: float, c: Any
+    x: FloatArray, P: FloatArray, drive: State, dt: float, c: Config
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """f, F and Q of a step, worked out together.
 

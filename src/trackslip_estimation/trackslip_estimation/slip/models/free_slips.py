@@ -16,19 +16,23 @@
 Noise densities are in continuous time, so that splitting a step does not change what it adds.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
 from trackslip_estimation.slip.motion import Motion, MotionState
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+
 
 CODE, NAME, ACTIVE = 0, "free_slips", 7
 NOISE = "noise"  # field of ``ModelParameters``
@@ -38,7 +42,15 @@ PARTS = (
     Part("slips", slice(LEFT_SLIP, RIGHT_SLIP + 1), "1, 1", "longitudinal slip of the left and right track"),
     Part("slip_angle", slice(SLIP_ANGLE, SLIP_ANGLE + 1), "rad", "direction of the velocity, left of x"),
 )
-CONSTANTS = np.dtype([("encoder", np.float64)], align=True)  # (3.21), √s
+
+
+class FreeSlipsConstants(Record):
+    """(3.21), √s."""
+
+    encoder: float
+
+
+CONSTANTS = dtype_of(FreeSlipsConstants)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +100,7 @@ def constants(n: SlipNoise) -> dict[str, float]:
 
 
 @compiled
-def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float, float]:
+def twist(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float, float]:
     """v_x m/s, v_y m/s, φ̇ rad/s of C (3.17)–(3.19)."""
     v_left = c.rolling_radius * left * (1.0 - x[LEFT_SLIP])
     v_right = c.rolling_radius * right * (1.0 - x[RIGHT_SLIP])
@@ -97,7 +109,7 @@ def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, floa
 
 
 @compiled
-def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(3, SIZE) derivative of ``twist`` by the state."""
     J = np.zeros((3, x.size))
     tan = math.tan(x[SLIP_ANGLE])
@@ -111,7 +123,7 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArr
 
 
 @compiled
-def twist_by_speed(x: FloatArray, c: Any) -> FloatArray:
+def twist_by_speed(x: FloatArray, c: Config) -> FloatArray:
     """(3, 2) derivative of ``twist`` by (ω_L, ω_R)."""
     left = c.rolling_radius * (1.0 - x[LEFT_SLIP])
     right = c.rolling_radius * (1.0 - x[RIGHT_SLIP])

@@ -8,8 +8,10 @@ Symbols else: ``speed``. Without slip y_L = B/2 and y_R = −B/2. Suits wheels, 
 tracks change sides with the sense of the turn, and run away on weak soil.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,9 @@ from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.model import Part, Prior
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, SpeedNoise, noise_scale
 from trackslip_estimation.slip.motion import Motion, MotionState
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
 
 FloatArray = NDArray[np.float64]
 
@@ -63,7 +68,7 @@ def velocity_error_constants(n: IcrNoise) -> dict[str, float]:
 
 
 @compiled
-def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
+def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
     """v in m/s and ω in rad/s but for the velocity errors: r ω_j (1 − i₀) = v − ω y_j solved for them."""
     hold = c.rolling_radius * (1.0 - x[COMMON_SLIP])
     rate = hold * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _NARROWEST)
@@ -71,14 +76,14 @@ def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, 
 
 
 @compiled
-def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float, float]:
+def twist(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float, float]:
     """v_x m/s, v_y m/s, ω rad/s of C."""
     v, rate = equations(x, left, right, c)
     return speed.twist(x, v, rate)
 
 
 @compiled
-def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(3, SIZE) derivative of ``twist`` by the state."""
     J = np.zeros((3, x.size))
     apart, middle = x[LEFT_CENTRE] - x[RIGHT_CENTRE], (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0

@@ -12,18 +12,24 @@ it runs on the spot for a centimetre or two until it thrusts as much as the mach
 acceleration takes; K is not known here. So a share 1 − s_j sgn ω_j of a track's speed may be an error.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.motion import Motion
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 _STANDING = int(Motion.STANDING)
 _BUILT = 1e-4  # of the shear is missing where it counts as built up: after nine times K₀
 
 
 @compiled
-def build_up(state: Any, dt: float, c: Any) -> None:
+def build_up(state: State, dt: float, c: Config) -> None:
     """s ``dt`` s later, with the state's speeds and motion."""
     built = state.shear
     if state.motion.motion == _STANDING:
@@ -37,7 +43,7 @@ def build_up(state: Any, dt: float, c: Any) -> None:
 
 
 @compiled
-def starts(drive: Any, c: Any) -> bool:
+def starts(drive: State, c: Config) -> bool:
     """Whether a track that turns has hardly sheared the soil yet."""
     left, right = lost_speeds(drive, c)
     way = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
@@ -45,14 +51,14 @@ def starts(drive: Any, c: Any) -> bool:
 
 
 @compiled
-def lost_speeds(drive: Any, c: Any) -> tuple[float, float]:
+def lost_speeds(drive: State, c: Config) -> tuple[float, float]:
     """What of the left and the right track's speed may go into the soil, m/s."""
     left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
     return left - abs(left) * drive.shear[0], right - abs(right) * drive.shear[1]
 
 
 @compiled
-def lost_variances(drive: Any, c: Any) -> tuple[float, float]:
+def lost_variances(drive: State, c: Config) -> tuple[float, float]:
     """Of what that takes from v, (m/s)², and from ω times B, alike in both tracks but for a share.
 
     Lasting for τ, the errors move a machine that starts or turns back by K₀, one standard deviation, and by

@@ -22,8 +22,10 @@ in another the less, the larger k is (``meet_direction``). Horizontal is
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,11 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import DOWNHILL, YAW
 from trackslip_estimation.slip.models.speed import FIRST, ROTATION_OFFSET, SECOND
+
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Level
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
 FloatArray = NDArray[np.float64]
 Twist = tuple[float, float, float]
@@ -44,7 +51,7 @@ _WALKS = 0.5, 0.75, 0.25  # of κ, η and x_I in turns, by the sine of the slope
 
 
 @compiled
-def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Any, c: Any) -> Twist:
+def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level, c: Config) -> Twist:
     """The twist with what gravity adds; ``speeds`` are those of the sprockets, rad/s."""
     if level.tilted == 0:
         return twist
@@ -54,7 +61,7 @@ def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Any, 
 
 
 @compiled
-def slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Any, c: Any) -> None:
+def slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Level, c: Config) -> None:
     """J (3, n), the derivative of the twist, with that of what gravity adds."""
     if level.tilted == 1:
         J[0, DOWNHILL] = track_speed(speeds, c) * level.downhill_x
@@ -62,21 +69,21 @@ def slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Any, c: An
 
 
 @compiled
-def track_speed(speeds: tuple[float, float], c: Any) -> float:
+def track_speed(speeds: tuple[float, float], c: Config) -> float:
     """U."""
     U: float = c.rolling_radius * (abs(speeds[0]) + abs(speeds[1])) / 2.0
     return U
 
 
 @compiled
-def turn_speed(speeds: tuple[float, float], c: Any) -> float:
+def turn_speed(speeds: tuple[float, float], c: Config) -> float:
     """T; the rounding of the counts is no turn."""
     D, U = c.rolling_radius * abs(speeds[1] - speeds[0]), track_speed(speeds, c)
     return D * D / (D + _GENTLE_TURN * U) if D > 0.0 else 0.0
 
 
 @compiled
-def horizontal(twist: Twist, level: Any) -> Twist:
+def horizontal(twist: Twist, level: Level) -> Twist:
     """Speeds along the heading and to its left, m/s, and rate of the heading, rad/s."""
     if level.tilted == 0:
         return twist
@@ -86,7 +93,7 @@ def horizontal(twist: Twist, level: Any) -> Twist:
 
 
 @compiled
-def horizontal_jacobian(J: FloatArray, level: Any) -> None:
+def horizontal_jacobian(J: FloatArray, level: Level) -> None:
     """J (3, n) of the twist becomes that of ``horizontal``."""
     if level.tilted == 0:
         return
@@ -97,7 +104,7 @@ def horizontal_jacobian(J: FloatArray, level: Any) -> None:
 
 
 @compiled
-def meet_direction(state: Any) -> None:
+def meet_direction(state: State) -> None:
     """Where the tracks drive down what they drove up, or aside, k is another one: the softer, the more."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
     if V == 0.0 or level.tilted == 0:
@@ -112,7 +119,7 @@ def meet_direction(state: Any) -> None:
 
 
 @compiled
-def set_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Any) -> None:
+def set_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None:
     """What the heading errs by as roll and gyro err; k, which shows on slopes only, changes there only."""
     slope = level.downhill_x**2 + level.downhill_y**2
     Q[DOWNHILL, DOWNHILL] *= slope / (slope + _GENTLE**2)

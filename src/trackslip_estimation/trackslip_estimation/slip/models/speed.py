@@ -28,15 +28,17 @@ speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and the machi
 are silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves, and hold.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.slip.models.model import (
     COMMON,
     DOWNHILL,
@@ -53,7 +55,10 @@ from trackslip_estimation.slip.models.model import (
 from trackslip_estimation.slip.models.shear import lost_variances
 from trackslip_estimation.slip.motion import Motion, MotionState
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
 
 SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
@@ -65,22 +70,26 @@ PARTS = (
     Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation x_I"),
     Part("downhill_slip", slice(DOWNHILL, DOWNHILL + 1), "1", "speed downhill over that of the tracks, k"),
 )
-CONSTANTS = np.dtype(
-    [
-        ("straight", np.float64),  # share of V
-        ("turning", np.float64),  # share of D
-        ("changing", np.float64),  # share of d
-        ("standing", np.float64),  # m/s
-        ("yielding_slip", np.float64),
-        ("yaw_rate_ratio", np.float64),
-        ("time", np.float64),  # τ, s
-        ("start_shear", np.float64),  # m
-        ("first_variance", np.float64),  # of the turning pair, on ground not known yet
-        ("second_variance", np.float64),
-        ("slip_variance", np.float64),  # of i₀
-    ],
-    align=True,
-)
+
+
+class SpeedConstants(Record):
+    """Parameters of the velocity errors."""
+
+    straight: float  # share of V
+    turning: float  # share of D
+    changing: float  # share of d
+    standing: float  # m/s
+    yielding_slip: float
+    yaw_rate_ratio: float
+    time: float  # τ, s
+    start_shear: float  # m
+    first_variance: float  # of the turning pair, on ground not known yet
+    second_variance: float
+    slip_variance: float  # of i₀
+
+
+CONSTANTS = dtype_of(SpeedConstants)
+
 _DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
 _CREEP = _SLOWEST / 2.0  # m/s, of a track below that
@@ -181,7 +190,7 @@ def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
 
 
 @compiled
-def persistence(dt: float, motion: int, c: Any) -> tuple[float, float]:
+def persistence(dt: float, motion: int, c: Config) -> tuple[float, float]:
     """Share of a velocity error that is left after dt, ρ, and the mean share over it, (1 − ρ) τ/dt."""
     a = dt / c.velocity_errors.time
     if motion == _SILENT or a <= 0.0:
@@ -191,7 +200,7 @@ def persistence(dt: float, motion: int, c: Any) -> tuple[float, float]:
 
 
 @compiled
-def error_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
+def error_growth(dt: float, motion: int, c: Config) -> tuple[float, float, float]:
     """What dt adds to an error of size 1: variance of its mean over dt, covariance with its end, variance."""
     a = dt / c.velocity_errors.time
     if motion == _SILENT or a <= 0.0:
@@ -209,7 +218,7 @@ def error_growth(dt: float, motion: int, c: Any) -> tuple[float, float, float]:
 
 
 @compiled
-def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[float, float]:
+def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tuple[float, float]:
     """Of m_v, (m/s)², and of m_ω, (rad/s)²; expected, as far as i₀ is known.
 
     Speeds that are only taken to go on may have changed since (``coasting``).
@@ -234,7 +243,7 @@ def error_variances(x: FloatArray, P: FloatArray, drive: Any, c: Any) -> tuple[f
 
 
 @compiled
-def track_exposure(drive: Any, c: Any) -> float:
+def track_exposure(drive: State, c: Config) -> float:
     """U."""
     left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
     departure = c.rolling_radius * drive.motion.departure
@@ -243,7 +252,7 @@ def track_exposure(drive: Any, c: Any) -> float:
 
 
 @compiled
-def add_track_error(Q: FloatArray, heading: float, dt: float, drive: Any, c: Any) -> None:
+def add_track_error(Q: FloatArray, heading: float, dt: float, drive: State, c: Config) -> None:
     """What the tracks' errors add to Q (n, n) beside the velocity errors: a walk of i₀, and sideways motion.
 
     Sideways it is white, over steps longer than τ.
@@ -262,7 +271,9 @@ def add_track_error(Q: FloatArray, heading: float, dt: float, drive: Any, c: Any
 
 
 @compiled
-def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Any) -> FloatArray:
+def slips(
+    x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Config
+) -> FloatArray:
     """(3,) i_L, i_R, α from the twist and the sprockets.
 
     Of a track that stands all that is known is that it turns slowly: it skids where the machine drags it
@@ -285,7 +296,7 @@ def slips(x: FloatArray, twist_: tuple[float, float, float], left: float, right:
 
 @compiled
 def slips_jacobian(
-    x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Any
+    x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Config
 ) -> FloatArray:
     """(3, n) derivative of ``slips`` at the sprockets' ``speeds``, by that of the twist, J (3, n)."""
     v_x, v_y, rate = twist_

@@ -18,34 +18,39 @@ Tracks turn about where they are loaded: x_I goes with the centre of gravity, by
 by what arm and bucket do meanwhile (measured on the shear truth: x_I goes as far).
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
 from trackslip_estimation.slip.models.speed import ROTATION_OFFSET
 from trackslip_estimation.slip.motion import Motion
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
 
-CONSTANTS = np.dtype(
-    [
-        ("fastest", np.float64),  # ω̂
-        ("free_density", np.float64),  # q
-        ("free_time", np.float64),  # τ, s
-        ("held_density", np.float64),
-        ("held_time", np.float64),
-        ("balance", np.float64),  # g
-        ("balance_density", np.float64),  # variance of x_I by the angle swung, m²/rad
-    ],
-    align=True,
-)
+
+class SwingConstants(Record):
+    """Parameters of the swing."""
+
+    fastest: float  # ω̂
+    free_density: float  # q
+    free_time: float  # τ, s
+    held_density: float
+    held_time: float
+    balance: float  # g
+    balance_density: float  # variance of x_I by the angle swung, m²/rad
+
+
+CONSTANTS = dtype_of(SwingConstants)
+
 _SWINGS = 0.05  # rad/s, beyond which it does so whatever the tracks do
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 
@@ -93,13 +98,13 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 
 @compiled
-def is_held(drive: Any) -> bool:
+def is_held(drive: State) -> bool:
     """Whether the tracks drive, so that it hardly swings."""
     return bool(drive.motion.motion == _STRAIGHT or drive.motion.motion == _TURNING)
 
 
 @compiled
-def may_swing(state: Any, source: int, c: Any) -> bool:
+def may_swing(state: State, source: int, c: Config) -> bool:
     """Whether a source sits above, and what it shows may be a swing."""
     return bool(c.above[source] == 1 and not is_held(state))
 
@@ -112,7 +117,7 @@ def _swings(rate: float) -> float:
 
 
 @compiled
-def _noise(rate: float, drive: Any, c: Any) -> tuple[float, float]:
+def _noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
     """q and τ."""
     n, swings = c.swing, _swings(rate)
     if not is_held(drive):
@@ -121,7 +126,7 @@ def _noise(rate: float, drive: Any, c: Any) -> tuple[float, float]:
 
 
 @compiled
-def move_swing(x: FloatArray, moved: FloatArray, dt: float, drive: Any, c: Any) -> None:
+def move_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Config) -> None:
     """σ and σ̇ after ``dt`` s, into ``moved``; σ is not wrapped."""
     tau = _noise(x[SWING_RATE], drive, c)[1]
     lost = -math.expm1(-dt / tau)
@@ -131,7 +136,7 @@ def move_swing(x: FloatArray, moved: FloatArray, dt: float, drive: Any, c: Any) 
 
 
 @compiled
-def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, drive: Any, c: Any) -> None:
+def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, drive: State, c: Config) -> None:
     """What F and Q have of it."""
     q, tau = _noise(x[SWING_RATE], drive, c)
     lost = -math.expm1(-dt / tau)

@@ -22,20 +22,24 @@ Warthog 0.6 to 0.8, while κ alone is anything from 0 to 0.6. So κ and κ + η 
 and a gyro that shows less turn shows more loss of speed.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.model import Part, Prior
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, SpeedNoise, noise_scale
 from trackslip_estimation.slip.motion import Motion, MotionState
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+
 
 CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE + 1
 EFFICIENCY, LOSS, ASYMMETRY = FIRST, SECOND, speed.ACTIVE
@@ -46,7 +50,15 @@ PARTS = (
     Part("asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "turn to the left by the metre driven, ε"),
 )
 _ACROSS = 0.04  # of ε, by the sine of the slope across: rad/m/√m
-CONSTANTS = np.dtype([("gentle_turn", np.float64)], align=True)
+
+
+class TurningConstants(Record):
+    """Parameters of the model."""
+
+    gentle_turn: float
+
+
+CONSTANTS = dtype_of(TurningConstants)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +120,7 @@ def set_slope_noise(Q: FloatArray, way: float, across: float) -> None:
 
 
 @compiled
-def turn_speed_loss(V: float, D: float, c: Any) -> float:
+def turn_speed_loss(V: float, D: float, c: Config) -> float:
     """s, m/s: odd in the travel, as a turn in reverse mirrors the one forward; the cube is measured."""
     half = abs(D) / 2.0
     if half == 0.0:
@@ -120,7 +132,7 @@ def turn_speed_loss(V: float, D: float, c: Any) -> float:
 
 
 @compiled
-def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float]:
+def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
     """v in m/s and ω in rad/s but for the velocity errors."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
     v = (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * turn_speed_loss(V, D, c)
@@ -128,14 +140,14 @@ def equations(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, 
 
 
 @compiled
-def twist(x: FloatArray, left: float, right: float, c: Any) -> tuple[float, float, float]:
+def twist(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float, float]:
     """v_x m/s, v_y m/s, ω rad/s of C."""
     v, rate = equations(x, left, right, c)
     return speed.twist(x, v, rate)
 
 
 @compiled
-def twist_jacobian(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(3, SIZE) derivative of ``twist`` by the state."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
     J = np.zeros((3, x.size))

@@ -16,8 +16,10 @@ Inside its gate an altitude is used in full, up to the soft gate with less weigh
 some that agree have insisted for three timeouts of their source: then the height is another one.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,11 @@ from trackslip_estimation.slip.models.model import SWING
 from trackslip_estimation.slip.own_errors import is_correlated, number_of
 from trackslip_estimation.slip.usable import HIGHEST
 
+if TYPE_CHECKING:
+    from trackslip_estimation.attitude.records import Climb
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
 FloatArray = NDArray[np.float64]
 
 _NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
@@ -43,7 +50,7 @@ _SHORTEST, _LONGEST = 1e-3, 3600.0  # s, of Δt
 
 
 @compiled
-def use_altitude(state: Any, measurement: Any, c: Any) -> int:
+def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int:
     """The height by a fix that was used; why its altitude was not: 0 where it was, or is not wanted."""
     source, a, variance = measurement.source, state.attitude, measurement.altitude_variance
     if c.use_altitude[source] == 0 or a.known == 0 or variance >= UNOBSERVED:
@@ -72,14 +79,14 @@ def use_altitude(state: Any, measurement: Any, c: Any) -> int:
 
 
 @compiled
-def _rise_variance(state: Any, c: Any) -> float:
+def _rise_variance(state: State, c: Config) -> float:
     """Of ż, (m/s)², by what the speeds of the tracks err by."""
     J = body_jacobian(state.mean[: c.size], state.speeds.left, state.speeds.right, state, c)
     return downward(state.attitude.level, sandwich(J, state.covariance[:]))
 
 
 @compiled
-def _expected(state: Any, source: int, c: Any) -> tuple[float, FloatArray]:
+def _expected(state: State, source: int, c: Config) -> tuple[float, FloatArray]:
     """h, and its derivatives (1, SIZE)."""
     x, y, _, _ = swung_place(state.mean[SWING], source, c)
     z, mean = c.levers[source, 2], state.attitude.mean
@@ -93,7 +100,7 @@ def _expected(state: Any, source: int, c: Any) -> tuple[float, FloatArray]:
 
 
 @compiled
-def _noise(state: Any, measurement: Any, dt: float, c: Any) -> tuple[float, float]:
+def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -> tuple[float, float]:
     """R as stated, and as it counts after ``dt`` s."""
     source, level = measurement.source, state.attitude.level
     stated = max(measurement.altitude_variance, c.position_floor[source] ** 2)
@@ -106,7 +113,9 @@ def _noise(state: Any, measurement: Any, dt: float, c: Any) -> tuple[float, floa
 
 
 @compiled
-def _insists(climb: Any, innovation: float, stated: float, measurement: Any, c: Any) -> bool:
+def _insists(
+    climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
+) -> bool:
     """Whether this one, outside the gate, is the last of enough that agree."""
     apart = innovation - climb.apart
     if climb.refused == 0 or apart * apart > 2.0 * c.gate_limits[1] * stated:

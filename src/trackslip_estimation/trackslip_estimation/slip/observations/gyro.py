@@ -20,7 +20,9 @@ A gyro is compared with steady speeds of the sprockets: their rounding would be 
 Jacobian both, and bias what it teaches of turning.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,10 @@ from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion, rounding, steady_speeds
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Streak, Update
+
 FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
@@ -48,24 +54,24 @@ _ALIKE = 0.1  # of the yaw rate without slip, by which readings that agree may d
 
 
 @compiled
-def bias_of(source: int, c: Any) -> int:
+def bias_of(source: int, c: Config) -> int:
     """Number of the state that is the bias of a gyro."""
     own = c.own_errors[source]
     return GYRO_BIAS if own < 0 else int(own)
 
 
 @compiled
-def stated_variance(measurement: Any, state: Any, c: Any) -> float:
+def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> float:
     """Of a yaw rate in true units."""
     scale = c.rate_scale[measurement.source]
     variance = max(measurement.noise[0, 0] / (scale * scale), LEAST_VARIANCE)
     if state.coasting:  # a gyro then shows nothing of its bias
         variance += c.unseen_yaw_rate**2
-    return variance
+    return float(variance)
 
 
 @compiled
-def observe_rate(state: Any, measurement: Any, c: Any) -> Observation:
+def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of a yaw rate, with the states that it leaves alone."""
     source, x = measurement.source, state.mean[: c.size]
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
@@ -88,7 +94,7 @@ def observe_rate(state: Any, measurement: Any, c: Any) -> Observation:
 
 
 @compiled
-def _known(left: float, right: float, bias: int, c: Any) -> int:
+def _known(left: float, right: float, bias: int, c: Config) -> int:
     """Bits of the states that a yaw rate leaves as they were, and corrects the rest as if they were known.
 
     Of a machine that moves b_g and s_g: tracks that turn more to one side than to the other, and at one speed
@@ -102,7 +108,7 @@ def _known(left: float, right: float, bias: int, c: Any) -> int:
 
 
 @inlined
-def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
+def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """See the top of the module; arguments as in ``update``."""
     source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
@@ -148,7 +154,9 @@ def use_rate(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @compiled
-def _rate_shown(state: Any, measurement: Any, variance: float, c: Any) -> tuple[float, float]:
+def _rate_shown(
+    state: State, measurement: MeasurementRecord, variance: float, c: Config
+) -> tuple[float, float]:
     """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by."""
     source, x, P = measurement.source, state.mean, state.covariance
     bias, shown = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
@@ -162,14 +170,14 @@ def _rate_shown(state: Any, measurement: Any, variance: float, c: Any) -> tuple[
 
 
 @compiled
-def _without_slip(left: float, right: float, c: Any) -> float:
+def _without_slip(left: float, right: float, c: Config) -> float:
     """Yaw rate of the sprockets, rad/s."""
     rate: float = c.rolling_radius * (right - left) / c.tread
     return rate
 
 
 @compiled
-def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Any) -> bool:
+def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
     """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
     without_slip = _without_slip(left, right, c)
     allowed = _DOUBT * np.sqrt(variance) + _LAG * abs(without_slip)
@@ -177,7 +185,7 @@ def _on_no_ground(rate: float, variance: float, left: float, right: float, c: An
 
 
 @compiled
-def _other_ground(rate: float, x: FloatArray, streak: Any, left: float, right: float, c: Any) -> bool:
+def _other_ground(rate: float, x: FloatArray, streak: Streak, left: float, right: float, c: Config) -> bool:
     """Whether some ground lets the machine turn so, and enough readings in a row show the same one.
 
     After the first, a reading counts that agrees with it and departs half as far at the least from the yaw
@@ -198,7 +206,7 @@ def _other_ground(rate: float, x: FloatArray, streak: Any, left: float, right: f
 
 
 @compiled
-def _forget_ground(P: FloatArray, c: Any) -> None:
+def _forget_ground(P: FloatArray, c: Config) -> None:
     """How the vehicle turns and slips is no better known than at the start."""
     P[FIRST, FIRST] += c.velocity_errors.first_variance
     P[SECOND, SECOND] += c.velocity_errors.second_variance

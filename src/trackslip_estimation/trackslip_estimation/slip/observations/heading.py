@@ -10,7 +10,9 @@ A pair of antennas errs by much when it fixes its ambiguities wrongly, and state
 errs then, or the heading of the machine is wrong, is for the bank to weigh.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +24,13 @@ from trackslip_estimation.slip.levers import seen_from_above, stamp_shift
 from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, YAW
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
 
 @compiled
-def compass_offset(state: Any, source: int, c: Any) -> float:
+def compass_offset(state: State, source: int, c: Config) -> float:
     """Direction that a compass shows, from that of the machine, seen from above, rad."""
     offset = c.heading_offset[source]
     if c.above[source] == 1:
@@ -33,7 +39,7 @@ def compass_offset(state: Any, source: int, c: Any) -> float:
 
 
 @compiled
-def observe_heading(state: Any, measurement: Any, c: Any) -> Observation:
+def observe_heading(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of a heading."""
     source, x, shift = measurement.source, state.mean[: c.size], stamp_shift(state, measurement.source, c)
     H, nu = np.zeros((1, x.size)), measurement.value[0] - x[YAW] - compass_offset(state, source, c)

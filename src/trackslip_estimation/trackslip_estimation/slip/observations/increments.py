@@ -13,14 +13,20 @@
 which is exact where velocity and rates are constant over T. The odom frame may lie anyhow.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +35,7 @@ _SMALL = 1e-9  # rad
 
 
 @compiled
-def increment(before: Any, measurement: Any, T: float, c: Any) -> FloatArray:
+def increment(before: OdometryRecord, measurement: MeasurementRecord, T: float, c: Config) -> FloatArray:
     """(3,) v_x and v_y in m/s, yaw rate in rad/s; means over T, along the axes of base_link."""
     lever, mounting = c.levers[measurement.source], c.mountings[measurement.source]
     first, second = _base(before.turn, mounting), _base(measurement.turn, mounting)
@@ -46,7 +52,9 @@ def increment(before: Any, measurement: Any, T: float, c: Any) -> FloatArray:
 
 
 @compiled
-def variances_stated(before: Any, measurement: Any, T: float, c: Any) -> FloatArray:
+def variances_stated(
+    before: OdometryRecord, measurement: MeasurementRecord, T: float, c: Config
+) -> FloatArray:
     """(3,) of an increment, as its source states them; as the parameters do where it states none."""
     source, noise = measurement.source, measurement.noise
     linear, angular, lever = np.zeros(3), np.zeros(3), c.levers[source]

@@ -22,8 +22,10 @@ the source has insisted for long enough (``gate``). Where increments of a second
 slip more or less than what is known allows, they run on other ground: i₀ is open again.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +43,10 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW
 from trackslip_estimation.slip.motion import Motion, rounding
 from trackslip_estimation.slip.observations.increments import increment, variances_stated
 from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -60,13 +66,13 @@ class Drive(NamedTuple):
 
 
 @compiled
-def _agree_on_nothing(before: Any) -> None:
+def _agree_on_nothing(before: OdometryRecord) -> None:
     before.slip_weight = before.slip_sum = before.slip_way = 0.0
     before.slip_ns = before.stamp_ns
 
 
 @compiled
-def begin_odometry(state: Any) -> None:
+def begin_odometry(state: State) -> None:
     """At the start of the estimate."""
     state.driven[:], state.moved[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
     for k in range(state.odometry.size):
@@ -75,7 +81,7 @@ def begin_odometry(state: Any) -> None:
 
 
 @compiled
-def follow_motion(state: Any, dt: float, c: Any) -> None:
+def follow_motion(state: State, dt: float, c: Config) -> None:
     """What is predicted to move in the next ``dt`` s, before it does."""
     if c.odometries == 0:
         return
@@ -93,7 +99,7 @@ def follow_motion(state: Any, dt: float, c: Any) -> None:
 
 
 @inlined
-def use_odometry(state: Any, measurement: Any, c: Any, update: Any) -> None:
+def use_odometry(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """See the top of the module; arguments as in ``update``."""
     source = measurement.source
     before = state.odometry[c.odometry_number[source]]
@@ -115,7 +121,7 @@ def use_odometry(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @compiled
-def drive_since(state: Any, before: Any, stamp_ns: int) -> Drive:
+def drive_since(state: State, before: OdometryRecord, stamp_ns: int) -> Drive:
     """Of the sprockets since a pose of the source."""
     T = (stamp_ns - before.stamp_ns) * 1e-9
     left, right = (state.driven[0] - before.driven[0]) / T, (state.driven[1] - before.driven[1]) / T
@@ -123,7 +129,9 @@ def drive_since(state: Any, before: Any, stamp_ns: int) -> Drive:
 
 
 @compiled
-def _use(state: Any, z: FloatArray, stated: FloatArray, measurement: Any, c: Any, update: Any) -> None:
+def _use(
+    state: State, z: FloatArray, stated: FloatArray, measurement: MeasurementRecord, c: Config, update: Update
+) -> None:
     """Gate and update; ``stated``: R (3, 3) as the source states it."""
     source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
     before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
@@ -162,14 +170,14 @@ def _use(state: Any, z: FloatArray, stated: FloatArray, measurement: Any, c: Any
 
 @inlined
 def _least_surprise(
-    state: Any,
+    state: State,
     source: int,
     innovation: FloatArray,
     predicted: FloatArray,
     stated: FloatArray,
     drive: Drive,
     gate: float,
-    c: Any,
+    c: Config,
 ) -> float:
     """NIS with the largest track error that may be; inside ``gate``, errors and noise are learned from it.
 
@@ -194,7 +202,13 @@ def _least_surprise(
 
 @compiled
 def _weigh_slip(
-    state: Any, before: Any, innovation: float, drive: Drive, H: FloatArray, own: float, c: Any
+    state: State,
+    before: OdometryRecord,
+    innovation: float,
+    drive: Drive,
+    H: FloatArray,
+    own: float,
+    c: Config,
 ) -> None:
     """i₀ is open again where increments of late agree on another one, and with it the way that they tell of.
 
@@ -224,7 +238,7 @@ def _weigh_slip(
 
 @compiled
 def _expected(
-    state: Any, before: Any, drive: Drive, source: int, ahead: float, turned: float, c: Any
+    state: State, before: OdometryRecord, drive: Drive, source: int, ahead: float, turned: float, c: Config
 ) -> tuple[FloatArray, FloatArray]:
     """h (3,) and H (3, n); ``ahead``, ``turned``: by how much the means of m err as m does now."""
     own, h = c.own_errors[source], (state.moved - before.moved) / drive.T
@@ -244,7 +258,9 @@ def _expected(
 
 
 @compiled
-def _unseen_errors(state: Any, before: Any, drive: Drive, c: Any) -> tuple[float, float, FloatArray]:
+def _unseen_errors(
+    state: State, before: OdometryRecord, drive: Drive, c: Config
+) -> tuple[float, float, FloatArray]:
     """By how much the means of both velocity errors over T err as they do at its end, and D (3,).
 
     Where the sprockets are silent the machine may go as fast as it can.
@@ -276,14 +292,14 @@ def _split(
 
 
 @compiled
-def _sideways(drive: Drive, c: Any) -> float:
+def _sideways(drive: Drive, c: Config) -> float:
     """Variance of the mean of v_y over T, by the tracks for a track error of 1 (``speed``), (m/s)²."""
     squares: float = c.rolling_radius**2 * (drive.left * drive.left + drive.right * drive.right)
     return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / drive.T)
 
 
 @compiled
-def by_track_error(state: Any, drive: Drive, c: Any) -> FloatArray:
+def by_track_error(state: State, drive: Drive, c: Config) -> FloatArray:
     """(3,) what of S is the tracks', for a track error of 1."""
     share = speed.persistence(drive.T, state.motion.motion, c)[1]
     of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
@@ -293,7 +309,7 @@ def by_track_error(state: Any, drive: Drive, c: Any) -> FloatArray:
 
 
 @compiled
-def _add_count_rounding(state: Any, drive: Drive, c: Any, D: FloatArray) -> None:
+def _add_count_rounding(state: State, drive: Drive, c: Config, D: FloatArray) -> None:
     """What the rounding of the counts adds to the expected means."""
     if not state.speeds.differenced or c.encoder_resolution == 0.0:
         return
@@ -305,7 +321,7 @@ def _add_count_rounding(state: Any, drive: Drive, c: Any, D: FloatArray) -> None
 
 
 @compiled
-def _shared_with_pose(state: Any, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
+def _shared_with_pose(state: State, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
     """C: the pose has moved by T times what ``open_`` (3,) are the variances of; none where a fix came since.
 
     A gyro may have shown what the yaw rate leaves open: that has none. The place shares no more than it errs

@@ -12,8 +12,10 @@ R is what the source states, no less than its floors; of a coarse fix, or one wh
 is new in each. It has what the unknown tilt, or an unknown swing, move the sensor by.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,18 +32,22 @@ from trackslip_estimation.slip.models.shear import starts
 from trackslip_estimation.slip.own_errors import is_new, lasting_share, number_of
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
 FloatArray = NDArray[np.float64]
 
 
 @compiled
-def shows_heading(measurement: Any, c: Any) -> bool:
+def shows_heading(measurement: MeasurementRecord, c: Config) -> bool:
     """Whether the heading of a pose is used: a doubtful one may be wrong by whole quarter turns."""
     ceiling = c.heading_ceiling[measurement.source]
     return bool(c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling)
 
 
 @compiled
-def raise_to_floors(R: FloatArray, rows: int, source: int, c: Any) -> None:
+def raise_to_floors(R: FloatArray, rows: int, source: int, c: Config) -> None:
     """The variances of a fix, of which ``rows`` are used, no less than the floors of its source."""
     for i in range(rows):
         floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
@@ -49,7 +55,7 @@ def raise_to_floors(R: FloatArray, rows: int, source: int, c: Any) -> None:
 
 
 @compiled
-def stated_noise(measurement: Any, state: Any, c: Any) -> FloatArray:
+def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> FloatArray:
     """(m, m) of a pose as its source states it, with what moves its sensor besides."""
     source, rows = measurement.source, 3 if shows_heading(measurement, c) else 2
     R = measurement.noise[:rows, :rows].copy()
@@ -62,14 +68,14 @@ def stated_noise(measurement: Any, state: Any, c: Any) -> FloatArray:
 
 
 @compiled
-def has_offset(state: Any, source: int, c: Any) -> bool:
+def has_offset(state: State, source: int, c: Config) -> bool:
     """Whether the places of a source have its offset in them."""
     number = number_of(source, c)
     return bool(number >= 0 and (state.fault[source] == IS_OFFSET or state.offsets[number].variance > 0.0))
 
 
 @compiled
-def observe_pose(state: Any, measurement: Any, c: Any) -> Observation:
+def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν, H and R of a pose; m is 3 where its heading is used, else 2."""
     source, x, R = measurement.source, state.mean[: c.size], stated_noise(measurement, state, c)
     m, place, shift = R.shape[0], lever(x, state.attitude.level, source, c), stamp_shift(state, source, c)
@@ -104,7 +110,7 @@ def observe_pose(state: Any, measurement: Any, c: Any) -> Observation:
 
 
 @compiled
-def take_new(state: Any, source: int, coarse: bool, R: FloatArray, c: Any) -> None:
+def take_new(state: State, source: int, coarse: bool, R: FloatArray, c: Config) -> None:
     """R of a fix without what of it lasts."""
     number = number_of(source, c)
     if number < 0:
@@ -118,6 +124,6 @@ def take_new(state: Any, source: int, coarse: bool, R: FloatArray, c: Any) -> No
 
 
 @compiled
-def delay_considered(state: Any, c: Any) -> int:
+def delay_considered(state: State, c: Config) -> int:
     """Bit of the delay as tracks start, or turn back: the soil gives way first, which looks alike."""
     return 1 << FIX_DELAY if has_velocity_errors(c) and starts(state, c) else 0

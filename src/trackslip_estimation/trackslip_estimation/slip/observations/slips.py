@@ -9,7 +9,9 @@ They are used inside their gate, which widens while they and the state disagree 
 because the gate is wide says that the state was wrong: what it knows of slip is doubted by ν νᵀ.
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +34,17 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.motion import rounding, steady_speeds
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+
 FloatArray = NDArray[np.float64]
 
 _GATED = int(Outcome.GATED)
 
 
 @compiled
-def observe_slips(state: Any, measurement: Any, c: Any) -> Observation:
+def observe_slips(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (2,), H and R of the slips of both tracks, at steady speeds of the sprockets."""
     x, R = state.mean[: c.size], measurement.noise[:2, :2].copy()
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
@@ -55,13 +61,13 @@ def observe_slips(state: Any, measurement: Any, c: Any) -> Observation:
 
 
 @compiled
-def _slips(x: FloatArray, left: float, right: float, c: Any) -> FloatArray:
+def _slips(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
     """(2,) i_L, i_R."""
     return slips(x, twist(x, left, right, c), left, right, c)[:2].copy()
 
 
 @inlined
-def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
+def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """See the top of the module; arguments as in ``update``."""
     x, P, limit = state.mean[: c.size], state.covariance[:], c.gate_limits[2]
     o = observe_slips(state, measurement, c)
@@ -81,7 +87,7 @@ def use_slips(state: Any, measurement: Any, c: Any, update: Any) -> None:
 
 
 @compiled
-def _doubt_slips(P: FloatArray, innovation: FloatArray, c: Any) -> None:
+def _doubt_slips(P: FloatArray, innovation: FloatArray, c: Config) -> None:
     """P, widened by what an innovation of both slips shows; what else was learned stays."""
     if has_velocity_errors(c):
         P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2

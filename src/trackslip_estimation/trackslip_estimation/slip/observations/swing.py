@@ -6,7 +6,9 @@ z    angle that it shows, rad
 h    σ + its mounting
 """
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +18,13 @@ from trackslip_estimation.kalman.update import Observation, observe_alone
 from trackslip_estimation.slip.models.model import SWING
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
 
 @compiled
-def observe_swing(state: Any, measurement: Any, c: Any) -> Observation:
+def observe_swing(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of an angle."""
     nu = wrap(measurement.value[0] - c.heading_offset[measurement.source] - state.mean[SWING])
     R = max(measurement.noise[0, 0], LEAST_VARIANCE)
