@@ -215,7 +215,7 @@ def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
     ``OUT_OF_ORDER`` where the number goes back and no run begins; lines without numbers (0) do not go back.
     """
     before = np.append(last, sequences)[:-1]
-    lost = sequences - before - 1
+    lost: IntArray = sequences - before - 1
     lost[sequences <= before] = OUT_OF_ORDER
     lost[sequences == 0] = 0
     lost[list(starts)] = sequences[list(starts)]

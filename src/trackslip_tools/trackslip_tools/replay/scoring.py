@@ -96,7 +96,9 @@ def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.boo
     1 and the identity where it is not.
     """
     variances = np.diagonal(S, axis1=1, axis2=2)
-    regular = np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1)
+    regular: NDArray[np.bool_] = np.asarray(
+        np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_
+    )
     deviations = np.sqrt(np.where(regular[:, np.newaxis], variances, 1.0))
     one = np.eye(S.shape[-1])
     C = np.where(regular[:, np.newaxis, np.newaxis], S, one)
