@@ -113,6 +113,28 @@ def test_a_whole_run_is_compared_whole(
     assert "not from" not in shown(capsys)
 
 
+def test_a_run_that_two_recorders_kept_is_compared_whole(
+    one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary, capsys: Any
+) -> None:
+    again = [line._replace(log_ns=line.log_ns + 3 * MS) for line in one_run]
+    found = summary(write_bag(tmp_path / "bag", [*one_run, *again]))
+    assert found["replay_matches"] is True
+    assert found["replay_compared"]["breaks"] == []
+    assert found["replay_compared"]["parts"][0]["stop"] > 10.0
+    assert "lacks" not in shown(capsys)
+
+
+def test_lines_of_two_estimators_at_once_are_no_missing_lines(
+    inputs: list[Line], one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary, capsys: Any
+) -> None:
+    other = live(since(inputs, 2.0), load_slip_parameters())[0]
+    found = summary(write_bag(tmp_path / "bag", [*one_run, *other]))
+    text = shown(capsys)
+    assert "merges recordings" in text
+    assert not re.search(r"lacks \d+ lines", text)
+    assert found["replay_compared"]["breaks"]
+
+
 @pytest.mark.parametrize(
     ("topic", "reason"),
     [

@@ -125,6 +125,26 @@ def test_lost_lines_are_counted() -> None:
     assert lost(lines[[0, 4, 5, 6, 9]]) == 5
 
 
+def test_lines_whose_numbers_go_back_are_not_counted_as_missing() -> None:
+    lines = journal(*[(k, "a", k) for k in range(1000)])
+    mixed = lines[np.argsort(np.arange(1000) % 500, kind="stable")]
+    mixed["log_time_ns"] = np.arange(1000)
+    counts = ordered([], mixed)[1]
+    assert counts.disordered_lines == 499
+
+
+@pytest.mark.parametrize("cuts", [(), (5, 11, 12, 30)])
+def test_copies_of_lines_name_nothing_again(cuts: tuple[int, ...]) -> None:
+    lines = journal(*[(10 * k, "a", k) for k in range(1, 9)])
+    copies = lines.copy()
+    copies["log_time_ns"] += 3
+    both = np.sort(np.concatenate((lines, copies)), order="log_time_ns")
+    arrivals = [arrival("a", k, 10 * k + late) for k in range(1, 9) for late in (-2, -1)]
+    rows, counts = ordered(arrivals, both, cuts)
+    assert rows["stamp_ns"].tolist() == [*range(1, 9)]
+    assert counts == ordered(arrivals[::2], lines)[1]
+
+
 def test_lines_without_numbers_begin_no_runs() -> None:
     lines = journal(*[(10 * k, "a", k) for k in range(1, 9)])
     lines["sequence"] = 0

@@ -215,3 +215,37 @@ def test_nees_of_a_consistent_estimate_against_a_reference_with_noise_is_3() -> 
     exact = mean_nees(own, reference)
     assert exact is not None
     assert exact > 6.0
+
+
+# Covariances that are singular
+
+SINGULAR = {
+    "zero": np.zeros((3, 3)),
+    "one variance zero": np.diag((0.01, 0.01, 0.0)),
+    "fully correlated": np.array(((1.0, 1.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 0.01))),
+    "rounded away": np.full((3, 3), 1e20) + np.eye(3) * 1e-4,
+    "not finite": np.diag((np.inf, 0.01, 0.01)),
+}
+
+
+@pytest.mark.parametrize("name", SINGULAR)
+def test_a_singular_covariance_has_no_nees_and_spoils_none(name: str) -> None:
+    P = np.diag((0.01, 0.01, 0.01))
+    own = estimates((0, (0.2, 0.0, 0.0), SINGULAR[name]), (100, (1.2, 0.0, 0.0), P))
+    errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)))
+    assert errors.nees == pytest.approx(4.0)
+    assert errors.score == Score(2, pytest.approx(0.2), pytest.approx(0.0))
+    alone = errors_against(own[:1], path((0,), (0, 0, 0)))
+    assert alone.nees is None
+
+
+def test_the_position_has_a_nees_where_only_the_heading_has_no_variance() -> None:
+    own = estimates((0, (0.2, 0.0, 0.0), SINGULAR["one variance zero"]))
+    errors = errors_against(own, path((0,), (0, 0, 0)))
+    assert (errors.nees, errors.nees_position) == (None, pytest.approx(4.0))
+
+
+def test_nees_of_variances_ten_decades_apart_is_exact() -> None:
+    P = np.diag((1e8, 1e-2, 1e-8))
+    own = estimates((0, (1e4, 0.1, 1e-4), P))
+    assert mean_nees(own, path((0,), (0, 0, 0))) == pytest.approx(3.0)

@@ -99,6 +99,16 @@ def test_nees_includes_the_covariance_of_the_reference(drive: Callable[..., Any]
     assert coarse.score({}).position == task.score({}).position
 
 
+def test_errors_against_a_reference_of_singular_covariance_have_no_nees(drive: Callable[..., Any]) -> None:
+    task = task_of(drive)
+    exact = task.reference
+    assert exact is not None
+    R = np.full((len(exact.stamps_ns), 3, 3), 1e20)
+    found = replace(task, reference=Track(exact.stamps_ns, exact.poses, R)).score({})
+    assert found.position == task.score({}).position
+    assert np.isnan((found.nees, found.pose_log_likelihood)).all()
+
+
 def test_a_spike_costs_no_more_than_a_wrong_measurement_may(drive: Callable[..., Any]) -> None:
     task = task_of(drive, **{"sources.box_pose.position_floor": 0.1})
     spiked = records(measurements(drive), task.p)

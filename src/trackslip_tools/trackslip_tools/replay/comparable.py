@@ -32,6 +32,9 @@ LINE = np.dtype(
 )
 """One line of the journal; ``source`` is a number."""
 
+OUT_OF_ORDER = -1
+"""In the place of a count of missing lines: the number of a line goes back although no run begins."""
+
 _NEVER_USED = (Outcome.DUPLICATE, Outcome.INVALID, Outcome.FROZEN)
 _USED_OF_SPROCKETS_ALONE = (Outcome.TOO_LATE, Outcome.WAITING, Outcome.AHEAD)  # they are the clock
 _WITHOUT_ESTIMATE = (*_NEVER_USED, *_USED_OF_SPROCKETS_ALONE)  # there need not be one
@@ -111,19 +114,19 @@ class JournalRuns:
         Args:
             lines: (n,) LINE.
             missing: (n,) whether the bag lacks the measurement.
-            lost: (n,) lines that are missing before it.
+            lost: (n,) lines that are missing before it, or ``OUT_OF_ORDER``.
             starts: by the number of a line with which a run of the estimator begins, why that start cannot be
                 repeated, or an empty text; the first of all lines is one.
         """
         numbers, used, at = np.zeros(len(lines), np.int64), missing & self._is_used(lines), 0
-        interrupted = used | (lost > 0)
+        interrupted = used | (lost != 0)
         interrupted[list(starts)] = True
         for k in np.flatnonzero(interrupted).tolist():
             self._go_on(lines[at:k], numbers[at:k])
             if k in starts:
                 self._begin(lines[k], int(lost[k]), starts[k])
             elif lost[k]:
-                self._interrupt(lines[k], f"the bag lacks {lost[k]} lines of the live estimator's journal")
+                self._interrupt(lines[k], _gap(int(lost[k])))
             if used[k]:
                 self._skip(lines[k])
             at = k + 1 if used[k] else k
@@ -181,3 +184,10 @@ class JournalRuns:
         """(n,) whether the live estimate may depend on the measurement."""
         others = (lines["source"] != self._sprockets) & np.isin(lines["outcome"], _USED_OF_SPROCKETS_ALONE)
         return np.asarray(~np.isin(lines["outcome"], _NEVER_USED) & ~others)
+
+
+def _gap(lost: int) -> str:
+    """Why the journal cannot be followed to a line before which so many are missing."""
+    if lost == OUT_OF_ORDER:
+        return "the bag merges recordings of several runs: the journal's lines are out of order"
+    return f"the bag lacks {lost} lines of the live estimator's journal"

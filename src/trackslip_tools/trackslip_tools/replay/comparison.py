@@ -44,6 +44,7 @@ class LiveComparison:
     lost_reports: int  # lines of the live journal that the bag lacks
     lost_inputs: int  # measurements that the journal names and the bag lacks
     comparability: Comparability = field(default_factory=Comparability)  # what was compared, and why no more
+    disordered_reports: int = 0  # lines of the live journal that are out of order: of several runs at once
     differing: str = ""  # the number of that difference, and of which message
 
     @property
@@ -183,6 +184,7 @@ class LiveComparer:
             counts.lost_lines,
             counts.lost_inputs,
             counts.comparable,
+            counts.disordered_lines,
             f"{largest.column} of {ODOMETRY if what == TILT else what}" if largest.size else "",
         )
 

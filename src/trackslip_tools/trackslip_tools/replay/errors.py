@@ -73,7 +73,7 @@ class PathErrors:
     """RMS errors of a path, and its mean NEES where its poses have covariances.
 
     Samples of the reference without a heading (nan) count for the position alone. A reference with a
-    ``covariance`` counts with it in the NEES.
+    ``covariance`` counts with it in the NEES; samples at which the sum of both is singular do not.
     """
 
     def __init__(self) -> None:
@@ -107,10 +107,12 @@ class PathErrors:
         self._headed += int(headed.sum())
         self._heading += float(np.sum(errors[headed, 2] ** 2))
         if covariances is not None:
-            self._nees += float(np.sum(nees_of_each(path, P, true)[0][headed]))
-            self._nees_position += float(np.sum(nees_of_each(path, P, true, 2)[0]))
-            self._with_nees += int(headed.sum())
-            self._with_nees_position += len(errors)
+            pose, position = nees_of_each(path, P, true)[0], nees_of_each(path, P, true, 2)[0]
+            known, known_position = headed & np.isfinite(pose), np.isfinite(position)
+            self._nees += float(np.sum(pose[known]))
+            self._nees_position += float(np.sum(position[known_position]))
+            self._with_nees += int(known.sum())
+            self._with_nees_position += int(known_position.sum())
 
     def add_estimates(self, estimates: Rows, reference: Rows | None) -> None:
         """More of both; (n,) with stamp_ns, pose, pose_covariance."""

@@ -8,7 +8,8 @@ by then was not processed live and is left out. A source that the journal does n
 remapped one) is merged in by log time; without a journal, log time orders all.
 
 Where the numbers of the lines begin anew, the estimator was started again: a row of ``IS_START`` comes first,
-with the parameters that were published since the line before.
+with the parameters that were published since the line before. Several recordings of one run may be merged in
+a bag: of a line that stands in it twice the first counts. Lines of several runs at once have no order.
 """
 
 from collections.abc import Collection, Sequence
@@ -20,12 +21,13 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.slip.measurements import RELOAD
 from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_START, Rows
-from trackslip_tools.replay.comparable import LINE, Comparability, ComparablePart, JournalRuns
+from trackslip_tools.replay.comparable import LINE, OUT_OF_ORDER, Comparability, ComparablePart, JournalRuns
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 HORIZON_NS = 60_000_000_000  # of log time between an input and its line; a repair by DDS takes 5 s at most
+_COPY_NS = 5_000_000_000  # of log time between a line and its copy in another recording of the same run
 _LATE_NS = 5_000_000_000  # by which the parameters of a run may be logged after its first line
 _END_NS, _NONE = np.iinfo(np.int64).max, np.iinfo(np.int64).max
 _NO_PARAMETERS = "the bag lacks the parameters of the estimator that was started again"
@@ -37,6 +39,7 @@ class JournalCounts:
 
     lines: int = 0
     lost_lines: int = 0  # missing in the journal, those before its first line included
+    disordered_lines: int = 0  # whose numbers go back although no run begins with them
     lost_inputs: int = 0  # that the journal names and the bag lacks
     last_sprockets_ns: int | None = None  # latest stamp of sprockets in it
     comparable: Comparability = field(default_factory=Comparability)  # as far as it was followed
@@ -72,12 +75,14 @@ class LiveOrder:
         self._sources, self._sprockets, self._unknown = sources, sprockets, unknown
         self._runs = JournalRuns(self.counts.comparable, sources, sprockets)
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
-        self._counted = -1  # sequence number of the last line that was counted
+        self._recent = np.empty(0, LINE)  # the last lines, of which copies may come
+        self._numbered = False  # whether lines have numbers
         self._followed, self._followed_ns = _NONE, 0  # of the last that was followed, and its log time
         self._part = 0  # the number of the part that it is in
 
     def push(self, rows: Rows, lines: Rows, until_ns: int) -> Rows:
         """More arrivals and lines, all that were logged before ``until_ns``; those in order by now."""
+        lines = self._without_copies(lines)
         self._count(lines)
         if not self._journaled.size:
             rows["part"] = 1
@@ -91,10 +96,6 @@ class LiveOrder:
         return self._follow(_END_NS)
 
     def _count(self, lines: Rows) -> None:
-        if not len(lines):
-            return
-        self.counts.lost_lines += int(_lost(lines["sequence"], self._counted).sum())
-        self._counted = int(lines["sequence"][-1])
         self.counts.lines += len(lines)
         stamps_ns = lines["stamp_ns"][lines["source"] == self._sprockets]
         if stamps_ns.size:
@@ -102,12 +103,29 @@ class LiveOrder:
             newest = int(stamps_ns.max())
             self.counts.last_sprockets_ns = newest if before is None else max(before, newest)
 
+    def _without_copies(self, lines: Rows) -> Rows:
+        """Those that do not repeat one which was logged up to ``_COPY_NS`` before."""
+        self._numbered |= bool((lines["sequence"] > 0).any())
+        known = np.concatenate((self._recent, lines))
+        if self._numbered and not (np.diff(known["sequence"]) > 0).all():
+            names = ("log_time_ns", "outcome", "stamp_ns", "source", "sequence")
+            order = np.lexsort([known[name] for name in names])
+            steps = [np.diff(known[name][order]) for name in names]
+            is_copy = np.zeros(len(known), np.bool_)
+            is_copy[order[1:]] = (steps[0] <= _COPY_NS) & ~np.any(steps[1:], axis=0)
+            lines, known = lines[~is_copy[len(self._recent) :]], known[~is_copy]
+        if len(known):
+            self._recent = known[known["log_time_ns"] >= known["log_time_ns"].max() - _COPY_NS]
+        return lines
+
     def _follow(self, limit_ns: int) -> Rows:
         """The lines logged before ``limit_ns``, and of unknown sources what was."""
         rows, following = self._rows, self._lines["log_time_ns"] < limit_ns
         lines = self._lines[following]
-        lost = _lost(lines["sequence"], self._followed)
         starts = self._starts(lines)
+        lost = _lost(lines["sequence"], self._followed, [start.line for start in starts])
+        self.counts.lost_lines += int(lost[lost > 0].sum())
+        self.counts.disordered_lines += int((lost < 0).sum())
         is_free = ~_changes_nothing(rows)
         is_free[[start.row for start in starts if start.row >= 0]] = False
         named = _named(rows, lines, is_free)
@@ -191,13 +209,17 @@ class _Start(NamedTuple):
     again: bool  # whether the estimator has to be made anew
 
 
-def _lost(sequences: IntArray, last: int) -> IntArray:
+def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
     """(n,) how many lines are missing before each, by their numbers; ``last`` came before.
 
-    A number that is none after the one before begins another run.
+    ``OUT_OF_ORDER`` where the number goes back and no run begins; lines without numbers (0) do not go back.
     """
     before = np.append(last, sequences)[:-1]
-    return np.where(sequences <= before, sequences, sequences - before - 1)
+    lost: IntArray = sequences - before - 1
+    lost[sequences <= before] = OUT_OF_ORDER
+    lost[sequences == 0] = 0
+    lost[list(starts)] = sequences[list(starts)]
+    return lost
 
 
 def _changes_nothing(rows: Rows) -> BoolArray:

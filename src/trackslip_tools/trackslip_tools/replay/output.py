@@ -259,6 +259,10 @@ def _live(result: Replay) -> list[str]:
     lines = [str(live), *compared_lines(live, result.start_ns)]
     if live.lost_inputs:
         lines.append(f"  the bag lacks {live.lost_inputs} measurements that the live estimator processed")
-    if live.lost_reports:
+    if live.disordered_reports:
+        number = live.disordered_reports
+        lines.append(f"  the bag merges recordings of several runs: {number} lines of the live estimator's")
+        lines.append("  journal are out of order; replay each recording alone")
+    elif live.lost_reports:
         lines.append(f"  the bag lacks {live.lost_reports} lines of the live estimator's journal")
     return lines

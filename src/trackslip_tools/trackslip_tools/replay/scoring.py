@@ -6,7 +6,7 @@ e      error of x, y, heading        m, m, rad
 P      covariance that was claimed   (3, 3)
 R      covariance of the reference's own pose, 0 where its message states none   (3, 3)
 S      P + R: errors of estimate and reference count as independent
-NEES   eᵀ S⁻¹ e, on average 3 if P and R are consistent; of x and y alone 2
+NEES   eᵀ S⁻¹ e, on average 3 if P and R are consistent; of x and y alone 2; nan where S is singular
 
 A reference may have no heading, at all or at some samples: nan. Its positions count all the same.
 """
@@ -23,6 +23,7 @@ from trackslip_tools.replay.series import Series
 FloatArray = NDArray[np.float64]
 
 MOVING = 0.05  # m/s of the faster track's frame, and of the track itself, below which slip is not scored
+_SINGULAR = 1e-12  # eigenvalue of correlations at which rounding hides what a covariance states
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def nees_of_each(
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |S| there.
 
-    ``size`` 3: of the pose, nan where the reference has no heading; 2: of the position.
+    ``size`` 3: of the pose, nan where the reference has no heading; 2: of the position. nan where S is
+    singular: correlations that have an eigenvalue below 1e-12, or a variance that is not positive.
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
@@ -81,8 +83,29 @@ def nees_of_each(
     S = covariances[np.searchsorted(midpoints, reference.stamps_ns[inside]), :size, :size]
     if reference.covariances is not None:
         S = S + usable_covariances(reference.covariances[inside, :size, :size])
-    weighed = np.linalg.solve(S, errors[:, :, np.newaxis])[:, :, 0]
-    return np.sum(errors * weighed, axis=1), np.linalg.slogdet(S)[1]
+    deviations, C, regular = _correlations(S)
+    scaled = errors / deviations
+    weighed = np.linalg.solve(C, scaled[:, :, np.newaxis])[:, :, 0]
+    log_dets = np.linalg.slogdet(C)[1] + 2.0 * np.log(deviations).sum(axis=1)
+    return np.where(regular, np.sum(scaled * weighed, axis=1), np.nan), np.where(regular, log_dets, np.nan)
+
+
+def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """(n, m) standard deviations and (n, m, m) correlations of S, and (n,) whether it is regular.
+
+    1 and the identity where it is not.
+    """
+    variances = np.diagonal(S, axis1=1, axis2=2)
+    regular: NDArray[np.bool_] = np.asarray(
+        np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_
+    )
+    deviations = np.sqrt(np.where(regular[:, np.newaxis], variances, 1.0))
+    one = np.eye(S.shape[-1])
+    C = np.where(regular[:, np.newaxis, np.newaxis], S, one)
+    C = C / deviations[:, :, np.newaxis] / deviations[:, np.newaxis, :]
+    regular &= np.linalg.eigvalsh(C)[:, 0] > _SINGULAR
+    C = np.where(regular[:, np.newaxis, np.newaxis], C, one)
+    return np.where(regular[:, np.newaxis], deviations, 1.0), C, regular
 
 
 def usable_covariances(R: FloatArray) -> FloatArray:

@@ -105,9 +105,11 @@ class Task:
             return math.nan, math.nan, math.nan, math.nan
         size = 2 if errors.heading is None else 3  # of what the reference has
         nees, log_dets = nees_of_each(path, result.covariances, self.reference, size)
-        known = np.isfinite(nees)
-        likelihood = -0.5 * float(np.mean((nees + log_dets)[known])) - 0.5 * size * math.log(2.0 * math.pi)
         heading = math.nan if errors.heading is None else errors.heading
+        known = np.isfinite(nees)
+        if not known.any():
+            return errors.position, heading, math.nan, math.nan
+        likelihood = -0.5 * float(np.mean((nees + log_dets)[known])) - 0.5 * size * math.log(2.0 * math.pi)
         return errors.position, heading, float(np.mean(nees[known])), likelihood
 
 
