@@ -33,6 +33,8 @@ ROSDEP_KEYS = {
     "numpy": "python3-numpy",
     "pymap3d": "python3-pymap3d",
     "pynmeagps": "python3-pynmeagps-pip",
+    "pyrtcm": "python3-pyrtcm-pip",
+    "pyubx2": "python3-pyubx2-pip",
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
