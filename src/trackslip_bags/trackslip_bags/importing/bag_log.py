@@ -158,10 +158,8 @@ class _Collector:
             asked = ", ".join(wanted) + ("" if topic.joints else f" (no {keys} in the mapping)")
             there = ", ".join(self._seen)
             if self._left_out[PARTIAL] and set(wanted) <= self._seen.keys():
-                return (
-                    f"{topic.where}: no message of {topic.source}, and no messages of one stamp, hold {asked} "
-                    "together; accepted: joints in one message, or with one stamp"
-                )
+                what = f"no message of {topic.source}, and no messages of one stamp, hold {asked} together"
+                return f"{topic.where}: {what}; accepted: joints in one message, or with one stamp"
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())
         child = f" of child frame '{topic.child_frame}'" if topic.child_frame else ""

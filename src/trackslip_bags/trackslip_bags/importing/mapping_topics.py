@@ -14,6 +14,7 @@ from trackslip_bags.importing.columns import (
     read_spreads,
     read_time,
 )
+from trackslip_bags.importing.csv_text import Dialect, read_dialect
 from trackslip_bags.importing.roles import ROLE_OF_TOPIC, ROLES, Role
 from trackslip_bags.importing.tree import (
     check_keys,
@@ -30,7 +31,7 @@ from trackslip_common.errors import InputError, did_you_mean
 SIDES, JOINT = ("left", "right"), "joint"  # keys of the joints of sprockets, and of a swing
 USES = ("both", "positions", "velocities")  # of the joints of sprockets
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
-_OF_CSV = ("file", "time", "received", "new_when_changes")
+_OF_CSV = ("file", "time", "received", "csv", "new_when_changes")
 _OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only", "convention", "sign")
 CONVENTIONS = ("enu", "compass")  # of headings: from east, counter-clockwise; from north, clockwise
 NEEDS_GEOMETRY = (
@@ -76,6 +77,7 @@ class CsvTopic(Topic):
     received: TimeColumn | None
     columns: Mapping[str, Column]
     new_when_changes: str | None
+    dialect: Dialect
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,7 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         received=read_time(f"{where}.received", tree["received"]) if "received" in tree else None,
         columns=columns,
         new_when_changes=None if marker is None else text(f"{where}.new_when_changes", marker),
+        dialect=read_dialect(f"{where}.csv", tree.get("csv", {})),
     )
 
 
