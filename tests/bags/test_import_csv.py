@@ -244,7 +244,7 @@ TIMES = {
 
 @pytest.mark.parametrize("cell", TIMES)
 def test_dates_are_exact(cell: str) -> None:
-    assert time_ns(cell, TimeColumn("t", "iso8601")) == TIMES[cell]
+    assert time_ns([cell], TimeColumn(("t",), ("iso8601",))) == TIMES[cell]
 
 
 def test_a_date_without_a_zone_has_that_of_the_mapping(tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_epochs_of_any_unit_are_exact(stamp_ns: int, unit: str) -> None:
     digits = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
     whole, rest = divmod(stamp_ns, 10**digits)
     cell = f"{whole}.{rest:0{digits}d}" if digits else str(whole)
-    assert time_ns(cell, TimeColumn("t", unit)) == stamp_ns
+    assert time_ns([cell], TimeColumn(("t",), (unit,))) == stamp_ns
 
 
 @pytest.mark.parametrize(
@@ -268,13 +268,13 @@ def test_epochs_of_any_unit_are_exact(stamp_ns: int, unit: str) -> None:
 def test_what_is_no_time_is_refused(cell: str) -> None:
     for unit in ("s", "ns", "iso8601"):
         with pytest.raises(ValueError, match=r".*"):
-            time_ns(cell, TimeColumn("t", unit))
+            time_ns([cell], TimeColumn(("t",), (unit,)))
 
 
 @given(st.text(max_size=30), st.sampled_from([*UNITS["time"], "iso8601"]))
 def test_no_cell_is_worse_than_a_wrong_time(cell: str, unit: str) -> None:
     try:
-        found = time_ns(cell, TimeColumn("t", unit))
+        found = time_ns([cell], TimeColumn(("t",), (unit,)))
     except ValueError:
         return
     assert abs(found) < 2**63
@@ -292,6 +292,12 @@ HEADS = {
     "no end": "t,l,r\n1,2,3",
     "spaces": "t , l, r\n 1 , 2 , 3\n",
     "blanks behind": "t,l,r,,\n1,2,3,,\n",
+    "blanks between": "t l r\n1 2  3\n",
+    "blanks before": "  t   l r\n  1   2 3\n",
+    "a spreadsheet's separator": "sep=;\nt;l;r\n1;2;3\n",
+    "text before the names": "Logger X v2.3\nVehicle: digger 7\n\nt,l,r\n1,2,3\n",
+    "signs": "t,l,r\n+1,+2.0,+3E0\n",
+    "a quoted comma": 't,"a, b",l,r\n1,"x, y",2,3\n',
     "cut off": "t,l,r\n1,2,3\n2,2",
 }
 
@@ -304,7 +310,128 @@ def test_habits_of_those_who_write_logs(tmp_path: Path, habit: str) -> None:
     assert bool(found.notes) == (habit in ("units", "cut off"))
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "cp1252"])
+def test_tables_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "map.yaml").write_text(
+        yaml.safe_dump(
+            {"time": T, "topics": {"sprockets": WHEELS, "swing": {"angle": {"column": "°", "unit": "deg"}}}}
+        ),
+        encoding="utf-8",
+    )
+    (tmp_path / "log.csv").write_bytes("t,l,r,°\n1,2,3,4\n".encode(encoding))
+    found = import_log([tmp_path / "log.csv"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+    assert found.counts == {"/sprockets": 1, "/swing": 1}
+    assert any("cp1252" in note for note in found.notes) == (encoding == "cp1252")
+
+
+DIALECTS = {
+    "no names": ("1,x,2,3\n", {"names": ["t", "a", "l", "r"]}),
+    "decimal commas": ("t;l;r\n1,0;2,0;3,0\n", {"decimal": "comma"}),
+    "decimal commas, names": ("1,0\t2,0\t3,0\n", {"decimal": "comma", "names": ["t", "l", "r"]}),
+    "another delimiter": ("t;a;l;r\n1;x,y,z,q,w;2;3\n", {"delimiter": ";"}),
+}
+
+
+@pytest.mark.parametrize("habit", DIALECTS)
+def test_a_mapping_says_how_a_table_is_written(tmp_path: Path, habit: str) -> None:
+    log, dialect = DIALECTS[habit]
+    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, csv=dialect)
+    (only,) = messages["sprockets"]
+    assert (stamp_ns_of(only), list(only.velocity)) == (10**9, [2.0, 3.0])
+
+
+def test_trajectories_of_tum_are_read(tmp_path: Path) -> None:
+    log = "# timestamp tx ty tz qx qy qz qw\n1.5 3.0 4.0 0.0 0.0 0.0 0.0 1.0\n"
+    log += "2.5 3.1 4.0 0 0 0 0.7071068 0.7071068\n"
+    pose = {name: {"column": column, "unit": "m"} for name, column in (("x", "tx"), ("y", "ty"))}
+    pose |= {q: {"column": q} for q in ("qx", "qy", "qz", "qw")}
+    topics = {"box_pose": {**pose, "stddev": {"x": 0.1, "y": 0.1, "yaw": 0.1}}}
+    time = {"column": "timestamp", "unit": "s"}
+    _, messages = imported(tmp_path, log, topics, csv={"format": "tum"}, time=time)
+    first, second = messages["box_pose"]
+    assert (first.pose.pose.position.x, first.pose.pose.position.y) == (3.0, 4.0)
+    assert second.pose.pose.orientation.z == pytest.approx(math.sqrt(0.5))
+
+
+TWO_TIMES = {
+    "secs,ns,l,r\n1795185000,250000000,2,3\n": {"column": ["secs", "ns"], "unit": ["s", "ns"]},
+    "date,time,l,r\n2026-11-20,14:30:00.25,2,3\n": {"column": ["date", "time"], "unit": "iso8601"},
+}
+
+
+@pytest.mark.parametrize("log", TWO_TIMES)
+def test_times_in_two_columns_are_exact(tmp_path: Path, log: str) -> None:
+    _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, time=TWO_TIMES[log])
+    assert stamp_ns_of(messages["sprockets"][0]) == TIMES["2026-11-20 14:30:00.25"]
+
+
+def test_times_that_lost_their_digits_are_refused_with_their_count(tmp_path: Path) -> None:
+    log = "t,l,r\n" + "1.73234e+09,2,3\n" * 60
+    with pytest.raises(InputError, match=r"column 't': 60 rows at one time, 1732340000 s"):
+        imported(tmp_path, log, {"sprockets": WHEELS})
+
+
+def test_rows_that_share_a_time_are_counted(tmp_path: Path) -> None:
+    log = "t,l,r\n" + "".join(f"{k // 5 / 2},2,3\n" for k in range(60))
+    found, messages = imported(tmp_path, log, {"sprockets": WHEELS})
+    assert len(messages["sprockets"]) == 60
+    assert found.notes == ["sprockets: 48 of 60 rows share a time with the row before"]
+
+
+def test_a_value_may_stand_for_a_missing_one(tmp_path: Path) -> None:
+    log = "t,l,r\n" + "".join(
+        f"{k},{2 if k % 5 == 0 else 0},{3 if k % 5 == 0 else -999}\n" for k in range(100)
+    )
+    found, messages = imported(tmp_path, log, {"sprockets": WHEELS})
+    assert any("column 'l' is 0 in 80 % of its rows" in note for note in found.notes)
+    (folder := tmp_path / "stated").mkdir()
+    columns = {name: {**column, "missing": [0, -999]} for name, column in WHEELS.items()}
+    found, messages = imported(folder, log, {"sprockets": columns})
+    assert [list(m.velocity) for m in messages["sprockets"]] == [[2.0, 3.0]] * 20
+    assert found.notes == []
+
+
+def test_counts_of_each_interval_add_up(tmp_path: Path) -> None:
+    log = "t,l,r\n0,1,2\n1,3,-4\n2,5,6\n"
+    columns = {
+        f"{side}_position": {"column": side[0], "unit": "deg", "increments": True}
+        for side in ("left", "right")
+    }
+    _, messages = imported(tmp_path, log, {"sprockets": columns})
+    degrees = np.degrees([m.position for m in messages["sprockets"]])
+    np.testing.assert_allclose(degrees, [[1.0, 2.0], [4.0, -2.0], [9.0, 4.0]])
+
+
+OTHER_KINDS = {
+    b"(1790000000.000000) can0 18FEF100#1122334455667788\n": "log of a CAN bus (candump), no table",
+    b"date Wed Nov 25 12:00:00.000 2026\nbase hex  timestamps absolute\n": "log of a CAN bus (ASC)",
+    b"LOGG\x90\0\0\0": "log of a CAN bus (BLF)",
+    b"MDF     4.10    ": "log of a CAN bus (MF4)",
+    b";$FILEVERSION=2.1\n": "log of a CAN bus (TRC)",
+    b"$GPGGA,120000.00,4805.25,N,01136.50,E,4,12,0.8,520.0,M,47.0,M,1.0,0001*45\n": "GNSS receiver (NMEA)",
+    b"\xb5\x62\x01\x07\x5c\0": "GNSS receiver (UBX)",
+    b"PK\x03\x04\x14\0": "workbook of Excel",
+    b"\x1f\x8b\x08\0": "packed file",
+    b"1,base_link,2,3\n2,base_link,2,3\n": "line 1 holds values, and no line has names; accepted: ",
+    b't,l,r\n1,"2,3\n2,3,4\n': "quote",
+}
+
+
+@pytest.mark.parametrize("content", OTHER_KINDS)
+def test_a_file_of_another_kind_is_said_to_be_one(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "log.csv").write_bytes(content)
+    mapping = {"time": T, "topics": {"sprockets": WHEELS}}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        import_log([tmp_path / "log.csv"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+    assert OTHER_KINDS[content] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 MISTAKES = {
+    "time: 2 columns and 1 units; accepted": {"time": {"column": ["secs", "nsecs"], "unit": "s"}},
+    "csv.decimal: a comma, as the delimiter is": {"csv": {"decimal": "comma", "delimiter": "comma"}},
+    "csv: unknown key 'seperator'": {"csv": {"seperator": ";"}},
     "time.unit: 'seconds' is unknown": {"time": {"column": "t", "unit": "seconds"}},
     "datum: unknown key 'lattitude', did you mean 'latitude'?": {"datum": {"lattitude": 48.0}},
     "datum: 95, 11 is out of range": {"datum": {"latitude": 95, "longitude": 11}},

@@ -111,3 +111,52 @@ def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
     _, messages = imported(tmp_path, tmp_path / "log.csv", {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, math.pi / 4.0])
+
+
+@pytest.mark.parametrize(
+    ("given", "yaw"),
+    [
+        ({}, 0.5),
+        ({"convention": "enu", "sign": -1}, -0.5),
+        ({"convention": "compass"}, math.pi / 2.0 - 0.5),
+        ({"convention": "compass", "sign": -1}, math.pi / 2.0 + 0.5),
+    ],
+)
+def test_the_convention_of_a_heading_is_stated(tmp_path: Path, given: dict[str, Any], yaw: float) -> None:
+    turn = (0.0, 0.0, math.sin(0.25), math.cos(0.25))
+    log = write_bag(
+        tmp_path / "log", [("/q", quaternion(0.0, turn)), ("/imu", heading(0.1, turn, 0.0, 1e-5))]
+    )
+    topics = {name: {"role": "heading", "from": f"/{name}", **given} for name in ("q", "imu")}
+    _, messages = imported(tmp_path, log, topics)
+    assert [found for found, _ in headings(messages)] == pytest.approx([yaw, yaw])
+
+
+def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "log", [("/q", quaternion(0.0, NORTH))])
+    with pytest.raises(InputError, match="convention: 'ned' is not accepted; accepted: enu, compass"):
+        imported(tmp_path, log, {"compass": {"role": "heading", "from": "/q", "convention": "ned"}})
+
+
+def wheels(apart_s: float) -> list[tuple[str, Any]]:
+    """Each wheel in a message of its own, the right one's stamp so much later."""
+    found = []
+    for k in range(5):
+        found.append(("/wheels", joints(0.1 * k, ["left"], [1.0 + k], [])))
+        found.append(("/wheels", joints(0.1 * k + apart_s, ["right"], [2.0 + k], [])))
+    return found
+
+
+def test_joints_in_messages_of_their_own_are_joined_by_stamp(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "log", wheels(0.0)[:-1])
+    topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right", "use": "positions"}}
+    found, messages = imported(tmp_path, log, topics)
+    assert [list(m.position) for m in messages] == [[1.0 + k, 2.0 + k] for k in range(4)]
+    assert list(found.left_out["/sprockets"].values()) == [1]
+
+
+def test_joints_that_no_stamp_joins_are_refused(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "log", wheels(0.01))
+    topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right"}}
+    with pytest.raises(InputError, match="no messages of one stamp, hold left, right together"):
+        imported(tmp_path, log, topics)

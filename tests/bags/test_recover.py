@@ -212,7 +212,7 @@ def test_what_is_no_message_is_left_out_and_told(tmp_path: Path, capsys: pytest.
         connection = writer.add_connection("/imu", IMU, typestore=typestore())
         writer.write(connection, 0, imu(0))
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    assert main(["recover", str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == ExitCode.DONE
+    assert main(["recover", str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == ExitCode.FAILED
     assert "lost: 1 messages that are not CDR" in capsys.readouterr().out
     assert contents(tmp_path / "out") == []
 

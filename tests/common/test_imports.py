@@ -31,8 +31,11 @@ ROSDEP_KEYS = {
     "mcap": "python3-mcap-pip",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "polars": "python3-polars-pip",
     "pymap3d": "python3-pymap3d",
     "pynmeagps": "python3-pynmeagps-pip",
+    "pyrtcm": "python3-pyrtcm-pip",
+    "pyubx2": "python3-pyubx2-pip",
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
@@ -90,7 +93,7 @@ def test_package_declares_no_library_that_it_does_not_import(package: str) -> No
 
 
 VEHICLE = ("trackslip_common", "trackslip_drivers", "trackslip_estimation", "trackslip_bags")
-DESK = {"rosbags", "bokeh", "matplotlib", "distributed", "dask", "rich", "jinja2", "ruamel"}
+DESK = {"rosbags", "polars", "bokeh", "matplotlib", "distributed", "dask", "rich", "jinja2", "ruamel"}
 # The definitions of its topics are what a recorder needs beyond its imports.
 RECORDS = """
 from trackslip_bags.writer import own_schema

@@ -6,10 +6,12 @@ import math
 
 import cantools
 import pytest
+import yaml
 from fixtures import unseen_bus
 from fixtures.excavator_bus import PARAMETERS
 from fixtures.unseen_bus import drive, machine, refusal
 
+from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_drivers.protocols.can_frames import STANDARD_FLAG, FrameSet
 from trackslip_drivers.records import SprocketSample
@@ -17,6 +19,16 @@ from trackslip_drivers.records import SprocketSample
 S = 1_000_000_000
 
 
+UNREADABLE = {
+    "29-bit id without its flag": 'BO_ 419349237 Body: 8 MC\n SG_ Door : 0|1@1+ (1,0) [0|1] "" ECU\n',
+    "two multiplexers at a place": 'BO_ 1029 X: 8 MC\n SG_ A m0 : 0|8@1+ (1,0) [0|0] "" ECU\n'
+    "SG_MUL_VAL_ 1029 A Gone 0-0;\n",
+}
+STRAY = {
+    "choices of no signal": 'VAL_ 387 Gone 1 "on" 0 "off" ;\n',
+    "choices of no frame": 'VAL_ 999 Gone 1 "on" 0 "off" ;\n',
+    "a comment on no signal": 'CM_ SG_ 387 Gone "\nBO_ 5 Five: 8 X\n";\n',
+}
 BROKEN = """BO_ 1026 Washer: 2 MC
  SG_ Level : 0|12@1+ (1,0) [0|0] "" ECU
  SG_ Heater : 8|8@1+ (1,0) [0|0] "" ECU
@@ -29,6 +41,107 @@ def test_a_dbc_was_refused_for_a_frame_that_no_role_uses(tmp_path):
     driver = machine(tmp_path, dbc=unseen_bus.DBC + BROKEN)
     samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
     assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
+
+
+@pytest.mark.parametrize("text", [*UNREADABLE.values(), *STRAY.values()], ids=[*UNREADABLE, *STRAY])
+def test_a_dbc_is_read_but_for_frames_that_cannot_be(tmp_path, text):
+    driver = machine(tmp_path, dbc=unseen_bus.DBC + text)
+    samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
+    assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
+
+
+def test_a_role_in_a_frame_that_cannot_be_read_names_the_frame(tmp_path):
+    dbc = unseen_bus.DBC + UNREADABLE["29-bit id without its flag"]
+    text = refusal(tmp_path, "{signal: Upper.Swing, offset: 90.0, sign: -1}", "Body.Door", dbc)
+    assert "frame 'Body' there: " in text
+    assert "more than 11 bits" in text
+
+
+@pytest.mark.parametrize("given", ["[0.0|0.0]", "[0|0]", "[0.00|0]", "[0E0|-0.0]"])
+def test_a_range_of_zeros_is_none(tmp_path, given):
+    assert "[-300|300]" in unseen_bus.DBC
+    driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("[-300|300]", given))
+    samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
+    assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
+    assert "TravelFlow" not in driver.tally.by_source()
+
+
+@pytest.mark.parametrize("padding", [b"\0" * 4, b"\xff" * 4, b"\xff"])
+def test_frames_longer_than_the_dbc_are_read_unless_unused_bits_are_zero(tmp_path, padding):
+    sent = [(s, i, d + padding if len(d) == 4 else d) for s, i, d in unseen_bus.frames(S, 2 * S)]
+    driver = machine(tmp_path)
+    assert len([one for one in drive(driver, sent) if isinstance(one, SprocketSample)]) == 50
+    strict = machine(tmp_path, unseen_bus.ROLES + "frames: {TravelFlow: {unused_bits_zero: true}}\n")
+    assert not [one for one in drive(strict, sent) if isinstance(one, SprocketSample)]
+    assert strict.tally.by_source()["TravelFlow"] == {"wrong length": 50}
+
+
+def of_j1939(dbc):
+    """The flows in a parameter group of J1939, from the source address FE that stands for any."""
+    return dbc.replace("BO_ 385", f"BO_ {0x98FF0AFE}")
+
+
+def from_source(address, end_ns=2 * S):
+    for stamp_ns, name, data in unseen_bus.frames(S, end_ns):
+        yield stamp_ns, 0x18FF0A00 | address if len(data) == 4 else name, data
+
+
+def test_another_source_address_is_named_and_j1939_accepts_it(tmp_path):
+    driver = machine(tmp_path, dbc=of_j1939(unseen_bus.DBC))
+    assert not [one for one in drive(driver, from_source(0x27)) if isinstance(one, SprocketSample)]
+    assert all(word in driver.decoder.hint() for word in ("TravelFlow", "0x27", "0xFE", "j1939: true"))
+    roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
+    told = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
+    assert len([one for one in drive(told, from_source(0x27)) if isinstance(one, SprocketSample)]) == 50
+    assert told.decoder.other_source() == ""
+
+
+def test_ids_of_a_bus_without_roles_are_named(tmp_path):
+    driver = machine(tmp_path)
+    drive(driver, [(s, 0x321 | STANDARD_FLAG, d) for s, _, d in unseen_bus.frames(S, 2 * S)])
+    assert "0x321" in driver.decoder.hint()
+
+
+PILOTS = """BO_ 1040 Pilots: 4 MC
+ SG_ LF : 0|8@1+ (0.02,0) [0|5] "MPa" ECU
+ SG_ LB : 8|8@1+ (0.02,0) [0|5] "MPa" ECU
+ SG_ RF : 16|8@1+ (0.02,0) [0|5] "MPa" ECU
+ SG_ RB : 24|8@1+ (0.02,0) [0|5] "MPa" ECU
+"""
+PILOT_ROLES = """roles:
+  left_spool: {signal: Pilots.LF, minus: Pilots.LB, zero: 0.5 MPa, full: 30 bar}
+  right_spool: {signal: RB, minus: RF, zero: 0.5, full: 3, sign: -1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("pilots", "spools"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0)),
+        ((3.0, 0.4, 0.4, 3.0), (1.0, -1.0)),
+        ((5.0, 0.0, 0.0, 5.0), (1.0, -1.0)),
+        ((0.3, 1.76, 1.76, 0.3), (-0.504, 0.504)),
+    ],
+)
+def test_pilot_pressures_are_spools(tmp_path, pilots, spools):
+    driver = machine(tmp_path, PILOT_ROLES, unseen_bus.DBC + PILOTS)
+    data = bytes(round(value / 0.02) for value in pilots)
+    found = [driver.receive(1040 | STANDARD_FLAG, data, S + k * S // 50) for k in range(10)]
+    assert found[-1][0].left_spool == pytest.approx(spools[0])
+    assert found[-1][0].right_spool == pytest.approx(spools[1])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("zero: 0.5 MPa, ", "", "zero: '' is no pressure"),
+        ("full: 30 bar", "full: 30 l", "full: '30 l' is no pressure"),
+        ("full: 30 bar", "full: 0.4 MPa", "is not above zero"),
+        ("Pilots.LF, minus: Pilots.LB", "Upper.LeverL", "zero and full are for pilot pressures"),
+    ],
+)
+def test_a_pilot_pressure_needs_its_ends(tmp_path, old, new, reason):
+    assert reason in refusal(tmp_path, old, new, unseen_bus.DBC + PILOTS, PILOT_ROLES)
 
 
 @pytest.mark.parametrize(
@@ -97,3 +210,26 @@ def test_a_swing_without_a_range_went_back_a_turn_at_each_wrap(tmp_path, signal,
     assert [one.velocity for one in found[5:]] == pytest.approx([rate] * 594, abs=0.03)
     last = math.remainder(rate * 0.05 * 599, 2.0 * math.pi)
     assert math.remainder(found[-1].position - last, 2.0 * math.pi) == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_example_for_pilot_pressures_binds(tmp_path):
+    """To any DBC that has its signals; the maker's own is not shipped."""
+    roles = config_file("can_roles_zx200.yaml")
+    entries = yaml.safe_load(roles.read_text(encoding="utf-8"))["roles"]
+    given = [e if isinstance(e, dict) else {"signal": e} for e in entries.values()]
+    names = [entry[key] for entry in given for key in ("signal", "minus") if key in entry]
+    units = {"flow_rate": "L/min", "pressure": "MPa", "pilot_prs": "MPa", "angle": "rad"}
+    frames: dict[str, list[str]] = {}
+    for name in names:
+        frame, _, signal = name.rpartition(".")
+        unit = next(unit for ending, unit in units.items() if signal.endswith(ending))
+        signals = frames.setdefault(frame or "Pilots", [])
+        signals.append(f' SG_ {signal} : {8 * len(signals)}|8@1+ (0.02,0) [0|0] "{unit}" X')
+    text = "".join(
+        f"BO_ {k} {name}: 8 X\n" + "\n".join(s) + "\n\n" for k, (name, s) in enumerate(frames.items(), 1)
+    )
+    (tmp_path / "zx200.dbc").write_text('VERSION ""\nBS_:\nBU_: X\n' + text, encoding="utf-8")
+    bound = FrameSet(tmp_path / "zx200.dbc", roles, PARAMETERS.vehicle).bindings
+    assert {*bound.scaled, *bound.turned} == set(entries)
+    forward, backward = bound.scaled["left_spool"]
+    assert forward.si(3.5) + backward.si(0.1) == pytest.approx(1.0)

@@ -210,7 +210,7 @@ def test_pressures_without_recent_spools(excavator, frames, tally):
             "SG_ port_count",
             "signal 'encoders.left_count' is missing in .*; accepted: FRAME.SIGNAL",
         ),
-        ('] "count"', "]", "not a usable DBC"),
+        ('] "count"', "]", "frame 'encoders' there: "),
         (
             "right_count : 16|12",
             "right_count : 4|12",

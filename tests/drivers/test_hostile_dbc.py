@@ -8,7 +8,7 @@ import pytest
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
-from trackslip_drivers.protocols import can_dbc
+from trackslip_drivers.protocols import dbc_parts
 from trackslip_drivers.protocols.can_dbc import read_dbc
 
 FRAME = "BO_ 1 F: 64 A\n"
@@ -75,7 +75,7 @@ def test_numbers_of_no_can_bus_are_refused_before_cantools_has_them(
     text, message = HOSTILE[name]
     path = tmp_path / "bus.dbc"
     path.write_text(text, encoding="utf-8")
-    monkeypatch.setattr(can_dbc.cantools.database, "load_string", reached)
+    monkeypatch.setattr(dbc_parts.cantools.database, "load_string", reached)
     with pytest.raises(InputError, match=message) as caught:
         read_dbc(path)
     assert str(path) in str(caught.value)
@@ -97,7 +97,7 @@ def test_numbers_of_no_can_bus_are_refused_before_cantools_has_them(
 def test_numbers_that_a_can_bus_has_are_read(tmp_path: Path, text: str) -> None:
     path = tmp_path / "bus.dbc"
     path.write_text(text, encoding="utf-8")
-    assert len(read_dbc(path).messages) == 1
+    assert len(read_dbc(path).database.messages) == 1
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
@@ -105,7 +105,7 @@ def test_own_contract_is_read_in_any_encoding(tmp_path: Path, encoding: str) -> 
     text = config_file("excavator.dbc").read_text(encoding="utf-8")
     path = tmp_path / "bus.dbc"
     path.write_text(text + '\nCM_ "Bagger für Sand: 30°";\n', encoding=encoding)
-    assert len(read_dbc(path).messages) == text.count("\nBO_ ")
+    assert len(read_dbc(path).database.messages) == text.count("\nBO_ ")
 
 
 def test_file_of_another_kind_is_refused_whatever_its_suffix(tmp_path: Path) -> None:

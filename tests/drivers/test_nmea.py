@@ -23,6 +23,7 @@ from trackslip_drivers.protocols.nmea_sentences import Position, sentence
 from trackslip_drivers.records import FixStatus
 
 S = 1_000_000_000
+EPOCH = 36930 * S + S // 5
 GGA = "GNGGA,101530.20,3352.1234567,S,15112.7654321,E,{},18,0.6,41.20,M,22.10,M,1.0,0021"
 
 
@@ -62,30 +63,75 @@ def test_quality_decides_what_a_position_is(quality, expected):
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ("GPGST,101530.20,0.1,0.02,0.01,34.5,0.011,0.012,0.02", Gst(36930 * S + S // 5, 0.012, 0.011, 0.02)),
-        ("GPGST,101530.20,,,,,0.0,0.0,", Rejection.OUT_OF_RANGE),
-        ("GPGST,101530.20,,,,,,,", Rejection.OUT_OF_RANGE),
+        ("GPGST,101530.20,0.1,0.02,0.01,34.5,0.011,0.012,0.02", Gst(EPOCH, 0.012, 0.011, 0.02)),
+        ("GPGST,101530.20,,,,,-0.1,0.1,", Rejection.OUT_OF_RANGE),
+        ("GPGST,101530.20,,,,,20000.0,0.1,", Rejection.OUT_OF_RANGE),
         ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,R,V", Rmc(36930 * S + S // 5)),
         ("GNRMC,101530.20,V,,,,,,,201126,,,N,V", Rejection.WARNING),
-        ("GNHDT,90.0,T", Heading(None, 0.0, 0.0)),
-        ("GNHDT,270.0,T", Heading(None, math.pi, 0.0)),
+        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,N,V", Rejection.WARNING),
+        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,E,V", Rejection.DEAD_RECKONING),
+        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,S,V", Rejection.NOT_MEASURED),
+        ("GNHDT,90.0,T", Heading(None, 0.0, 0.0, True)),
+        ("GNHDT,270.0,T", Heading(None, math.pi, 0.0, True)),
         ("GNHDT,90.0,M", Rejection.NOT_TRUE_NORTH),
         ("GNHDT,,T", Rejection.NO_HEADING),
         ("GNHDT,361.0,T", Rejection.OUT_OF_RANGE),
         ("GNHDT,nan,T", Rejection.OUT_OF_RANGE),
         ("GNTHS,0.0,A", Heading(None, math.pi / 2, 0.0)),
-        ("GNTHS,0.0,E", Rejection.NOT_MEASURED),
+        ("GNTHS,0.0,E", Rejection.DEAD_RECKONING),
+        ("GNTHS,0.0,M", Rejection.NOT_MEASURED),
+        ("GNTHS,0.0,S", Rejection.NOT_MEASURED),
+        ("GNTHS,0.0,", Rejection.NO_HEADING),
         ("GNTHS,,V", Rejection.NO_HEADING),
         (
             "PASHR,101530.000,90.00,T,-0.30,+0.31,+0.01,0.029,0.029,0.180,4,1",
             Heading(36930 * S, 0.0, math.radians(0.18)),
         ),
-        ("PASHR,,90.00,T,,,,,,0.180,4,1", Rejection.MALFORMED),
+        ("PASHR,,90.00,T,,,,,,0.180,4,1", Heading(None, 0.0, math.radians(0.18))),
+        ("PASHR,101530.00,90.00,T,,,,,,0.000,4,1", Heading(36930 * S, 0.0, 0.0)),
+        ("PASHR,101530.00,0.00,T,,,,,,0.200,0,0", Rejection.NO_FIX),
+        ("PASHR,101530.00,312.95,T,,,,,,0.298,0,1", Rejection.NO_FIX),
+        ("PASHR,,0.00,T,,,,,,0.200,0,0", Rejection.NO_FIX),
+        ("PTNL,AVR,101530.20,+90.0000,Yaw,+0.01,Tilt,,,60.191,3,2.5,6", Heading(EPOCH, 0.0, 0.0)),
+        ("PTNL,AVR,101530.20,-90.0000,Yaw,+0.01,Tilt,,,60.191,3,2.5,6", Heading(EPOCH, math.pi, 0.0)),
+        ("PTNL,AVR,101530.20,+90.0000,Yaw,+0.01,Tilt,,,60.191,2,2.5,6", Rejection.NOT_FIXED),
+        ("PTNL,AVR,101530.20,+90.0000,Yaw,+0.01,Tilt,,,60.191,0,2.5,6", Rejection.NO_FIX),
+        ("PTNL,GGK,101530.20,082006,4838.1,N,00217.9,E,3,7,2.4,EHT85.96,M", None),
+        (
+            "PSSN,HRP,101530.00,081118,90.000,,-0.300,0.180,,0.400,21,2,12.000,E",
+            Heading(36930 * S, 0.0, math.radians(0.18)),
+        ),
+        ("PSSN,HRP,101530.00,081118,90.000,,-0.300,0.180,,0.400,21,1,12.000,E", Rejection.NOT_FIXED),
+        ("PSSN,HRP,101530.00,081118,,,,,,,,0,12.000,E", Rejection.NO_HEADING),
+        ("PSAT,HPR,101530.00,90.00,0.4,-1.2,N", Heading(36930 * S, 0.0, 0.0)),
+        ("PSAT,HPR,101530.00,90.00,0.4,-1.2,G", Rejection.DEAD_RECKONING),
+        ("PSAT,HPR,101530.00,,,,", Rejection.NO_HEADING),
+        (
+            "KSXT,20261125101530.00,116.2,40.0,68.3830,90.00,-67.03,190.28,0.022,,1,3,46,28,,,,-0.1,-0.1,-0.1,,",
+            Heading(36930 * S, 0.0, 0.0),
+        ),
+        (
+            "KSXT,20261125101530.00,116.2,40.0,68.3830,90.00,-67.03,190.28,0.022,,1,2,46,28,,,,-0.1,-0.1,-0.1,,",
+            Rejection.NOT_FIXED,
+        ),
+        ("KSXT,20261125101530.00,,,,,,,,,0,0,,,,,,,,,,", Rejection.NO_HEADING),
         ("PASHR,POS,0,12,101530.00", None),
         ("GPGSV,3,1,11,03,03,111,00", None),
         ("GNGGA", Rejection.MALFORMED),
         ("GNGGA,101530.20,,,,,4,18,0.6,41.20,M,22.10,M,,", Rejection.MALFORMED),
         ("GNGGA,101530.20,9952.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
+        ("GNGGA,101530.20,9000.01,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
+        ("GNGGA,101530.20,3352.12,S,18000.01,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
+        ("GNGGA,101530.20,3360.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
+        ("GNGGA,101530.20,3352.12,S,15175.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.OUT_OF_RANGE),
+        ("GNGGA,101530.20,-3352.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
+        ("GNGGA,101530.20,3352.12,S,+15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
+        ("GNGGA,101530.20,3352.12,E,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
+        ("GNGGA,101530.20,3352.12,S,15112.76,E,4,18,0.6,141.2,F,22.1,M,,", Rejection.NOT_METRES),
+        ("GNGGA,101530.20,3352.12,S,15112.76,E,4,18,0.6,41.2,M,72.1,f,,", Rejection.NOT_METRES),
+        ("GNGGA,101530.20,3352.12,S,15112.76,E,4,18,0.6,4.1e9,M,22.1,M,,", Rejection.OUT_OF_RANGE),
+        ("GNGGA,106130.20,3352.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
+        ("GNGGA,241530.20,3352.12,S,15112.76,E,4,18,0.6,41.2,M,22.1,M,,", Rejection.MALFORMED),
     ],
 )
 def test_sentence(content, expected):
@@ -114,6 +160,37 @@ def test_damage_is_found(raw, expected):
 
 def test_what_comes_before_a_sentence_does_not_matter():
     assert isinstance(decode(b"\xb5\x62\x01\x07$GNGGA,1015" + line(GGA.format(4))), Gga)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "expected"),
+    [
+        ("4506.0000000,N", "401.3380000,E", (45.1, 4 + 1.338 / 60)),
+        ("6.5,S", "1.5,W", (-6.5 / 60, -1.5 / 60)),
+        ("0006.5,S", "00001.5,W", (-6.5 / 60, -1.5 / 60)),
+        ("4506,N", "00401,E", (45.1, 4 + 1 / 60)),
+        ("9000.000,N", "18000.000,W", (90.0, -180.0)),
+        ("0.0,N", "59.999999999,E", (0.0, 59.999999999 / 60)),
+    ],
+)
+def test_angles_are_read_without_leading_zeros(latitude, longitude, expected):
+    found = decode(line(f"GPGGA,101530.20,{latitude},{longitude},4,18,0.6,41.20,M,22.10,M,1.0,0021"))
+    assert isinstance(found, Gga)
+    assert (found.latitude, found.longitude) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("time", ["93015.20", "093015.2", "093015.200000000"])
+def test_times_are_read_without_leading_zeros(time):
+    found = decode(line(GGA.format(4).replace("101530.20", time)))
+    assert isinstance(found, Gga)
+    assert found.time_ns == ((9 * 60 + 30) * 60 + 15) * S + S // 5
+
+
+@pytest.mark.parametrize("fields", ["0.000,0.000,0.000", ",,", "0.0,0.1,"])
+def test_accuracy_of_zero_is_unknown(fields):
+    found = decode(line(f"GPGST,101530.20,,,,,{fields}"))
+    assert isinstance(found, Gst)
+    assert math.isnan(found.north)
 
 
 def test_time_is_unknown_where_it_is_empty_and_in_a_leap_second():
@@ -159,7 +236,11 @@ def test_heading_and_yaw_are_each_other_s_inverse(yaw):
     assert -math.pi < yaw_of_heading(heading_of_yaw(yaw)) <= math.pi
 
 
-@given(st.binary(max_size=200), st.sampled_from(["GGA", "GST", "RMC", "HDT", "THS"]), st.text(max_size=80))
+@given(
+    st.binary(max_size=200),
+    st.sampled_from(["GGA", "GST", "RMC", "HDT", "THS", "TNL,AVR"]),
+    st.text(max_size=80),
+)
 def test_any_bytes_and_any_fields_are_survived(noise, kind, fields):
     decode(noise)
     content = f"GN{kind},{fields}".encode("ascii", "ignore").decode()

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyrtcm import calc_crc24q
+from pyubx2 import calc_checksum
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.protocols.nmea import LONGEST_LINE
-from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc
+from trackslip_drivers.protocols.gnss_frames import LONGEST
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample
 
@@ -77,8 +79,6 @@ def test_variances_are_by_hdop_where_there_is_no_gst():
 
 def test_variances_are_unknown_without_hdop():
     nothing = gga(at(0)).replace(b",0.6,", b",,").partition(b"*")[0][1:].decode()
-    from trackslip_drivers.protocols.nmea_sentences import sentence
-
     (sample,) = stream().feed(sentence(nothing), S)
     assert (sample.covariance_type, sample.variances) == (CovarianceType.UNKNOWN, (0.0, 0.0, 0.0))
 
@@ -106,6 +106,107 @@ def test_heading_has_the_epoch_of_its_burst_and_its_own_accuracy_or_the_assumed_
         assert [s.stamp_ns for s in fixes] == [s.stamp_ns for s in headings]
         assert headings[0].yaw == pytest.approx(math.radians(90.0 - 120.0))
         assert headings[0].stddev == pytest.approx(stddev)
+
+
+def ths(position):
+    return sentence(f"GNTHS,{position.heading:.2f},A")
+
+
+def gpgga(position):
+    return sentence(gga(position)[1:].partition(b"*")[0].decode().replace("GNGGA", "GPGGA"))
+
+
+@pytest.mark.parametrize(
+    ("encoders", "stddev"),
+    [
+        ((gga, ths, hdt), P.heading_stddev),
+        ((hdt, gga, ths), P.heading_stddev),
+        ((gga, pashr, hdt), math.radians(0.2)),
+        ((gga, hdt, pashr), math.radians(0.2)),
+        ((hdt, ths, pashr, gga), math.radians(0.2)),
+    ],
+)
+def test_a_heading_stated_twice_is_used_once_with_its_accuracy(encoders, stddev):
+    parser = stream()
+    headings = [s for s in told(parser, EPOCHS, encoders) if isinstance(s, HeadingSample)]
+    assert len(headings) == len(EPOCHS)
+    assert [s.stddev for s in headings[1:]] == pytest.approx([stddev] * (len(EPOCHS) - 1))
+    assert np.diff([s.stamp_ns for s in headings[1:]]) == pytest.approx(S / 10, abs=MS)
+    assert parser.repeated > 0
+    assert not parser.tally.total
+
+
+@pytest.mark.parametrize("encoders", [(gpgga, gga), (gga, gpgga, gst), (gga, gga)])
+def test_a_position_stated_twice_is_used_once(encoders):
+    parser = stream()
+    fixes = told(parser, EPOCHS, encoders)
+    assert np.diff([s.stamp_ns for s in fixes]) == pytest.approx(S / 10, abs=MS)
+    assert len(fixes) == len(EPOCHS)
+    assert not parser.tally.total
+
+
+def test_another_heading_is_used_when_the_first_ceases():
+    parser = stream()
+    told(parser, EPOCHS, (gga, pashr, hdt))
+    later = [EPOCHS[-1] + k * S // 10 for k in range(1, 100)]
+    headings = [s for s in told(parser, later, (gga, hdt), first=50) if isinstance(s, HeadingSample)]
+    assert 60 <= len(headings) < 80
+
+
+def test_no_heading_is_used_while_the_receiver_has_no_fix():
+    parser = stream()
+    booting = [Position(EPOCHS[0], quality=0, heading=0.0, heading_stddev=0.2)] * 3
+    for encode in (hdt, pashr):
+        for position in booting:
+            assert parser.feed(gga(position) + encode(position), 5 * S) + parser.flush() == []
+    assert parser.tally.by_source()["heading"] == {"no fix": 6}
+
+
+def test_an_accuracy_of_zero_beside_a_valid_fix_is_unknown():
+    parser = stream()
+    silent = Position(EPOCHS[0], -33.9, 151.2, 60.0, 4, 0.6)
+    samples = parser.feed(gga(silent) + gst(silent), 5 * S) + parser.flush()
+    assert [s.covariance_type for s in samples] == [CovarianceType.APPROXIMATED]
+    assert not parser.tally.total
+
+
+@pytest.mark.parametrize("size", [20, 100, 600, 1500, 5000])
+@pytest.mark.parametrize("form", ["ubx", "rtcm", "cut ubx", "random", "zeros", "dollars"])
+def test_binary_bursts_take_no_sentence(size, form):
+    """Without a line end between them."""
+    random, parser, samples = np.random.default_rng(size), stream(), []
+    for k, time_ns in enumerate(EPOCHS):
+        payload = random.integers(0, 256, size, np.uint8).tobytes()
+        rtcm = b"\xd3" + min(size, 1023).to_bytes(2, "big") + payload[:1023]
+        burst = {
+            "ubx": ubx(b"\x02\x15", payload),
+            "rtcm": rtcm + calc_crc24q(rtcm).to_bytes(3, "big"),
+            "cut ubx": ubx(b"\x02\x15", payload)[: size // 2],
+            "random": payload,
+            "zeros": bytes(size),
+            "dollars": b"\xaa$G" * (size // 3),
+        }[form]
+        samples += parser.feed(burst + gga(at(time_ns)), 5 * S + k * S // 2) + parser.flush()
+    assert len([s for s in samples if isinstance(s, FixSample)]) == len(EPOCHS)
+    whole = form in ("rtcm", "zeros") or (form == "ubx" and size <= 4096)
+    assert not (whole and parser.tally.total)
+
+
+def ubx(name, payload):
+    body = name + len(payload).to_bytes(2, "little") + payload
+    return b"\xb5\x62" + body + calc_checksum(body)
+
+
+def test_kinds_that_come_are_named():
+    parser = stream()
+    parser.feed(sentence("GNGNS,1") + sentence("GNVTG,0.0,T,,M,0.0,N,0.0,K,R") + rmc(at(0)), S)
+    assert parser.kinds == ["GNS", "RMC", "VTG"]
+
+
+def test_a_damaged_sentence_is_counted():
+    parser = stream()
+    parser.feed(gga(at(0))[:40] + gga(at(0)), S)
+    assert parser.tally.by_source()["fix"] == {"no line end": 1}
 
 
 def test_stamp_is_the_epoch_whatever_the_delay():
@@ -189,7 +290,7 @@ def test_any_bytes_are_survived_in_bounded_memory_and_the_next_fix_is_read(chunk
     parser = stream()
     for chunk in chunks:
         parser.feed(chunk, arrival_ns)
-        assert parser.bytes_held <= LONGEST_LINE
+        assert parser.bytes_held <= LONGEST
     samples = parser.feed(b"\n" + gga(at(S)) + gst(at(S)), arrival_ns + S)
     assert any(isinstance(s, FixSample) for s in samples)
 

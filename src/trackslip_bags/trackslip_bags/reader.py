@@ -180,9 +180,10 @@ def _open(path: Path | str) -> Bag:
         reason = error_line(error) if indexed else "no metadata.yaml"
     parts = [open_file(file) for file in bag_files(path)]
     sources = [source for source, _ in parts if source is not None]
+    notes = "; ".join(note for _, note in parts if note) or reason
     if not sources:
-        raise InputError(f"bag '{path}' cannot be read ({reason}); accepted: {ACCEPTED}")
-    return Bag(path, sources, "; ".join(note for _, note in parts if note) or reason)
+        raise InputError(f"bag '{path}' cannot be read ({notes}); accepted: {ACCEPTED}")
+    return Bag(path, sources, notes)
 
 
 def _is_ros1(path: Path) -> bool:

@@ -12,11 +12,12 @@ from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 
-from trackslip_bags import unpacking
+from trackslip_bags import sqlite_files, unpacking
 from trackslip_bags.metadata import MOST_TOPICS
 from trackslip_bags.recovery.salvage import Salvage, salvage
 
 unpacking.limit_rosbags()
+sqlite_files.read_companions()
 
 
 class BagMessage(NamedTuple):
@@ -154,6 +155,8 @@ def open_file(path: Path) -> tuple[Source | None, str]:
         return WholeBag(path), ""
     except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
         reason = error_line(error)
+    if sqlite_files.is_sqlite(path):
+        return None, f"{path.name}: {reason}"
     try:
         content = salvage(path)
     except OSError as error:

@@ -11,10 +11,11 @@ import numpy as np
 
 from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, sides_of
 from trackslip_bags.importing.bag_values import refusals, values_of
+from trackslip_bags.importing.joints import PARTIAL, JointsByStamp
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
 from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
-from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.roles import JOINTS, ROLES
 from trackslip_bags.importing.ros1 import Ros1Bags
 from trackslip_bags.importing.samples import Samples
 from trackslip_bags.importing.times import LIMIT_NS
@@ -89,6 +90,8 @@ class _Collector:
         self._frames: list[str] = []
         self._left_out: Counter[str] = Counter()
         self._seen: dict[str, None] = {}  # joints of messages that did not serve
+        wanted = {name for side in sides_of(topic) for name in side.names} if type_name == JOINTS else set()
+        self._joints = JointsByStamp(wanted)
 
     def add(self, message: Logged) -> None:
         """One message of its topic.
@@ -105,7 +108,11 @@ class _Collector:
             raise InputError(text) from error
 
     def _add(self, message: Logged) -> None:
-        for reading in self._read(message.content, self.topic):
+        content = self._joints.add(message.content) if self._type_name == JOINTS else message.content
+        if content is None:
+            self._seen |= dict.fromkeys(message.content.name)
+            return
+        for reading in self._read(content, self.topic):
             stamp_ns = message.log_time_ns
             if self.topic.stamped and reading.header is not None:
                 stamp = reading.header.stamp
@@ -124,6 +131,8 @@ class _Collector:
     def samples(self, local: LocalFrame) -> Samples:
         """When all was added."""
         topic = self.topic
+        if apart := self._joints.close():
+            self._left_out[PARTIAL] += apart
         if not self._rows:
             raise InputError(self._nothing())
         stamps_ns, log_times_ns = np.array(self._times, np.int64).T
@@ -148,6 +157,9 @@ class _Collector:
             keys = JOINT if topic.role == "swing" else " and ".join(SIDES)
             asked = ", ".join(wanted) + ("" if topic.joints else f" (no {keys} in the mapping)")
             there = ", ".join(self._seen)
+            if self._left_out[PARTIAL] and set(wanted) <= self._seen.keys():
+                what = f"no message of {topic.source}, and no messages of one stamp, hold {asked} together"
+                return f"{topic.where}: {what}; accepted: joints in one message, or with one stamp"
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"
         reasons = ", ".join(f"{n}: {reason}" for reason, n in self._left_out.items())
         child = f" of child frame '{topic.child_frame}'" if topic.child_frame else ""

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the numbers of a robot's messages, a row each, to the values of each role's messages (``samples``)."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,6 +20,7 @@ from trackslip_bags.importing.samples import (
     headings,
     track_speeds,
     without_heading,
+    yaw_of,
 )
 from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
@@ -115,7 +117,12 @@ def _heading_values(rows: FloatArray, topic: BagTopic) -> Values:
     if "yaw" in topic.spreads:
         covariance[:, 2, :] = covariance[:, :, 2] = 0.0
         covariance[:, 2, 2] = _variance(topic.spreads["yaw"])
-    return headings(rows[:, :4], covariance)
+    if topic.convention == "enu" and topic.sign == 1.0:
+        return headings(rows[:, :4], covariance)
+    yaw = topic.sign * yaw_of(*rows[:, :4].T)
+    yaw = math.pi / 2.0 - yaw if topic.convention == "compass" else yaw
+    level = np.zeros(len(yaw))
+    return headings(np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0))), covariance)
 
 
 def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:

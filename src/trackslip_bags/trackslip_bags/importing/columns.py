@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from trackslip_bags.importing.tree import check_keys, number, positive, section, text, texts
+from trackslip_bags.importing.tree import check_keys, number, positive, section, texts
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.units import UNITS, factor_to_si
 
 ISO = "iso8601"
 FIRST = "first"  # as an origin: the first value of the column
 
+_MORE = ("scale", "origin", "missing")
 _ZONE = re.compile(r"Z|([+-])(\d\d):?(\d\d)")
 
 
@@ -27,15 +28,27 @@ class Column:
     factor: float
     origin: float | str = 0.0  # in the column's own unit, or FIRST
     turn: float = 0.0  # of an angle: a whole one in that unit
+    missing: tuple[float, ...] = ()  # values that stand for none, in the column's own unit
+    increments: bool = False  # each row holds what was added since the one before
 
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """A column of times: numbers of a unit, or ISO 8601."""
+    """One or two columns of times, which add up: numbers of a unit, or ISO 8601 (date and time of day)."""
 
-    name: str
-    unit: str  # of UNITS["time"], or ISO
+    names: tuple[str, ...]
+    units: tuple[str, ...]  # of UNITS["time"], or ISO
     zone_ns: int = 0  # east of Greenwich, of ISO times that state no zone
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return " + ".join(self.names)
+
+    @property
+    def is_iso(self) -> bool:
+        """Whether it holds dates."""
+        return self.units[0] == ISO
 
 
 @dataclass(frozen=True)
@@ -53,7 +66,7 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         InputError: a key, unit or value is not accepted.
     """
     tree = section(where, value)
-    check_keys(where, tree, ("column", "unit") if quantities else ("column",), ("scale", "origin"))
+    check_keys(where, tree, ("column", "unit") if quantities else ("column",), (*_MORE, "increments"))
     quantity, factor = factor_to_si(f"{where}.unit", tree["unit"], *quantities) if quantities else ("", 1.0)
     origin = tree.get("origin", 0.0)
     return Column(
@@ -62,11 +75,25 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         factor=factor * number(f"{where}.scale", tree.get("scale", 1.0)),
         origin=FIRST if origin == FIRST else number(f"{where}.origin", origin),
         turn=math.tau / factor if quantity == "angle" else 0.0,
+        missing=_missing(f"{where}.missing", tree.get("missing", [])),
+        increments=_flag(f"{where}.increments", tree.get("increments", False)),
     )
 
 
+def _missing(where: str, value: Any) -> tuple[float, ...]:
+    """A number, or a list of them."""
+    return tuple(number(where, one) for one in (value if isinstance(value, list) else [value]))
+
+
+def _flag(where: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
+    return value
+
+
 def read_time(where: str, value: Any) -> TimeColumn:
-    """``{column: t, unit: ms}`` or ``{column: t, unit: iso8601, zone: "+02:00"}``.
+    """``{column: t, unit: ms}``, ``{column: t, unit: iso8601, zone: "+02:00"}``, or of two columns
+    ``{column: [secs, nsecs], unit: [s, ns]}``, ``{column: [date, time], unit: iso8601}``.
 
     Raises:
         InputError: a key, unit or value is not accepted.
@@ -74,16 +101,22 @@ def read_time(where: str, value: Any) -> TimeColumn:
     tree = section(where, value)
     is_iso = tree.get("unit") == ISO
     check_keys(where, tree, ("column", "unit"), ("zone",) if is_iso else ())
-    name, zone = text(f"{where}.column", tree["column"]), tree.get("zone", "Z")
+    names, zone = texts(f"{where}.column", tree["column"]), tree.get("zone", "Z")
     accepted = (*UNITS["time"], ISO)
-    unit = str(tree["unit"])
-    if unit not in accepted:
-        like = did_you_mean(unit, accepted)
-        raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {', '.join(accepted)}")
+    units = tuple(map(str, tree["unit"])) if isinstance(tree["unit"], list) else (str(tree["unit"]),)
+    for unit in units:
+        if unit not in accepted:
+            like = did_you_mean(unit, accepted)
+            raise InputError(f"{where}.unit: '{unit}' is unknown{like}; accepted: {', '.join(accepted)}")
+    if len(names) > 2 or (not is_iso and len(units) != len(names)) or (len(units) > 1 and ISO in units):
+        raise InputError(
+            f"{where}: {len(names)} columns and {len(units)} units; accepted: one of each, "
+            "as column: [secs, nsecs], unit: [s, ns], or two columns of unit iso8601"
+        )
     offset_ns = zone_offset_ns(str(zone))
     if offset_ns is None:
         raise InputError(f'{where}.zone: {zone!r} is not accepted; accepted: Z, or as "+02:00"')
-    return TimeColumn(name, unit, offset_ns)
+    return TimeColumn(names, units, offset_ns)
 
 
 def zone_offset_ns(zone: str) -> int | None:

@@ -24,6 +24,9 @@ from trackslip_common.turns import continuous
 
 Rows = NDArray[np.bool_]
 
+_SEVERAL = 3  # rows of one time, which are too many
+_MOSTLY, _SPELLS = 0.75, 10  # share of zeros, and spells of other values between them, that are noted
+
 
 def read_csv_logs(
     paths: Sequence[Path], topics: Sequence[CsvTopic], start_ns: int, local: LocalFrame
@@ -66,7 +69,14 @@ def _wanted(topics: Sequence[CsvTopic]) -> Wanted:
         numbers += [name for column in (*topic.columns.values(), *spreads) for name in column.names]
         times += [topic.time, *([topic.received] if topic.received else [])]
         texts += [topic.new_when_changes] if topic.new_when_changes else []
-    return Wanted(tuple(dict.fromkeys(numbers)), tuple(dict.fromkeys(times)), tuple(dict.fromkeys(texts)))
+        if topic.dialect != topics[0].dialect:
+            raise InputError(f"{topic.where}.csv: another than {topics[0].where} has; accepted: one a file")
+    return Wanted(
+        tuple(dict.fromkeys(numbers)),
+        tuple(dict.fromkeys(times)),
+        tuple(dict.fromkeys(texts)),
+        topics[0].dialect,
+    )
 
 
 class _Chosen:
@@ -106,6 +116,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
         for reason, which in refused:
             chosen.drop(np.isin(np.arange(len(chosen.rows)), left[which]), reason)
     rows = chosen.rows
+    _check_times(table, topic, stamps_ns[rows])
     if not rows.any():
         reasons = ", ".join(f"{n} rows: {reason}" for reason, n in chosen.left_out.items()) or "all are blank"
         raise InputError(
@@ -119,19 +130,61 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
     return Samples(topic.name, topic.role, frames, *times, values, chosen.left_out, table.path.name)
 
 
+def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
+    """Times that lost their last digits are refused where one is left, and noted where rows share some.
+
+    Raises:
+        InputError: all rows have one time.
+    """
+    distinct = len(np.unique(stamps_ns))
+    if len(stamps_ns) >= _SEVERAL and distinct == 1:
+        seconds = stamps_ns[0] * 1e-9
+        raise InputError(
+            f"{table.path}: column '{topic.time.name}': {len(stamps_ns)} rows at one time, {seconds:.10g} s; "
+            "accepted: times that tell rows apart (were digits lost as the file was written?)"
+        )
+    if shared := len(stamps_ns) - distinct:
+        of_all = f"{shared} of {len(stamps_ns)} rows"
+        table.notes.append(f"{topic.name}: {of_all} share a time with the row before")
+
+
+def _increments_summed(values: FloatArray, column: Column) -> FloatArray:
+    """(n,) what increments add up to; blank where a row has none."""
+    return np.where(np.isnan(values), np.nan, np.nancumsum(values)) if column.increments else values
+
+
+def _without_missing(values: FloatArray, column: Column) -> FloatArray:
+    """(n,) with nan for values that stand for none."""
+    return np.where(np.isin(values, column.missing), np.nan, values) if column.missing else values
+
+
+def _note_zeros(table: Table, topic: CsvTopic) -> None:
+    """Columns that are mostly 0 with other values in between: 0 may stand for a value that is missing."""
+    for name in sorted({n for c in topic.columns.values() if not c.missing for n in c.names}):
+        is_zero = table.numbers[name] == 0.0
+        spells = int(np.count_nonzero(np.diff(is_zero.astype(np.int8)) < 0))
+        if is_zero.mean() >= _MOSTLY and spells >= _SPELLS:
+            percent = round(100.0 * float(is_zero.mean()))
+            table.notes.append(
+                f"column '{name}' is 0 in {percent} % of its rows; if 0 stands for no value: missing: 0"
+            )
+
+
 def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
     """(rows,) of each, SI; angles of sprockets may begin anew after each turn of what the column shows."""
-    found = {
-        name: _si([table.numbers[n] for n in column.names], column, topic)
+    _note_zeros(table, topic)
+    numbers = {
+        name: [_increments_summed(_without_missing(table.numbers[n], column), column) for n in column.names]
         for name, column in topic.columns.items()
     }
+    found = {name: _si(numbers[name], column, topic) for name, column in topic.columns.items()}
     timed = stamps_ns != NO_TIME
     for side in SIDES if topic.role == "sprockets" else ():
         column = topic.columns.get(f"{side}_position")
-        if column is None or not column.turn or not column.factor:
+        if column is None or not column.turn or not column.factor or column.increments:
             continue
         speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
-        turned = [table.numbers[n].copy() for n in column.names]
+        turned = [values.copy() for values in numbers[f"{side}_position"]]
         for angles in turned:
             angles[timed] = continuous(stamps_ns[timed], angles[timed], speeds[timed], column.turn)
         found[f"{side}_position"] = _si(turned, column, topic)

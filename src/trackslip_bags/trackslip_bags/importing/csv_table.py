@@ -1,24 +1,36 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads columns of a CSV log: comma, semicolon or tab between cells; a line of names; numbers below.
+"""Reads columns of a CSV log by polars: a line of names (``csv_text``), rows below it.
 
-Accepted around that: a byte-order mark, comment lines that begin with ``#``, a line of units below the names,
-blank cells (also nan, NA, null). A decimal comma is not.
+Accepted besides: a line of units below the names, blank cells (also nan, NA, null), a last row that was cut
+off.
 """
 
 import csv
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from io import BytesIO
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from trackslip_bags.importing.columns import TimeColumn
+from trackslip_bags.importing.csv_text import (
+    BLANKS,
+    COMMENT,
+    Dialect,
+    Head,
+    encoding_of,
+    find_head,
+    lines_of,
+    split,
+)
+from trackslip_bags.importing.log_kinds import refuse_other_kinds
 from trackslip_bags.importing.times import accepted, time_ns
 from trackslip_common.errors import InputError, did_you_mean
 
@@ -27,13 +39,10 @@ IntArray = NDArray[np.int64]
 
 NO_TIME = np.iinfo(np.int64).min
 
-_ENCODING = "utf-8-sig"  # UTF-8, with or without the mark that spreadsheets put first
-_DELIMITERS = ",;\t"
-_BLANK = frozenset(("", "nan", "na", "n/a", "null", "none", "-nan"))
+_BLANK = ("", "nan", "na", "n/a", "null", "none", "-nan")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _BLOCK = 20_000  # rows
-_COMMENT = "#"
-_LONGEST = 1 << 20  # characters of a line
+_HEAD = 200  # lines
 _SHOWN = 40  # characters of a bad cell
 
 
@@ -43,6 +52,12 @@ class Wanted(NamedTuple):
     numbers: tuple[str, ...]
     times: tuple[TimeColumn, ...]
     texts: tuple[str, ...]
+    dialect: Dialect = Dialect()
+
+    @property
+    def names(self) -> list[str]:
+        """Of all columns."""
+        return [*(name for time in self.times for name in time.names), *self.numbers, *self.texts]
 
 
 @dataclass
@@ -50,7 +65,7 @@ class Table:
     """Columns of one file; arrays of (rows,)."""
 
     path: Path
-    lines: IntArray  # where each row ends in the file
+    lines: IntArray  # where each row is in the file
     times: dict[TimeColumn, IntArray]  # ns, NO_TIME where blank
     numbers: dict[str, FloatArray]  # nan where blank
     texts: dict[str, NDArray[Any]]
@@ -61,209 +76,206 @@ def read_table(path: Path, wanted: Wanted) -> Table:
     """The wanted columns of a file.
 
     Raises:
-        InputError: the file cannot be read, lacks a column or has no rows, or a cell in one of these
-            columns is not what it should be (names its line and column).
+        InputError: the file cannot be read, is of another kind, lacks a column or has no rows, or a cell in
+            one of these columns is not what it should be (names its line and column).
     """
     if not path.is_file():
         raise InputError(f"{path}: no regular file; accepted: a CSV file")
     try:
-        with path.open(encoding=_ENCODING, newline="") as stream:
-            return _Reader(path, stream, wanted).table()
+        refuse_other_kinds(path)
+        encoding = encoding_of(path)
+        with path.open(encoding=encoding, newline=None) as stream:
+            reader = _Reader(path, lines_of(path, stream), wanted)
+            if encoding == "cp1252":
+                reader.notes.append(f"{path.name}: not UTF-8; read as cp1252")
+            return reader.table()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
+    except csv.Error as error:
+        raise InputError(f"{path}: not a table ({error}); accepted: quotes that close") from error
 
 
-class _Converter(NamedTuple):
-    """How the cells of a column become numbers."""
+class _Block(NamedTuple):
+    """Some rows: their lines in the file, and their cells by name."""
 
-    name: str
-    convert: Callable[[str], Any]  # raises ValueError
-    kind: Any  # of numpy
-    accepted: Callable[[str], str] = lambda _: "a finite number"  # instead of a cell
+    lines: list[int]
+    cells: pl.DataFrame
 
 
 class _Reader:
     """One pass over a file."""
 
-    def __init__(self, path: Path, stream: Any, wanted: Wanted) -> None:
-        self._path, self._wanted, self._notes = path, wanted, list[str]()
-        self._stream = stream
-        self._names, self._delimiter, self._skipped, self._first = _head(path, stream)
-        columns = [*(column.name for column in wanted.times), *wanted.numbers, *wanted.texts]
-        self._indices = [self._index(name) for name in columns]
-        self._converters: list[_Converter] = [
-            *(_Converter(c.name, _time_of(c), np.int64, partial(accepted, column=c)) for c in wanted.times),
-            *(_Converter(name, _number, np.float64) for name in wanted.numbers),
-            *(_Converter(name, str, object) for name in wanted.texts),
-        ]
+    def __init__(self, path: Path, lines: Iterator[str], wanted: Wanted) -> None:
+        self.notes: list[str] = []
+        self._path, self._wanted = path, wanted
+        first = list(islice(lines, _HEAD))
+        self._head: Head = find_head(path, first, wanted.dialect, wanted.names)
+        self._numbered = enumerate(chain(first[self._head.line :], lines), self._head.line + 1)
+        self._short: tuple[int, str] | None = None
+        for name in wanted.names:
+            self._require(name)
 
     def table(self) -> Table:
         """All rows."""
-        blocks: list[list[NDArray[Any]]] = [[np.empty(0, column.kind) for column in self._converters]]
-        lines = [np.empty(0, np.int64)]
-        for numbers, cells in self._blocks():
-            lines.append(np.array(numbers, np.int64))
-            blocks.append(self._converted(numbers, cells))
-        columns = [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+        wanted = self._wanted
+        lines: list[IntArray] = []
+        times: dict[TimeColumn, list[IntArray]] = {column: [] for column in wanted.times}
+        numbers: dict[str, list[FloatArray]] = {name: [] for name in wanted.numbers}
+        texts: dict[str, list[NDArray[Any]]] = {name: [] for name in wanted.texts}
+        for block in self._blocks():
+            lines.append(np.array(block.lines, np.int64))
+            for column, times_ns in times.items():
+                times_ns.append(self._times(block, column))
+            for name, values in numbers.items():
+                values.append(self._numbers(block, name))
+            for name, words in texts.items():
+                words.append(block.cells[name].to_numpy().astype(object))
         if not sum(map(len, lines)):
             raise InputError(f"{self._path}: no rows below the header; accepted: a log with at least one")
-        first, second = len(self._wanted.times), len(self._wanted.times) + len(self._wanted.numbers)
+        if self._short is not None:
+            self.notes.append(f"{self._path.name}: line {self._short[0]}, the last, is cut off and left out")
         return Table(
             self._path,
             np.concatenate(lines),
-            dict(zip(self._wanted.times, columns[:first], strict=True)),
-            dict(zip(self._wanted.numbers, columns[first:second], strict=True)),
-            dict(zip(self._wanted.texts, columns[second:], strict=True)),
-            self._notes,
+            {column: np.concatenate(parts) for column, parts in times.items()},
+            {name: np.concatenate(parts) for name, parts in numbers.items()},
+            {name: np.concatenate(parts) for name, parts in texts.items()},
+            self.notes,
         )
 
-    def _blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """Line numbers, and the cells of the wanted columns, of some rows at a time."""
-        numbers: list[int] = []
-        rows: list[list[str]] = []
-        for line, row in self._rows():
-            if not numbers and not self._first and self._is_units(row):
-                self._notes.append(f"{self._path.name}: line {line} is taken for units")
-                self._first = True
-                continue
-            self._first = True
-            numbers.append(line)
-            rows.append([row[i].strip() for i in self._indices])
-            if len(rows) == _BLOCK:
-                yield numbers, rows
-                numbers, rows = [], []
-        if rows:
-            yield numbers, rows
+    def _blocks(self) -> Iterator[_Block]:
+        is_first = not self._head.has_rows
+        while rows := list(islice(self._rows(), _BLOCK)):
+            if is_first and self._is_units(rows[0][1]):
+                self.notes.append(f"{self._path.name}: line {rows[0][0]} is taken for units")
+                rows = rows[1:]
+            is_first = False
+            if block := self._parsed(rows):
+                yield block
 
-    def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Rows as long as the header; a last one that was cut off is left out."""
-        reader = csv.reader(self._lines(), delimiter=self._delimiter, strict=True, skipinitialspace=True)
-        width, short = len(self._names), None
+    def _rows(self) -> Iterator[tuple[int, str]]:
+        """(line, text) of those that are rows."""
+        for line, text in self._numbered:
+            if text.strip() and not text.lstrip().startswith(COMMENT):
+                yield line, "\t".join(text.split()) if self._head.delimiter == BLANKS else text
+
+    def _parsed(self, rows: list[tuple[int, str]]) -> _Block | None:
+        """The cells of rows, which are as many as the names; a last row that was cut off is left out."""
+        delimiter = "\t" if self._head.delimiter == BLANKS else self._head.delimiter
+        width = len(self._head.names)
+        counts = pl.Series([text for _, text in rows]).str.count_matches(delimiter, literal=True) + 1
+        if rows and self._short is not None:
+            raise self._ragged(*self._short)
+        short = (counts < width).arg_true().to_list()
+        if short and short[0] < len(rows) - 1:
+            raise self._ragged(*rows[short[0]])
+        for k in (counts > width).arg_true().to_list():
+            if any(split(rows[k][1], delimiter)[width:]):
+                raise self._ragged(*rows[k])
+        if short:
+            self._short = rows[-1]
+            rows = rows[:-1]
+        if not rows:
+            return None
+        lines = [line for line, _ in rows]
         try:
-            for row in reader:
-                line = self._skipped + reader.line_num
-                if short is not None:
-                    raise self._ragged(*short)
-                if not row or (row[0].lstrip().startswith(_COMMENT)):
-                    continue
-                if len(row) > width and any(row[width:]):
-                    raise self._ragged(line, row)
-                if len(row) < width:
-                    short = line, row
-                else:
-                    yield line, row
-        except csv.Error as error:
-            line = self._skipped + reader.line_num
-            raise InputError(
-                f"{self._path}: line {line}: not a table ({error}); accepted: quotes that close, "
-                "cells of less than 128 kB"
-            ) from error
-        if short is not None:
-            self._notes.append(f"{self._path.name}: line {short[0]}, the last, is cut off and left out")
+            cells = pl.read_csv(
+                BytesIO("\n".join(text for _, text in rows).encode()),
+                has_header=False,
+                separator=delimiter,
+                schema={f"{k}": pl.String for k in range(width)},
+                truncate_ragged_lines=True,
+            )
+        except pl.exceptions.PolarsError as error:
+            raise self._no_table(lines, " ".join(str(error).split(".")[0].split())) from error
+        if cells.height != len(lines):
+            raise self._no_table(lines, "a quote does not close")
+        places = {name: self._head.names.index(name) for name in dict.fromkeys(self._wanted.names)}
+        wanted = [
+            pl.col(f"{k}").fill_null("").str.strip_chars().str.strip_chars('"').str.strip_chars().alias(name)
+            for name, k in places.items()
+        ]
+        return _Block(lines, cells.select(wanted))
 
-    def _lines(self) -> Iterator[str]:
-        while line := self._stream.readline(_LONGEST):
-            if len(line) == _LONGEST:
-                raise InputError(f"{self._path}: a line of more than 1 MB; accepted: rows, a line each")
-            if "\0" in line:
-                raise InputError(f"{self._path}: holds zero bytes; accepted: text")
-            yield line
+    def _numbers(self, block: _Block, name: str) -> FloatArray:
+        """(rows,) finite numbers, nan of blank cells."""
+        cells = block.cells[name]
+        is_blank = cells.str.to_lowercase().is_in(_BLANK)
+        plain = cells.str.strip_prefix("+")
+        plain = plain.str.replace(",", ".", literal=True) if self._wanted.dialect.decimal_comma else plain
+        values = plain.cast(pl.Float64, strict=False)
+        bad = (~is_blank & ~values.is_finite().fill_null(value=False)).arg_true()
+        if len(bad):
+            raise self._bad(block.lines[bad[0]], name, cells[bad[0]], "a finite number")
+        found: FloatArray = values.to_numpy().astype(np.float64)
+        return np.where(is_blank.to_numpy(), np.nan, found)
 
-    def _is_units(self, row: list[str]) -> bool:
-        """Below the names: no cell that is wanted holds a value, and some hold a word."""
-        cells = [row[i].strip() for i in self._indices[: len(self._wanted.numbers) + len(self._wanted.times)]]
-        for cell, column in zip(cells, self._converters, strict=False):
-            if cell.lower() not in _BLANK and _holds(column.convert, cell):
-                return False
-        return any(cell for cell in cells) and not any(re.search(r"\d,\d", cell) for cell in cells)
-
-    def _converted(self, lines: list[int], rows: list[list[str]]) -> list[NDArray[Any]]:
-        """A block's columns as arrays."""
-        found = []
-        for cells, column in zip(zip(*rows, strict=True), self._converters, strict=True):
+    def _times(self, block: _Block, column: TimeColumn) -> IntArray:
+        """(rows,) ns, exactly; NO_TIME of blank cells."""
+        found = np.empty(len(block.lines), np.int64)
+        parts = [block.cells[name].to_list() for name in column.names]
+        for k, cells in enumerate(zip(*parts, strict=True)):
             try:
-                found.append(np.array(list(map(column.convert, cells)), column.kind))
+                is_blank = cells[0].lower() in _BLANK
+                found[k] = NO_TIME if is_blank else time_ns(self._pointed(cells), column)
             except ValueError:
-                raise self._bad(lines, cells, column) from None
+                names, cell = " + ".join(column.names), " ".join(cells)
+                raise self._bad(block.lines[k], names, cell, accepted(cell, column)) from None
         return found
 
-    def _bad(self, lines: list[int], cells: Sequence[str], column: _Converter) -> InputError:
-        """The first cell that cannot be converted."""
-        line, cell = next((n, c) for n, c in zip(lines, cells, strict=True) if not _holds(column.convert, c))
-        place = f"{self._path}: line {line}, column '{column.name}'"
-        if _DECIMAL_COMMA.fullmatch(cell):
-            return InputError(f"{place}: '{cell}' has a decimal comma; accepted: a decimal point")
-        shown = cell if len(cell) <= _SHOWN else f"{cell[:_SHOWN]}…"
-        return InputError(f"{place}: {shown!r} is not accepted; accepted: {column.accepted(cell)}, or blank")
+    def _pointed(self, cells: Sequence[str]) -> Sequence[str]:
+        return [cell.replace(",", ".") for cell in cells] if self._wanted.dialect.decimal_comma else cells
 
-    def _ragged(self, line: int, row: list[str]) -> InputError:
-        has = f"{self._path}: line {line} has {len(row)} cells, the header {len(self._names)}"
-        comma = self._delimiter == "," and len(row) > len(self._names)
+    def _is_units(self, text: str) -> bool:
+        """Below the names: no cell that is wanted holds a value, and some hold a word."""
+        try:
+            row = split(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter)
+        except csv.Error:
+            return False
+        if len(row) < len(self._head.names):
+            return False
+        at = {name: row[self._head.names.index(name)] for name in self._wanted.names}
+        for column in self._wanted.times:
+            cells = [at[name] for name in column.names]
+            if cells[0].lower() not in _BLANK and _holds(lambda c: time_ns(c, column), cells):  # noqa: B023
+                return False
+        cells = [at[name] for name in self._wanted.numbers]
+        if any(cell.lower() not in _BLANK and _holds(float, cell) for cell in cells):
+            return False
+        words = [*cells, *(at[name] for column in self._wanted.times for name in column.names)]
+        return any(words) and not any(re.search(r"\d,\d", cell) for cell in words)
+
+    def _bad(self, line: int, name: str, cell: str, instead: str) -> InputError:
+        """A cell that cannot be converted."""
+        place = f"{self._path}: line {line}, column '{name}'"
+        if _DECIMAL_COMMA.fullmatch(cell):
+            remedy = "a decimal point, or csv: {decimal: comma} in the mapping"
+            return InputError(f"{place}: '{cell}' has a decimal comma; accepted: {remedy}")
+        shown = cell if len(cell) <= _SHOWN else f"{cell[:_SHOWN]}…"
+        return InputError(f"{place}: {shown!r} is not accepted; accepted: {instead}, or blank")
+
+    def _ragged(self, line: int, text: str) -> InputError:
+        names = self._head.names
+        count = len(split(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter))
+        has = f"{self._path}: line {line} has {count} cells, the header {len(names)}"
+        comma = self._head.delimiter == "," and count > len(names)
         return InputError(f"{has}{' (decimal commas?)' if comma else ''}; accepted: as many as the header")
 
-    def _index(self, name: str) -> int:
-        if self._names.count(name) > 1:
+    def _no_table(self, lines: Sequence[int], reason: str) -> InputError:
+        where = f"{self._path}: lines {lines[0]} to {lines[-1]}"
+        return InputError(f"{where}: not a table ({reason}); accepted: quotes that close, in their line")
+
+    def _require(self, name: str) -> None:
+        names = self._head.names
+        if names.count(name) > 1:
             raise InputError(f"{self._path}: several columns '{name}'; accepted: one of each name")
-        if name not in self._names:
-            like = did_you_mean(name, self._names)
-            there = ", ".join(self._names) or "none"
+        if name not in names:
+            like = did_you_mean(name, names)
+            there = ", ".join(names) or "none"
             raise InputError(f"{self._path}: no column '{name}'{like}; the columns are: {there}")
-        return self._names.index(name)
 
 
-def _head(path: Path, stream: Any) -> tuple[list[str], str, int, bool]:
-    """Names, delimiter, lines up to and with the names, whether rows follow at once (names in a comment)."""
-    comment, skipped = "", 0
-    while True:
-        position = stream.tell()
-        line = stream.readline(_LONGEST)
-        if not line:
-            break
-        if line.strip() and not line.lstrip().startswith(_COMMENT):
-            if comment and _is_row(line):
-                stream.seek(position)
-                return *_split(path, comment), skipped, True
-            return *_split(path, line), skipped + 1, False
-        comment, skipped = (line.strip().lstrip(_COMMENT) if line.strip() else comment), skipped + 1
-    return *_split(path, comment), skipped, True
-
-
-def _split(path: Path, line: str) -> tuple[list[str], str]:
-    """Names and the delimiter between them: the one of which there are most."""
-    delimiter = max(_DELIMITERS, key=line.count)
-    try:
-        names = next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True), [])
-    except csv.Error as error:
-        raise InputError(
-            f"{path}: line of names: not a table ({error}); accepted: quotes that close"
-        ) from error
-    return [name.strip() for name in names], delimiter
-
-
-def _is_row(line: str) -> bool:
-    """Whether a line begins with a number."""
-    return bool(re.match(r"\s*\"?[+-]?\d", line))
-
-
-def _number(cell: str) -> float:
-    """A finite number; nan of a blank cell.
-
-    Raises:
-        ValueError: it is neither.
-    """
-    if cell.lower() in _BLANK:
-        return math.nan
-    value = float(cell)
-    if not math.isfinite(value) or "_" in cell:
-        raise ValueError(cell)
-    return value
-
-
-def _time_of(column: TimeColumn) -> Callable[[str], int]:
-    return lambda cell: NO_TIME if cell.lower() in _BLANK else time_ns(cell, column)
-
-
-def _holds(convert: Callable[[str], Any], cell: str) -> bool:
+def _holds(convert: Callable[[Any], Any], cell: Any) -> bool:
     try:
         convert(cell)
     except ValueError:

@@ -32,6 +32,8 @@ from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
+_OF_CSV = ("time", "received", "csv")  # keys for all topics of CSV logs
+
 
 @dataclass(frozen=True)
 class LogMapping:
@@ -53,7 +55,8 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     """
     tree = read_yaml(path)
     where = str(path)
-    check_keys(where, tree, ("topics",), ("time", "received", "start", "datum", "vehicle", "parameters"))
+    optional = (*_OF_CSV, "start", "datum", "vehicle", "parameters")
+    check_keys(where, tree, ("topics",), optional)
     topics = section(f"{where}: topics", tree["topics"])
     if not topics:
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
@@ -66,7 +69,7 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
         vehicle = _vehicle(path, stated)
     _check_parameters(path, parameters, vehicle)
     geometry = None if vehicle is None else _geometry(vehicle)
-    common: dict[str, Any] = {name: tree[name] for name in ("time", "received") if name in tree}
+    common: dict[str, Any] = {name: tree[name] for name in _OF_CSV if name in tree}
     found = {name: read_topic(where, name, topic, common, geometry) for name, topic in topics.items()}
     if len({isinstance(topic, BagTopic) for topic in found.values()}) > 1:
         raise InputError(f"{where}: topics both with and without '{FROM}'; accepted: one log, a bag or CSV")

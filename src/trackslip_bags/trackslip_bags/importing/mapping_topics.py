@@ -14,6 +14,7 @@ from trackslip_bags.importing.columns import (
     read_spreads,
     read_time,
 )
+from trackslip_bags.importing.csv_text import Dialect, read_dialect
 from trackslip_bags.importing.roles import ROLE_OF_TOPIC, ROLES, Role
 from trackslip_bags.importing.tree import (
     check_keys,
@@ -30,8 +31,9 @@ from trackslip_common.errors import InputError, did_you_mean
 SIDES, JOINT = ("left", "right"), "joint"  # keys of the joints of sprockets, and of a swing
 USES = ("both", "positions", "velocities")  # of the joints of sprockets
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
-_OF_CSV = ("file", "time", "received", "new_when_changes")
-_OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only")
+_OF_CSV = ("file", "time", "received", "csv", "new_when_changes")
+_OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only", "convention", "sign")
+CONVENTIONS = ("enu", "compass")  # of headings: from east, counter-clockwise; from north, clockwise
 NEEDS_GEOMETRY = (
     "a speed over ground needs a vehicle in the mapping, or geometry: {rolling_radius: …, tread: …}"
 )
@@ -75,6 +77,7 @@ class CsvTopic(Topic):
     received: TimeColumn | None
     columns: Mapping[str, Column]
     new_when_changes: str | None
+    dialect: Dialect
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ class BagTopic(Topic):
     stamped: bool  # by the header; else by the time of the log
     child_frame: str | None  # of transforms
     position_only: bool
+    convention: str  # of headings, one of CONVENTIONS
+    sign: float  # of headings, as they are in their convention
 
 
 def read_topic(
@@ -133,6 +138,7 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         received=read_time(f"{where}.received", tree["received"]) if "received" in tree else None,
         columns=columns,
         new_when_changes=None if marker is None else text(f"{where}.new_when_changes", marker),
+        dialect=read_dialect(f"{where}.csv", tree.get("csv", {})),
     )
 
 
@@ -152,6 +158,8 @@ def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         stamped=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
         child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
         position_only=_flag(f"{where}.position_only", tree.get("position_only", False)),
+        convention=choice(f"{where}.convention", tree.get("convention", CONVENTIONS[0]), CONVENTIONS),
+        sign=_sign(f"{where}.sign", tree.get("sign", 1)),
     )
 
 
@@ -164,6 +172,8 @@ def _keys_of(role: Role, keys: tuple[str, ...]) -> tuple[str, ...]:
         without |= {JOINT}
     if role is not ROLES["pose"]:
         without |= {"child_frame", "position_only"}
+    if role is not ROLES["heading"]:
+        without |= {"convention", "sign"}
     return tuple(key for key in (*keys, *_COMMON) if key not in without)
 
 
@@ -172,12 +182,17 @@ def _joints(where: str, value: Any) -> Joints:
     if not isinstance(value, Mapping):
         return Joints(texts(where, value), 1.0)
     check_keys(where, value, ("joints",), ("sign", "ratio"))
-    sign = number(f"{where}.sign", value.get("sign", 1))
-    if abs(sign) != 1.0:
-        raise InputError(f"{where}.sign: {sign:g} is not accepted; accepted: 1 or -1")
+    sign = _sign(f"{where}.sign", value.get("sign", 1))
     return Joints(
         texts(f"{where}.joints", value["joints"]), sign * positive(f"{where}.ratio", value.get("ratio", 1.0))
     )
+
+
+def _sign(where: str, value: Any) -> float:
+    sign = number(where, value)
+    if abs(sign) != 1.0:
+        raise InputError(f"{where}: {sign:g} is not accepted; accepted: 1 or -1")
+    return sign
 
 
 def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], given: set[str]) -> None:

@@ -3,11 +3,12 @@
 """Times of a CSV log, exactly: text → ns."""
 
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime, timezone
 from decimal import Decimal
 
-from trackslip_bags.importing.columns import ISO, TimeColumn, zone_offset_ns
+from trackslip_bags.importing.columns import TimeColumn, zone_offset_ns
 
 _SCALES = {
     name: Decimal(nanoseconds)
@@ -33,18 +34,20 @@ LIMIT_NS = 2**31 * 10**9  # seconds of a ROS stamp are 32 bit, with sign
 
 def accepted(cell: str, column: TimeColumn) -> str:
     """What such a column may hold instead of a cell; where another unit would do, which."""
-    if column.unit == ISO:
+    if column.is_iso:
         return "as 2026-11-20T14:30:00.25+01:00"
-    return f"a number of {column.unit}{_likely_unit(cell)}"
+    return f"a number of {' + '.join(column.units)}{_likely_unit(cell)}"
 
 
-def time_ns(cell: str, column: TimeColumn) -> int:
-    """ns since the column's own zero, of ISO times since 1970.
+def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
+    """ns since the column's own zero, of ISO times since 1970; a cell for each of its columns.
 
     Raises:
-        ValueError: the cell holds no such time.
+        ValueError: the cells hold no such time.
     """
-    return _iso_ns(cell, column.zone_ns) if column.unit == ISO else _number_ns(cell, column.unit)
+    if column.is_iso:
+        return _iso_ns(" ".join(cells), column.zone_ns)
+    return sum(_number_ns(cell, unit) for cell, unit in zip(cells, column.units, strict=True))
 
 
 def _number_ns(cell: str, unit: str) -> int:
@@ -73,7 +76,9 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
 
 def too_late(value_ns: int, column: TimeColumn) -> str:
     """A hint for a time beyond what stamps can hold: the unit that would make it one of our days."""
-    return "" if column.unit == ISO else _likely_unit(str(Decimal(value_ns) / _SCALES[column.unit]))
+    if column.is_iso or len(column.units) > 1:
+        return ""
+    return _likely_unit(str(Decimal(value_ns) / _SCALES[column.units[0]]))
 
 
 def _likely_unit(cell: str) -> str:

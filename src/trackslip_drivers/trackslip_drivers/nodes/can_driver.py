@@ -84,6 +84,10 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
             if type(sample) is self._can.main_kind:
                 self.count()
 
+    def lack(self) -> str:
+        """Why no frame that comes has a role."""
+        return self._can.decoder.hint()
+
     def health(self) -> list[Health]:
         """The link's health, with the state of the bus."""
         self.period = self._can.period or self.period
@@ -91,6 +95,7 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
             entries[0].values["frames without a role"] = self._can.decoder.others
+            entries[0].values["another source address"] = self._can.decoder.other_source()
         return entries
 
 

@@ -166,6 +166,10 @@ class DriverNode(TrackslipNode[P]):
         """Where the talk with the device has got to, while no data come; empty where there is none."""
         return ""
 
+    def lack(self) -> str:
+        """What comes whole but is of no use, and what to do; empty where nothing does."""
+        return ""
+
     def _condition(self, link: Link[Any]) -> tuple[bytes, str]:
         """Whether data come, or why not and what to do; numbers that change are in the values."""
         state, where = link.state(), self.where()
@@ -181,8 +185,10 @@ class DriverNode(TrackslipNode[P]):
         if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING:
             return WARN, f"{where}: opened, nothing yet"
         talk = f" ({self.talk()})" if self.talk() else ""
-        if state.silent_s > 0.5 * limit_s:
+        if state.silent_s > 0.5 * limit_s or not state.has_heard:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
+        if lack := self.lack():
+            return ERROR, f"{where}: {lack}"
         reason = self._rejected[0] or "nothing whole yet"
         if reason in self.passing:
             return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"

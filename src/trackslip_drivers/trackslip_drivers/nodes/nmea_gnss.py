@@ -56,7 +56,16 @@ class NmeaNode(DriverNode[NmeaParameters]):
         (entry, *others) = super().health()
         entry.values["latency (s)"] = f"{self._stream.latency_ns * 1e-9:.3f}"
         entry.values["sentences of other kinds"] = self._stream.others
+        entry.values["measurements stated twice"] = self._stream.repeated
+        entry.values["bytes between sentences"] = self._stream.binary
         return [entry, *others]
+
+    def lack(self) -> str:
+        """Whole sentences, but none with a position."""
+        kinds = self._stream.kinds
+        if not kinds or "GGA" in kinds:
+            return ""
+        return f"whole sentences come ({', '.join(kinds)}), but no GGA; switch GGA on at the receiver"
 
     def _new_stream(self) -> NmeaStream:
         utc = (lambda steady_ns: self._host.stamp(steady_ns)) if self.settings.host_clock_is_utc else None

@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from cantools.database import Database, Message
+from cantools.database import Message
 
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.protocols.can_codec import Field, field_of
-from trackslip_drivers.protocols.can_roles import ROLES, SWING, Role
+from trackslip_drivers.protocols.can_dbc import Dbc
+from trackslip_drivers.protocols.can_roles import ROLES, SPOOLS, SWING, Role
 from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
 
 _TURN = 2.0 * math.pi
@@ -33,15 +34,17 @@ class Place(NamedTuple):
 
 
 class Scaled(NamedTuple):
-    """A signal in SI: (value − offset) × factor."""
+    """A signal in SI: (value − offset) × factor, within its limits."""
 
     place: Place
     offset: float
     factor: float
+    low: float = -math.inf
+    high: float = math.inf
 
     def si(self, value: float) -> float:
-        """Of a value in the DBC's unit."""
-        return (value - self.offset) * self.factor
+        """Of a value in the DBC's unit; nan where that is nan."""
+        return min(max((value - self.offset) * self.factor, self.low), self.high)
 
 
 class Turned(NamedTuple):
@@ -69,13 +72,14 @@ class Binder:
     """Finds the signals of roles in a DBC.
 
     Args:
-        database: the DBC.
+        contract: the DBC.
         vehicle: for flows and speeds over ground.
         dbc, roles: the files, for messages.
     """
 
-    def __init__(self, database: Database, vehicle: VehicleParameters, dbc: Path, roles: Path) -> None:
-        self._database = database
+    def __init__(self, contract: Dbc, vehicle: VehicleParameters, dbc: Path, roles: Path) -> None:
+        self._database = contract.database
+        self._left_out = contract.left_out
         self._vehicle = vehicle
         self._dbc = dbc
         self._roles = roles
@@ -116,6 +120,12 @@ class Binder:
     def _scaled(self, name: str, role: Role, reference: str, share: float) -> Scaled:
         where, message, signal = self._find(name, reference)
         unit = self._unit(where, name, role, message.get_signal_by_name(signal).unit)
+        if unit.quantity is Quantity.PRESSURE and name in SPOOLS:
+            return self._spool(where, self._place(where, message, signal, role), role, share, unit)
+        if role.zero or role.full:
+            raise InputError(
+                f"{where}: zero and full are for pilot pressures; accepted: none, as it is a ratio"
+            )
         factor = unit.factor * role.sign * share
         if unit.quantity is Quantity.FLOW:
             v = self._vehicle.hydraulics
@@ -126,6 +136,15 @@ class Binder:
         elif unit.quantity is Quantity.SPEED:
             factor /= self._vehicle.kinematics.rolling_radius
         return Scaled(self._place(where, message, signal, role), role.offset, factor / role.ratio)
+
+    @staticmethod
+    def _spool(where: str, place: Place, role: Role, share: float, unit: Unit) -> Scaled:
+        """A pilot pressure: 0 where it is ``zero`` or less, ±1 where it is ``full`` or more."""
+        zero, full = (_level(f"{where}: {key}", getattr(role, key), unit) for key in ("zero", "full"))
+        if full <= zero:
+            raise InputError(f"{where}: full: {role.full} is not above zero ({role.zero}); accepted: more")
+        side = role.sign * share
+        return Scaled(place, zero, side / (full - zero), min(side, 0.0), max(side, 0.0))
 
     def _turned(self, name: str, role: Role) -> Turned:
         where, message, signal = self._find(name, role.signal)
@@ -161,7 +180,8 @@ class Binder:
             if frame in ("", message.name) and any(s.name == signal for s in message.signals)
         ]
         if not found:
-            raise InputError(f"{where} is missing in {self._dbc}; accepted: FRAME.SIGNAL of the DBC")
+            bad = "".join(f" (frame '{n}' there: {reason})" for n, reason in self._left_out.items())
+            raise InputError(f"{where} is missing in {self._dbc}{bad}; accepted: FRAME.SIGNAL of the DBC")
         if len(found) > 1:
             names = ", ".join(f"{message.name}.{signal}" for message in found)
             raise InputError(f"{where} is in several frames; accepted: one of {names}")
@@ -196,6 +216,24 @@ class Binder:
                 f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {wanted}"
             )
         return unit
+
+
+def _level(where: str, text: str, unit: Unit) -> float:
+    """A pressure of the roles file, in the signal's unit.
+
+    Raises:
+        InputError: it is none.
+    """
+    number, _, name = text.strip().partition(" ")
+    own = UNITS.get(name.strip()) if name else unit
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or own is None or own.quantity is not Quantity.PRESSURE:
+        accepted_units = accepted((Quantity.PRESSURE,))
+        raise InputError(f"{where}: '{text}' is no pressure; accepted: as 0.5 MPa, in {accepted_units}")
+    return value * own.factor / unit.factor
 
 
 def _wrap(field: Field, step: float, rad: float) -> float:

@@ -33,7 +33,7 @@ class Field(NamedTuple):
     high: float
     floating: str  # of ``struct``; empty for whole numbers
     reserved: int  # the least raw value that is none; 0 where all are values
-    selector: tuple["Field", tuple[int, ...]] | None = None  # multiplexer, and its values with this signal
+    selector: tuple["Field", frozenset[int]] | None = None  # multiplexer, and its values with this signal
 
     def raw(self, little: int, big: int) -> int:
         """The bits, as an unsigned number."""
@@ -56,8 +56,12 @@ class Field(NamedTuple):
         return int.from_bytes((self.mask << self.shift).to_bytes(length, order), "little")  # type: ignore[arg-type]
 
     def is_in(self, little: int, big: int) -> bool:
-        """Whether the payload has the signal, as the multiplexer says."""
-        return self.selector is None or self.selector[0].raw(little, big) in self.selector[1]
+        """Whether the payload has the signal, as its multiplexer and those above that select."""
+        if self.selector is None:
+            return True
+        multiplexer, values = self.selector
+        raw = multiplexer.raw(little, big)
+        return raw - 2 * (raw & multiplexer.sign) in values and multiplexer.is_in(little, big)
 
 
 _SAME = {"e": "H", "f": "I", "d": "Q"}  # of the same size
@@ -76,6 +80,7 @@ def field_of(message: Message, name: str) -> Field:
     has_reserved = (
         message.protocol == "j1939" and signal.length % 8 == 0 and not (signal.is_signed or signal.is_float)
     )
+    has_no_range = not signal.minimum and not signal.maximum  # [0|0], [0.0|0.0]: none is given
     return Field(
         big,
         8 * message.length - ahead - signal.length if big else signal.start,
@@ -83,18 +88,18 @@ def field_of(message: Message, name: str) -> Field:
         1 << signal.length - 1 if signal.is_signed else 0,
         signal.scale,
         signal.offset,
-        -math.inf if signal.minimum is None else signal.minimum,
-        math.inf if signal.maximum is None else signal.maximum,
+        -math.inf if has_no_range or signal.minimum is None else signal.minimum,
+        math.inf if has_no_range or signal.maximum is None else signal.maximum,
         _FLOATING[signal.length] if signal.is_float else "",
         _RESERVED_FROM << signal.length - 8 if has_reserved else 0,
         _selector(message, signal),
     )
 
 
-def _selector(message: Message, signal: Signal) -> tuple[Field, tuple[int, ...]] | None:
+def _selector(message: Message, signal: Signal) -> tuple[Field, frozenset[int]] | None:
     if not signal.multiplexer_ids or signal.multiplexer_signal is None:
         return None
-    return field_of(message, signal.multiplexer_signal), tuple(signal.multiplexer_ids)
+    return field_of(message, signal.multiplexer_signal), frozenset(signal.multiplexer_ids)
 
 
 class Protection(NamedTuple):
@@ -104,6 +109,7 @@ class Protection(NamedTuple):
     checksum: str = ""
     checksum_type: str = ""
     unused_bits_zero: bool = False
+    j1939: bool = False  # it is known by its parameter group, though the DBC does not mark it
 
 
 class Codec:
@@ -128,6 +134,7 @@ class Codec:
         self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
         whole = frozenset(name for name in raw if not self.fields[name].floating)
         self._wanted = [(name, field, name in whole) for name, field in self.fields.items()]
+        self.is_exact = protection.unused_bits_zero  # no byte may follow those of the DBC
         self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
         self._counter = field_of(message, protection.counter) if protection.counter else None
         self.modulus = 0 if self._counter is None else _modulus(self._counter)

@@ -13,11 +13,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-import cantools
 from cantools.database import Database
 from cantools.database.errors import Error as CantoolsError
 
 from trackslip_common.errors import InputError
+from trackslip_drivers.protocols.dbc_parts import load_frames_apart
 
 _LARGEST = 8_000_000  # bytes; a whole J1939 has some 4 million
 _LONGEST_FRAME = 1785  # bytes: the most that J1939 carries in packets; CAN FD has 64
@@ -46,7 +46,14 @@ class _Signal(NamedTuple):
     selector: int | None  # in whose presence it is there
 
 
-def read_dbc(path: Path) -> Database:
+class Dbc(NamedTuple):
+    """A DBC, and what is wrong with each of its frames that cannot be read."""
+
+    database: Database
+    left_out: Mapping[str, str]
+
+
+def read_dbc(path: Path) -> Dbc:
     """A DBC; frames whose signals overlap or do not fit are in it too, for who knows whether they matter.
 
     Raises:
@@ -62,16 +69,14 @@ def read_dbc(path: Path) -> Database:
         except UnicodeDecodeError:
             text = content.decode("cp1252")  # as tools for Windows write it
         _check(where, _UNREAD.sub(_blank, text))
-        database = cantools.database.load_string(text, database_format="dbc", strict=False)
+        found = load_frames_apart(text)
     except InputError:
         raise
     except (OSError, UnicodeDecodeError, CantoolsError) as error:
         raise InputError(f"{where}: not a usable DBC ({error_line(error)})") from error
     except Exception as error:  # damaged text can raise anything in the parser
         raise InputError(f"{where}: not a usable DBC ({type(error).__name__})") from error
-    if not isinstance(database, Database):
-        raise InputError(f"{where}: not a DBC of CAN frames")
-    return database
+    return Dbc(*found)
 
 
 def error_line(error: Exception) -> str:

@@ -38,6 +38,8 @@ BUS = "can"  # what a rejection is counted under when the frame cannot be named
 _EXTENDED = 1 << 29  # ids below are data frames with 29 bits
 _FIRST_BROADCAST = 0xF0  # of the PDU format: below it, the next byte is an address
 _MOST_SENDERS = 256
+_SHOWN_IDS = 8
+_ID_BITS = _EXTENDED - 1
 
 
 class Rejection(Enum):
@@ -58,10 +60,14 @@ class FrameSet:
     """
 
     def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
-        database = read_dbc(dbc)
+        contract = read_dbc(dbc)
+        database = contract.database
         given = read_roles(roles)
         self.roles = given.roles
-        self.bindings = Binder(database, vehicle, dbc, roles).bind(given.roles)
+        for message in database.messages:
+            if given.protections.get(message.name, Protection()).j1939:
+                message.protocol = "j1939"
+        self.bindings = Binder(contract, vehicle, dbc, roles).bind(given.roles)
         names = {place.frame for place in self.bindings.places()}
         used = [message for message in database.messages if message.name in names]
         self.by_name = {message.name: message for message in used}
@@ -85,6 +91,11 @@ class FrameSet:
             for name, message in self.by_name.items()
             if message.protocol == "j1939" and message.is_extended_frame
         }
+        self._by_own_id = {
+            _group(message.frame_id): (name, message.frame_id)
+            for name, message in self.by_name.items()
+            if message.protocol != "j1939" and message.is_extended_frame
+        }
 
     def _codec(self, message: Message, protection: Protection) -> Codec:
         raw = {
@@ -107,6 +118,10 @@ class FrameSet:
         if codec is None and self._by_group and arbitration_id < _EXTENDED:
             codec = self._by_group.get(_group(arbitration_id))
         return codec
+
+    def find_other_source(self, arbitration_id: int) -> tuple[str, int] | None:
+        """The frame that this would be if only its source address or priority differed, and its own id."""
+        return self._by_own_id.get(_group(arbitration_id)) if arbitration_id < _EXTENDED else None
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
         """(arbitration id, payload) of one frame; values in the DBC's units.
@@ -143,6 +158,8 @@ class FrameDecoder:
 
     def __init__(self, frames: FrameSet, tally: Tally) -> None:
         self.others = 0
+        self.others_ids: dict[int, None] = {}  # the first of them, as the transport gives them
+        self.other_sources: dict[str, tuple[int, int]] = {}  # frame → its id, and that which comes
         self._frames = frames
         self._tally = tally
         self._timings: dict[int, FrameTiming] = {}  # by arbitration id
@@ -157,10 +174,10 @@ class FrameDecoder:
         if codec is None:
             if arbitration_id & ERROR_FLAG and not arbitration_id & STANDARD_FLAG:
                 return self._reject(BUS, Rejection.ERROR_FRAME)
-            self.others += 1
-            return ()
-        if len(data) != codec.length:
+            return self._set_aside(arbitration_id)
+        if len(data) < codec.length or (codec.is_exact and len(data) > codec.length):
             return self._reject(codec.name, Rejection.WRONG_LENGTH)
+        data = data[: codec.length]  # some senders pad to eight bytes
         little, big = int.from_bytes(data, "little"), int.from_bytes(data, "big")
         if not codec.checks(arbitration_id, little, big):
             return self._reject(codec.name, Rejection.CHECKSUM)
@@ -171,6 +188,36 @@ class FrameDecoder:
             return self._reject(codec.name, Rejection.OUT_OF_RANGE)
         timing = self._timings.get(arbitration_id) or self._new_timing(arbitration_id, codec)
         return timing.add(codec.count(little, big), stamp_ns, values)
+
+    def _set_aside(self, arbitration_id: int) -> Sequence[Frame]:
+        """A frame without a role; one that differs by its source address alone may be meant."""
+        found = self._frames.find_other_source(arbitration_id)
+        if found is not None and found[1] not in self._timings:
+            name, own_id = found
+            self.other_sources[name] = (own_id, arbitration_id)
+        self.others += 1
+        if len(self.others_ids) < _SHOWN_IDS:
+            self.others_ids[arbitration_id] = None
+        return ()
+
+    def other_source(self) -> str:
+        """A frame that comes from another source address than the DBC's alone; empty where none does."""
+        for name, (own_id, seen_id) in self.other_sources.items():
+            if own_id not in self._timings:
+                seen = f"0x{seen_id:X}, from source address 0x{seen_id & 0xFF:02X}"
+                own = f"0x{own_id:X}, from 0x{own_id & 0xFF:02X}"
+                remedy = "if it is the same frame, set j1939: true of it in the roles file"
+                return f"frame '{name}' comes as {seen}; the DBC has {own}; {remedy}"
+        return ""
+
+    def hint(self) -> str:
+        """Why no frame has a role, and what to do; empty where nothing is known."""
+        if found := self.other_source():
+            return found
+        if not self.others_ids or self._timings:
+            return ""
+        ids = ", ".join(f"0x{name & _ID_BITS:X}" for name in self.others_ids)
+        return f"frames come (ids {ids}), but none with a role; check dbc_file and roles_file"
 
     def resume(self) -> None:
         """The bus was opened anew: what came before is continued by time alone."""

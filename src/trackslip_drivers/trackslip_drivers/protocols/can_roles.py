@@ -26,7 +26,7 @@ _BY_SIDE: Mapping[str, tuple[Quantity, ...]] = {
     SPEED: (Quantity.ANGULAR_SPEED, Quantity.SPEED),
     FLOW: (Quantity.FLOW,),
     "pressure": (Quantity.PRESSURE,),
-    "spool": (Quantity.RATIO,),
+    "spool": (Quantity.RATIO, Quantity.PRESSURE),
 }
 ROLES: Mapping[str, tuple[Quantity, ...]] = {
     **{f"{side}_{what}": quantities for what, quantities in _BY_SIDE.items() for side in SIDES},
@@ -47,9 +47,13 @@ class Role(NamedTuple):
     counts_per_turn: float = 0.0  # of the sensor, for counts
     wraps_at: float = 0.0  # in the signal's unit; 0: where the DBC's range ends
     offset: float = 0.0  # in the signal's unit: what it shows at zero
+    zero: str = ""  # of a pilot pressure: where the spool is closed, with its unit (or in the signal's)
+    full: str = ""  # where it is fully open
     source: int = -1  # address of the sender, of J1939; -1: any
 
 
+SPOOLS = tuple(f"{side}_spool" for side in SIDES)
+_SPOOL_ONLY = ("zero", "full")
 _TURNED_ONLY = ("counts_per_turn", "wraps_at")
 _MOTION_ONLY = ("ratio",)
 _NO_MOTION = (Quantity.PRESSURE, Quantity.RATIO)
@@ -104,6 +108,11 @@ def _role(where: str, name: str, entry: Any) -> Role:
         raise InputError(f"{where}: 'signal' is missing; {_SHORT}FRAME.SIGNAL of the DBC")
     is_turned = ROLES[name] == _TURNED
     hidden = () if is_turned else _TURNED_ONLY + (_MOTION_ONLY if ROLES[name][0] in _NO_MOTION else ())
+    if name in SPOOLS:
+        levels = {key: str(entry[key]) for key in _SPOOL_ONLY if isinstance(entry.get(key), (int, float))}
+        entry = {**entry, **levels}
+    else:
+        hidden += _SPOOL_ONLY
     _known(where, "key", entry, [key for key in Role._fields if key not in hidden])
     if is_turned and "minus" in entry:
         raise InputError(
@@ -122,7 +131,7 @@ def _role(where: str, name: str, entry: Any) -> Role:
     return role
 
 
-_PROTECTION_KEYS = ("counter", "checksum", "checksum_type", "unused_bits_zero")
+_PROTECTION_KEYS = ("counter", "checksum", "checksum_type", "unused_bits_zero", "j1939")
 
 
 def _protection(where: str, entry: Any) -> Protection:

@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""NMEA 0183 sentences of GNSS receivers: what GGA, GST, RMC, HDT, THS and PASHR tell.
+"""NMEA 0183 sentences of GNSS receivers: positions, their accuracy, headings.
 
     $GNGGA,101530.20,3352.1234567,S,15112.7654321,E,4,18,0.6,41.20,M,22.10,M,1.0,0021*5C
 
-    u     time of day that the receiver tells, UTC                                    ns
+    u     time of day that the receiver states, UTC                                   ns
     h     heading of the pair of antennas, clockwise from true north                  °
     ψ     the same east = 0, counter-clockwise: ψ = 90° − h                           rad
 
-Fields are read by pynmeagps; checksums, ranges and empty fields are checked here. A sentence is used or has a
-reason why not; of kinds that are not asked for nothing is said.
+Fields are read by pynmeagps. Checksums, validity fields, ranges and empty fields are checked here; angles and
+times, whose width varies between makes, are read here. A sentence is accepted or has a reason why not; kinds
+that are not used are left aside.
 """
 
 import math
-from datetime import time
+import re
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -36,9 +38,11 @@ _STATUS_OF_QUALITY = {
     9: FixStatus.DIFFERENTIAL,  # by satellite, as one make has it
 }
 _NO_FIX, _DEAD_RECKONING = 0, 6
-_KINDS = ("GGA", "GST", "RMC", "HDT", "THS", "PASHR")
 _WORST_STDDEV = 1e4  # m
+_HIGHEST = 1e5  # m, of an altitude either way
 _NS_PER_S = 1_000_000_000
+_TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s, leading zeros left out by some makes
+_ANGLE = re.compile(r"(\d{1,5})(?:\.(\d*))?")  # dddmm.m, the same
 
 
 class Rejection(Enum):
@@ -50,10 +54,12 @@ class Rejection(Enum):
     CHECKSUM = "wrong checksum"
     MALFORMED = "malformed field"
     OUT_OF_RANGE = "out of range"
+    NOT_METRES = "altitude is not in metres"
     NO_FIX = "no fix"
     DEAD_RECKONING = "dead reckoning"
-    NOT_MEASURED = "manual or simulated position"
+    NOT_MEASURED = "manual or simulated"
     NO_HEADING = "no heading"
+    NOT_FIXED = "ambiguities of the heading are not fixed"
     NOT_TRUE_NORTH = "heading is not from true north"
     WARNING = "receiver's warning"
 
@@ -75,12 +81,12 @@ class Gga(NamedTuple):
 
 
 class Gst(NamedTuple):
-    """Standard deviations of a position, m."""
+    """Standard deviations of a position, m; nan: unknown."""
 
     time_ns: int | None
     east: float
     north: float
-    up: float  # nan: unknown
+    up: float
 
 
 class Rmc(NamedTuple):
@@ -95,33 +101,49 @@ class Heading(NamedTuple):
     time_ns: int | None
     yaw: float  # rad, ψ
     stddev: float  # rad; 0: unknown
+    needs_fix: bool = False  # the sentence has no validity field of its own
 
 
 Reading = Gga | Gst | Rmc | Heading
 
 
-def decode(line: bytes) -> Reading | Rejection | None:
-    """What one line tells, without its end; None for a kind of sentence that is not asked for.
+class Sentence(NamedTuple):
+    """One line whose checksum is right."""
 
-    What comes before the last ``$`` is noise, or a binary message on the same line.
-    """
-    _, start, content = line.rstrip(b"\r").rpartition(b"$")
-    if not start:
-        return Rejection.NOT_NMEA
-    content, star, checksum = content.partition(b"*")
-    address = content.partition(b",")[0].decode("latin-1")
-    kind = address if address.startswith("P") else address[2:]
-    if kind not in _KINDS or (content.startswith(b"PASHR,") and content[6:7].isalpha()):  # PASHR,POS and such
-        return None if star and content.isascii() else Rejection.NOT_NMEA
+    talker: str  # GN, GP, …; P of proprietary sentences
+    kind: str  # GGA, …; PASHR, PTNL,AVR, … of proprietary ones
+    reading: Reading | Rejection | None  # None: a kind that is not used
+
+
+def read(line: bytes) -> Sentence | Rejection:
+    """One line, from its ``$`` on, without its end."""
+    content, star, checksum = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
+    fields = content.decode("latin-1").split(",")
+    talker, kind = _address(fields)
+    decoder = _DECODERS.get(kind)
+    if decoder is None:
+        return Sentence(talker, kind, None) if star and content.isascii() else Rejection.NOT_NMEA
     if not star:
         return Rejection.NO_CHECKSUM
     if checksum.strip().upper() != calc_checksum(content.decode("latin-1")).encode():
         return Rejection.CHECKSUM
     try:
-        found = NMEAReader.parse(b"$" + content + b"*" + checksum, validate=VALNONE)
-        return _DECODERS[kind](found)
+        reading = decoder(_parsed(kind, content, checksum), fields[1:])
     except Exception:  # noqa: BLE001 (whatever the library raises of an empty or wrong field)
-        return Rejection.MALFORMED
+        reading = Rejection.MALFORMED
+    return Sentence(talker, kind, reading)
+
+
+def decode(line: bytes) -> Reading | Rejection | None:
+    """What one line states, without its end; None for a kind of sentence that is not used.
+
+    What comes before the last ``$`` is noise, or a binary message on the same line.
+    """
+    _, start, content = line.rpartition(b"$")
+    if not start:
+        return Rejection.NOT_NMEA
+    found = read(b"$" + content)
+    return found.reading if isinstance(found, Sentence) else found
 
 
 def yaw_of_heading(heading: float) -> float:
@@ -134,61 +156,146 @@ def heading_of_yaw(yaw: float) -> float:
     return (90.0 - math.degrees(yaw)) % 360.0
 
 
-def _gga(found: Any) -> Reading | Rejection:
+def _address(fields: Sequence[str]) -> tuple[str, str]:
+    """(talker, kind)."""
+    address = fields[0]
+    if address == "KSXT":
+        return "", address
+    if not address.startswith("P"):
+        return address[:2], address[2:]
+    named = len(fields) > 1 and fields[1][:1].isalpha()  # PASHR,POS and such
+    return "P", f"{address},{fields[1]}" if named else address
+
+
+def _parsed(kind: str, content: bytes, checksum: bytes) -> Any:
+    """The fields by pynmeagps, which reads no PASHR without a time."""
+    if content.startswith(b"PASHR,,"):
+        content = content.replace(b",,", b",000000.00,", 1)
+    return NMEAReader.parse(b"$" + content + b"*" + checksum, validate=VALNONE)
+
+
+def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     quality = found.quality
     if quality in ("", _NO_FIX):
         return Rejection.NO_FIX
     if quality not in _STATUS_OF_QUALITY:
         return Rejection.DEAD_RECKONING if quality == _DEAD_RECKONING else Rejection.NOT_MEASURED
-    if found.NS not in ("N", "S") or found.EW not in ("E", "W"):
-        return Rejection.MALFORMED
-    latitude, longitude = float(found.lat), float(found.lon)
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+    latitude, longitude = _angle(fields[1], fields[2], "NS", 90.0), _angle(fields[3], fields[4], "EW", 180.0)
+    if math.isnan(latitude) or math.isnan(longitude):
         return Rejection.OUT_OF_RANGE
+    if {getattr(found, "altUnit", ""), getattr(found, "sepUnit", "")} - {"M", ""}:
+        return Rejection.NOT_METRES
     altitude = _number(found.alt) + _number(found.sep)
-    hdop = _number(found.HDOP)
-    return Gga(_time_ns(found.time), latitude, longitude, altitude, quality, hdop if hdop > 0.0 else math.nan)
-
-
-def _gst(found: Any) -> Reading | Rejection:
-    east, north, up = (_number(value) for value in (found.stdLong, found.stdLat, found.stdAlt))
-    if not (0.0 < east < _WORST_STDDEV and 0.0 < north < _WORST_STDDEV):
+    if abs(altitude) > _HIGHEST:
         return Rejection.OUT_OF_RANGE
-    return Gst(_time_ns(found.time), east, north, up if 0.0 < up < _WORST_STDDEV else math.nan)
+    hdop = _number(found.HDOP)
+    time_ns = _time_ns(fields[0])
+    return Gga(time_ns, latitude, longitude, altitude, quality, hdop if hdop > 0.0 else math.nan)
 
 
-def _rmc(found: Any) -> Reading | Rejection:
-    return Rmc(_time_ns(found.time)) if found.status == "A" else Rejection.WARNING
+def _gst(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """A standard deviation of 0 is none that a receiver can have: it states nothing."""
+    stated = [_number(value) for value in (found.stdLong, found.stdLat, found.stdAlt)]
+    if any(value < 0.0 or value >= _WORST_STDDEV for value in stated):
+        return Rejection.OUT_OF_RANGE
+    east, north, up = (value or math.nan for value in stated)
+    return Gst(_time_ns(fields[0]), east, north, up)
 
 
-def _hdt(found: Any) -> Reading | Rejection:
-    return _heading(None, found.headingT, found.headingTu, 0.0)
+def _rmc(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if found.status != "A":
+        return Rejection.WARNING
+    return _rejected_mode(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(_time_ns(fields[0]))
 
 
-def _ths(found: Any) -> Reading | Rejection:
-    """Mode A is measured; others are estimated, manual, simulated or invalid."""
-    if found.mi != "A":
-        return Rejection.NO_HEADING if found.mi in ("V", "") else Rejection.NOT_MEASURED
-    return _heading(None, found.headt, "T", 0.0)
+def _rejected_mode(mode: str, invalid: Rejection) -> Rejection | None:
+    """Why a mode forbids the use of a sentence: N, V invalid, E estimated, M manual, S simulated."""
+    reasons = {"N": invalid, "V": invalid, "E": Rejection.DEAD_RECKONING}
+    return reasons.get(mode) or (Rejection.NOT_MEASURED if mode in ("M", "S") else None)
 
 
-def _pashr(found: Any) -> Reading | Rejection:
-    stddev = _number(found.hdgAcc)
-    known = 0.0 < stddev < 180.0
-    return _heading(found.utctime, found.trueHdg, found.trueHdgInd, math.radians(stddev) if known else 0.0)
+def _hdt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    return _heading(None, found.headingT, found.headingTu, needs_fix=True)
 
 
-def _heading(of_day: Any, heading: Any, reference: Any, stddev: float) -> Reading | Rejection:
+def _ths(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if found.mi == "":
+        return Rejection.NO_HEADING
+    return _rejected_mode(found.mi, Rejection.NO_HEADING) or _heading(None, found.headt)
+
+
+def _pashr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    if getattr(found, "gnssQual", "") == _NO_FIX:
+        return Rejection.NO_FIX
+    return _heading(_time_ns(fields[0]), found.trueHdg, found.trueHdgInd, _accuracy(found.hdgAcc))
+
+
+def _avr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """Trimble: quality 3 is RTK fixed."""
+    if found.gpsQual in ("", _NO_FIX):
+        return Rejection.NO_FIX
+    if found.gpsQual != 3:
+        return Rejection.NOT_FIXED
+    return _heading(_time_ns(fields[1]), found.yaw % 360.0 if -180.0 <= found.yaw < 0.0 else found.yaw)
+
+
+def _hrp(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """Septentrio: modes 2 and 4 have fixed ambiguities, 1 and 3 float ones."""
+    if found.attmode in ("", "0"):
+        return Rejection.NO_HEADING
+    if found.attmode not in ("2", "4"):
+        return Rejection.NOT_FIXED
+    return _heading(_time_ns(fields[1]), found.hdg, stddev=_accuracy(found.hdgstd))
+
+
+def _hpr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """Hemisphere: type N is by GNSS, G by the gyro alone."""
+    if fields[2] == "":
+        return Rejection.NO_HEADING
+    if fields[5] != "N":
+        return Rejection.DEAD_RECKONING if fields[5] == "G" else Rejection.NO_HEADING
+    return _heading(_time_ns(fields[1]), float(fields[2]))
+
+
+def _ksxt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """Unicore: quality of the heading 3 is fixed, 0 none; the time has a date before it."""
+    if fields[10] in ("", "0"):
+        return Rejection.NO_HEADING
+    if fields[10] != "3":
+        return Rejection.NOT_FIXED
+    return _heading(_time_ns(fields[0][8:]), float(fields[4]))
+
+
+def _heading(
+    time_ns: int | None, heading: Any, reference: str = "T", stddev: float = 0.0, needs_fix: bool = False
+) -> Reading | Rejection:
     if heading == "":
         return Rejection.NO_HEADING
     if reference != "T":
         return Rejection.NOT_TRUE_NORTH
     if not 0.0 <= heading <= 360.0:
         return Rejection.OUT_OF_RANGE
-    return Heading(_time_ns(of_day), yaw_of_heading(heading), stddev)
+    return Heading(time_ns, yaw_of_heading(heading), stddev, needs_fix)
 
 
-_DECODERS = {"GGA": _gga, "GST": _gst, "RMC": _rmc, "HDT": _hdt, "THS": _ths, "PASHR": _pashr}
+def _accuracy(degrees: Any) -> float:
+    """A standard deviation in rad; 0 where it is unknown."""
+    stddev = _number(degrees)
+    return math.radians(stddev) if 0.0 < stddev < 180.0 else 0.0
+
+
+_DECODERS: dict[str, Callable[[Any, Sequence[str]], Reading | Rejection]] = {
+    "GGA": _gga,
+    "GST": _gst,
+    "RMC": _rmc,
+    "HDT": _hdt,
+    "THS": _ths,
+    "PASHR": _pashr,
+    "PTNL,AVR": _avr,
+    "PSSN,HRP": _hrp,
+    "PSAT,HPR": _hpr,
+    "KSXT": _ksxt,
+}
 
 
 def _number(value: Any) -> float:
@@ -197,9 +304,34 @@ def _number(value: Any) -> float:
     return number if math.isfinite(number) else math.nan
 
 
-def _time_ns(of_day: Any) -> int | None:
-    """u; None where the receiver does not know it, or in the leap second itself."""
-    if not isinstance(of_day, time):
+def _angle(text: str, letter: str, letters: str, limit: float) -> float:
+    """Degrees of dddmm.m, positive on the side of the first letter; nan where no place has them.
+
+    Raises:
+        ValueError: it is no such angle, or has no letter.
+    """
+    found = _ANGLE.fullmatch(text)
+    if found is None or len(letter) != 1 or letter not in letters:
+        raise ValueError(text)
+    whole, minutes = divmod(int(found[1]), 100)
+    degrees = whole + float(f"{minutes}.{found[2] or 0}") / 60.0
+    side = 1.0 if letter == letters[0] else -1.0
+    return side * degrees if minutes < 60 and degrees <= limit else math.nan
+
+
+def _time_ns(text: str) -> int | None:
+    """u; None where the receiver does not know it, or in the leap second itself.
+
+    Raises:
+        ValueError: no clock shows such a time.
+    """
+    if text == "":
         return None
-    seconds = (of_day.hour * 60 + of_day.minute) * 60 + of_day.second
-    return seconds * _NS_PER_S + of_day.microsecond * 1000
+    found = _TIME.fullmatch(text)
+    if found is None:
+        raise ValueError(text)
+    hours, minutes, seconds = int(found[1]) // 10000, int(found[1]) // 100 % 100, int(found[1]) % 100
+    if hours > 23 or minutes > 59 or seconds > 60:
+        raise ValueError(text)
+    fraction_ns = int((found[2] or "")[:9].ljust(9, "0"))
+    return None if seconds == 60 else ((hours * 60 + minutes) * 60 + seconds) * _NS_PER_S + fraction_ns

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bytes of a GNSS receiver to positions and headings with stamps and variances.
 
-A receiver tells of one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
+A receiver states one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
 the epoch; HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the one
 before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls silent.
+Of several messages that state the same measurement of an epoch, one is used (``EpochSource``).
 """
 
 import math
@@ -13,18 +14,17 @@ from enum import Enum
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.protocols.lines import LineCutter
+from trackslip_drivers.protocols.epoch_sources import EpochSource
+from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
 from trackslip_drivers.protocols.nmea import (
-    BITS_PER_CHAR,
-    LONGEST_LINE,
     RTK_FIXED,
-    TERMINATOR,
     Gga,
     Gst,
     Heading,
     Reading,
     Rejection,
-    decode,
+    Sentence,
+    read,
 )
 from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample, Vector
 from trackslip_drivers.stamping import SenderClock
@@ -39,11 +39,16 @@ _GST_AGE_NS = 1_500_000_000  # of the oldest GST that a fix of the same quality 
 _DAY_NS = 86_400_000_000_000
 _EARLY_NS, _LATE_NS = -50_000_000, 1_000_000_000  # an answer's age, if both clocks are on UTC
 
+_MOST_KINDS = 64  # of sentences, that are told apart
+_RECENT_NS = 10_000_000_000
+_HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
+_REASONS = {Kind.TEXT: Rejection.NOT_NMEA, Kind.OVERLONG: Rejection.OVERLONG}
+
 Sample = FixSample | HeadingSample
 
 
 class ClockEvent(Enum):
-    """What is wrong with a time that the receiver tells."""
+    """What is wrong with a time that the receiver states."""
 
     NOT_UTC = "not the host's UTC: latency assumed"
 
@@ -52,71 +57,116 @@ class NmeaStream:
     """Bytes in, samples out; everything else is counted.
 
     Args:
-        p: line rate, latency, variances where the receiver tells none.
+        p: line rate, latency, variances where the receiver states none.
         tally: counts what was rejected, and what its clock did.
         utc: time on the host's clock of a steady time, where that clock is kept on UTC.
     """
 
     def __init__(self, p: NmeaParameters, tally: Tally, utc: Callable[[int], int] | None = None) -> None:
         self.tally = tally
-        self.others = 0  # sentences of kinds that are not asked for
-        self.latency_ns = 0  # from the latest epoch to the first byte of the sentence that told of it
+        self.others = 0  # sentences of kinds that are not used
+        self.binary = 0  # bytes between sentences that are none
+        self.latency_ns = 0  # from the latest epoch to the first byte of the sentence that stated it
         self._p = p
         self._latency_ns = round(p.latency * 1e9)
         self._gst_quality: int | None = None  # of the fix that the latest GST belonged to
         self._utc = utc
-        baud = 0 if "://" in p.serial_port else p.serial_baud
-        self._lines = LineCutter(TERMINATOR, LONGEST_LINE, BITS_PER_CHAR, baud)
+        self._frames = FrameCutter(0 if "://" in p.serial_port else p.serial_baud)
         self._clock = SenderClock(_CLOCK_TOLERANCE, _PATIENCE)
+        self._position, self._direction = EpochSource(), EpochSource()
+        self._kinds: dict[str, int] = {}  # kind of sentence → when the latest one ended
         self.reset()
 
     @property
     def bytes_held(self) -> int:
-        """How many bytes wait for the rest of their line."""
-        return self._lines.bytes_held
+        """How many bytes wait for the rest of their message."""
+        return self._frames.bytes_held
+
+    @property
+    def repeated(self) -> int:
+        """Measurements that another message of the same epoch had stated."""
+        return self._position.repeated + self._direction.repeated
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kinds of sentences that have come of late, whole."""
+        latest_ns = max(self._kinds.values(), default=0)
+        return sorted(kind for kind, ended_ns in self._kinds.items() if latest_ns - ended_ns <= _RECENT_NS)
 
     def reset(self) -> None:
         """Drop what was half received: the port was reopened."""
-        self._lines.reset()
+        self._frames.reset()
         self._clock.restart()
+        self._position.reset()
+        self._direction.reset()
+        self._kinds.clear()
         self._burst_ns: int | None = None  # the epoch of this burst
         self._burst_end_ns: int | None = None
         self._last: tuple[Gga, int] | None = None  # the latest position, and its moment
+        self._has_fix = True  # but for receivers that state otherwise
         self._gst: tuple[Gst, int] | None = None
         self._gst_follows = False
         self._waiting = False  # the latest position for its GST
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Sample]:
         """What one read returned, and when: its last byte was there by ``arrival_ns``."""
-        samples: list[Sample] = []
-        for line in self._lines.feed(data, arrival_ns):
-            if self._burst_end_ns is None or line.begun_ns - self._burst_end_ns > _BURST_GAP_NS:
-                self._burst_ns = None
-            self._burst_end_ns = line.ended_ns
-            reading = Rejection.OVERLONG if line.text is None else decode(line.text)
-            if isinstance(reading, Rejection):
-                self.tally.add(FIX, reading)
-            elif reading is None:
-                self.others += 1
-            else:
-                samples += self._on_reading(reading, line.begun_ns)
-        return samples
+        return [sample for frame in self._frames.feed(data, arrival_ns) for sample in self._on_frame(frame)]
+
+    def _on_frame(self, frame: Frame) -> list[Sample]:
+        if self._burst_end_ns is None or frame.begun_ns - self._burst_end_ns > _BURST_GAP_NS:
+            self._burst_ns = None
+        self._burst_end_ns = frame.ended_ns
+        if frame.kind is Kind.SENTENCE:
+            return self._on_sentence(read(frame.content), frame)
+        if frame.kind in _REASONS:
+            self.tally.add(FIX, _REASONS[frame.kind])
+        else:
+            self.binary += len(frame.content)
+        return []
+
+    def _on_sentence(self, sentence: Sentence | Rejection, frame: Frame) -> list[Sample]:
+        if isinstance(sentence, Rejection):
+            self.tally.add(FIX, sentence)
+            return []
+        talker, kind, reading = sentence
+        if len(self._kinds) < _MOST_KINDS or kind in self._kinds:
+            self._kinds[kind] = frame.ended_ns
+        if kind == "GGA":
+            self._has_fix = reading is not Rejection.NO_FIX
+        if isinstance(reading, Heading) and reading.needs_fix and not self._has_fix:
+            reading = Rejection.NO_FIX
+        if isinstance(reading, Rejection):
+            self.tally.add(HEADING if kind in _HEADINGS else FIX, reading)
+            return []
+        if reading is None:
+            self.others += 1
+            return []
+        return self._on_reading(reading, talker + kind, frame.begun_ns)
 
     def flush(self) -> list[Sample]:
-        """The line has fallen silent, or goes on with another epoch: what still waits is out."""
+        """The line has fallen silent: what is pending goes on no more, and what still waits is out."""
+        samples = [sample for frame in self._frames.resume() for sample in self._on_frame(frame)]
+        return samples + self._release()
+
+    def _release(self) -> list[Sample]:
+        """The position whose GST does not come: the line is silent, or goes on with another epoch."""
         if not self._waiting:
             return []
         self._gst_follows = False
         return self._out()
 
-    def _on_reading(self, reading: Reading, begun_ns: int) -> list[Sample]:
+    def _on_reading(self, reading: Reading, source: str, begun_ns: int) -> list[Sample]:
         stamp_ns = self._stamp(reading.time_ns, begun_ns)
         if isinstance(reading, Heading):
+            if not self._direction.accept(source, reading.stddev > 0.0, stamp_ns):
+                return []
             return [HeadingSample(stamp_ns, reading.yaw, reading.stddev or self._p.heading_stddev)]
+        if isinstance(reading, Gga) and not self._position.accept(source, 0, stamp_ns):
+            return []
         if isinstance(reading, Gst):
             return self._on_gst(reading, stamp_ns)
         is_next = self._last is None or reading.time_ns != self._last[0].time_ns
-        samples = self.flush() if is_next or isinstance(reading, Gga) else []
+        samples = self._release() if is_next or isinstance(reading, Gga) else []
         if isinstance(reading, Gga):
             self._last, self._waiting = (reading, stamp_ns), True
             if not self._gst_follows or reading.time_ns is None or self._has_gst(reading):
@@ -126,7 +176,7 @@ class NmeaStream:
     def _on_gst(self, gst: Gst, stamp_ns: int) -> list[Sample]:
         self._gst = gst, stamp_ns
         if self._last is None or gst.time_ns != self._last[0].time_ns:
-            return self.flush()
+            return self._release()
         self._gst_follows, self._gst_quality = True, self._last[0].quality
         return self._out() if self._waiting else []
 
@@ -148,7 +198,7 @@ class NmeaStream:
         """m², east, north, up, and what they are from."""
         if self._gst is not None and gga.quality == self._gst_quality:
             (_, east, north, up), gst_ns = self._gst
-            if abs(stamp_ns - gst_ns) <= _GST_AGE_NS:
+            if abs(stamp_ns - gst_ns) <= _GST_AGE_NS and not (math.isnan(east) or math.isnan(north)):
                 up = 2.0 * max(east, north) if math.isnan(up) else up
                 return (east**2, north**2, up**2), CovarianceType.DIAGONAL_KNOWN
         if math.isnan(gga.hdop):

@@ -77,4 +77,4 @@ UNITS: Mapping[str, Unit] = {
 
 def accepted(quantities: tuple[Quantity, ...]) -> str:
     """The units of these quantities, for messages."""
-    return ", ".join(name for name, unit in UNITS.items() if unit.quantity in quantities)
+    return ", ".join(name for kind in quantities for name, unit in UNITS.items() if unit.quantity is kind)

@@ -55,6 +55,7 @@ class LinkState:
     last_error_s: float  # system time of it, s since 1970; 0 where there was none
     note: str
     silent_s: float  # s since something was received, or the port was opened
+    has_heard: bool  # something has come since the driver was started
 
 
 class Handlers(NamedTuple):
@@ -104,6 +105,7 @@ class Link(Generic[T]):
         self._was_silent = False
         self._last_error_s = 0.0
         self._heard_s = time.monotonic()
+        self._has_heard = False
         self._note = ""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -151,6 +153,7 @@ class Link(Generic[T]):
                 last_error_s=self._last_error_s,
                 note=self._note,
                 silent_s=time.monotonic() - self._heard_s,
+                has_heard=self._has_heard,
             )
 
     def _run(self) -> None:
@@ -165,7 +168,7 @@ class Link(Generic[T]):
                     self._set_port(port)
                     self._handlers.on_open()
                     for data, arrival_ns in self._arrivals(port):
-                        received = True
+                        received = self._has_heard = True
                         self._heard_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
                 finally:

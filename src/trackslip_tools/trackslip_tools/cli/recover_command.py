@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         show(line)
     with open_bag(output) as bag:
         show(describe(bag))
-    return ExitCode.DONE
+    return ExitCode.DONE if recovery.messages or recovery.stated == 0 else ExitCode.FAILED
 
 
 def _lines(recovery: Recovery) -> list[str]:
@@ -53,4 +53,6 @@ def _lines(recovery: Recovery) -> list[str]:
     elif recovery.cut:
         span = CHUNK_SPAN_NS * 1e-9
         lines.append(f"lost: what a recorder that was killed had in hand, at most {span:g} s if it was ours")
+    if not recovery.messages:
+        lines.append("saved: nothing")
     return lines or ["nothing was lost"]

@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the text of a table is written: its encoding, where its names are, what stands between its cells.
+
+Accepted without a word in the mapping: UTF-8, UTF-16, cp1252; comma, semicolon, tab or blanks between cells;
+a ``sep=;`` line; comment lines that begin with ``#``; text before the line of names. A mapping says the rest:
+
+    csv: {names: [t, x, y], delimiter: ";", decimal: comma}     or    csv: {format: tum}
+"""
+
+import codecs
+import csv
+import re
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from trackslip_bags.importing.tree import check_keys, choice, section, texts
+from trackslip_common.errors import InputError
+
+LONGEST = 1 << 20  # characters of a line
+COMMENT = "#"
+BLANKS = " "  # as a delimiter: any number of blanks
+
+_DELIMITERS = ",;\t"
+_WORDS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS}
+_NAMED = {**_WORDS, **{delimiter: delimiter for delimiter in _WORDS.values()}}
+_DECIMALS = ("point", "comma")
+_TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")  # of trajectories, blanks between
+_FORMATS = ("tum",)
+_HEAD = 100  # lines in which names are looked for
+_PIECE = 1 << 20
+_SEPARATOR = re.compile(r'"?sep=(.)"?')
+
+
+class Dialect(NamedTuple):
+    """What a mapping says of a table; empty where it does not."""
+
+    names: tuple[str, ...] = ()
+    delimiter: str = ""
+    decimal_comma: bool = False
+
+
+class Head(NamedTuple):
+    """Where rows begin, and what they hold."""
+
+    names: list[str]
+    delimiter: str
+    line: int  # that of the names, 1 the first; 0: the mapping has them
+    has_rows: bool  # rows follow at once: the names are the mapping's, or in a comment
+
+
+def read_dialect(where: str, value: Any) -> Dialect:
+    """``csv: …`` of a mapping.
+
+    Raises:
+        InputError: a key or value is not accepted.
+    """
+    tree: Mapping[str, Any] = section(where, value)
+    check_keys(where, tree, (), ("names", "delimiter", "decimal", "format"))
+    is_tum = "format" in tree and choice(f"{where}.format", tree["format"], _FORMATS) == "tum"
+    names = texts(f"{where}.names", tree["names"]) if "names" in tree else _TUM if is_tum else ()
+    delimiter = BLANKS if is_tum else ""
+    if "delimiter" in tree:
+        delimiter = _NAMED[choice(f"{where}.delimiter", tree["delimiter"], _NAMED)]
+    decimal = choice(f"{where}.decimal", tree.get("decimal", "point"), _DECIMALS)
+    if decimal == "comma" and delimiter == ",":
+        raise InputError(f"{where}.decimal: a comma, as the delimiter is; accepted: another delimiter")
+    return Dialect(names, delimiter, decimal == "comma")
+
+
+def encoding_of(path: Path) -> str:
+    """UTF-16 by its mark or its zeros, UTF-8 where the whole file is, else cp1252.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        first = file.read(1024)
+        if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return "utf-16"
+        zeros = [first[k::2].count(0) for k in (0, 1)]
+        if max(zeros) > len(first) // 4:
+            return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+        decoder = codecs.getincrementaldecoder("utf-8")()
+        try:
+            decoder.decode(first)
+            while piece := file.read(_PIECE):
+                decoder.decode(piece)
+        except UnicodeDecodeError:
+            return "cp1252"
+    return "utf-8-sig"
+
+
+def lines_of(path: Path, stream: Any) -> Iterator[str]:
+    """Lines of an open file, without their ends.
+
+    Raises:
+        InputError: one is longer than any row, or holds zero bytes.
+    """
+    while line := stream.readline(LONGEST):
+        if len(line) == LONGEST:
+            raise InputError(f"{path}: a line of more than 1 MB; accepted: rows, a line each")
+        if "\0" in line:
+            raise InputError(f"{path}: holds zero bytes; accepted: text")
+        yield line.rstrip("\r\n")
+
+
+def find_head(path: Path, lines: list[str], dialect: Dialect, wanted: Collection[str]) -> Head:
+    """Where the names of a table are: the first line that has all that are wanted.
+
+    Where none has, the first line that is no comment, or the comment above rows.
+
+    Raises:
+        InputError: there are only values, and the mapping has no names.
+    """
+    found = _SEPARATOR.fullmatch(lines[0].strip()) if lines else None
+    stated = dialect.delimiter or (found[1] if found else "")
+    first = 1 if found else 0
+    if dialect.names:
+        rows = [line for line in lines[first:] if line.strip() and not line.lstrip().startswith(COMMENT)]
+        guess = _guess(rows[0] if rows else "", dialect.decimal_comma)
+        return Head(list(dialect.names), stated or guess, first, True)
+    for k, line in enumerate(lines[first:_HEAD], first + 1):
+        is_comment = line.lstrip().startswith(COMMENT)
+        delimiter = stated or _guess(line, dialect.decimal_comma)
+        names = split(line.lstrip().lstrip(COMMENT), delimiter)
+        if wanted and set(wanted) <= set(names):
+            return Head(names, delimiter, k, is_comment)
+    return _likely_head(path, lines, first, stated)
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """The cells of one line.
+
+    Raises:
+        csv.Error: quotes do not close.
+    """
+    if delimiter == BLANKS:
+        return line.split()
+    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return [cell.strip() for cell in cells]
+
+
+def _likely_head(path: Path, lines: list[str], first: int, stated: str) -> Head:
+    comment = ""
+    at = first
+    for k, line in enumerate(lines[first:], first + 1):
+        if not line.strip():
+            continue
+        if line.lstrip().startswith(COMMENT):
+            comment, at = line.strip().lstrip(COMMENT), k
+            continue
+        if not _is_row(line):
+            return Head(split(line, stated or _guess(line)), stated or _guess(line), k, False)
+        if comment:
+            break
+        raise InputError(
+            f"{path}: line {k} holds values, and no line has names; accepted: a line of names, or "
+            "csv: {names: [a, b, …]} in the mapping"
+        )
+    return Head(split(comment, stated or _guess(comment)), stated or _guess(comment), at, True)
+
+
+def _guess(line: str, decimal_comma: bool = False) -> str:
+    """What stands between the cells of a line: that of which there is most; blanks where there is none."""
+    delimiter = max(_DELIMITERS.replace(",", "") if decimal_comma else _DELIMITERS, key=line.count)
+    return delimiter if delimiter in line else BLANKS if len(line.split()) > 1 else ","
+
+
+def _is_row(line: str) -> bool:
+    """Whether a line begins with a number."""
+    return bool(re.match(r"\s*\"?[+-]?\d", line))

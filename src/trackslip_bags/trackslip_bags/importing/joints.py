@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Joins JointState messages of one topic that hold one joint each, by their stamps."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+_MOST = 64  # stamps whose joints have not all come
+
+PARTIAL = "holds some of the joints, and no other message of its stamp the rest"
+
+
+class JointsByStamp:
+    """Parts of messages, until all wanted joints of a stamp have come.
+
+    Args:
+        wanted: names of joints.
+    """
+
+    def __init__(self, wanted: set[str]) -> None:
+        self._wanted = wanted
+        self._parts: dict[int, dict[str, tuple[float, float]]] = {}  # stamp → joint → position, velocity
+        self.dropped = 0  # messages whose rest did not come
+
+    def add(self, message: Any) -> Any | None:
+        """The message itself where it holds all wanted joints or none; the joined one once they have come.
+
+        None while some are missing.
+        """
+        here = self._wanted.intersection(message.name)
+        if not here or here == self._wanted:
+            return message
+        stamp = message.header.stamp
+        key = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        part = self._parts.setdefault(key, {})
+        for k, name in enumerate(message.name):
+            part[name] = (_at(message.position, k), _at(message.velocity, k))
+        if self._wanted <= part.keys():
+            del self._parts[key]
+            positions, velocities = zip(*part.values(), strict=True)
+            return SimpleNamespace(
+                header=message.header, name=list(part), position=positions, velocity=velocities
+            )
+        if len(self._parts) > _MOST:
+            del self._parts[next(iter(self._parts))]
+            self.dropped += 1
+        return None
+
+    def close(self) -> int:
+        """How many stamps never had all joints."""
+        return self.dropped + len(self._parts)
+
+
+def _at(values: Any, k: int) -> float:
+    return float(values[k]) if k < len(values) else math.nan

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What kind of log a file is, by how it begins: a table, a log of a CAN bus, of a GNSS receiver, another."""
+
+import re
+from enum import Enum
+from pathlib import Path
+
+from trackslip_common.errors import InputError
+
+_FIRST = 4096  # bytes that are looked at
+
+
+class LogKind(Enum):
+    """Which part of a mapping reads it."""
+
+    CAN = "can"
+    GNSS = "gnss"
+    OTHER = ""  # no log that is read here
+    TABLE = "table"
+
+
+_CANDUMP = rb"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#"
+_NMEA = rb"\s*(?:\$[A-Z]{2}[A-Z]{3},|\$P[A-Z]{3,4}[,0-9])[^\r\n]*\*[0-9A-Fa-f]{2}"
+_KINDS: tuple[tuple[bytes, LogKind, str], ...] = (
+    (_CANDUMP, LogKind.CAN, "log of a CAN bus (candump)"),
+    (rb"LOGG", LogKind.CAN, "log of a CAN bus (BLF)"),
+    (rb"(?:MDF |UnFinMF)", LogKind.CAN, "log of a CAN bus (MF4)"),
+    (rb"\s*(?:;[^\n]*\n)*;\$FILEVERSION", LogKind.CAN, "log of a CAN bus (TRC)"),
+    (rb"(?:date [^\n]*\n|\s*//[^\n]*\n)*\s*base\s+(?:hex|dec)", LogKind.CAN, "log of a CAN bus (ASC)"),
+    (_NMEA, LogKind.GNSS, "log of a GNSS receiver (NMEA)"),
+    (rb"\xb5\x62", LogKind.GNSS, "log of a GNSS receiver (UBX)"),
+    (rb"\x89MCAP|SQLite format 3\0", LogKind.OTHER, "bag of ROS 2, which topics with 'from' read"),
+    (rb"#ROSBAG", LogKind.OTHER, "bag of ROS 1, which topics with 'from' read"),
+    (rb"PK\x03\x04", LogKind.OTHER, "ZIP file or workbook of Excel; save its sheet as CSV"),
+    (rb"\x1f\x8b|BZh|\xfd7zXZ|\x28\xb5\x2f\xfd", LogKind.OTHER, "packed file; unpack it"),
+    (rb"PAR1", LogKind.OTHER, "Parquet file; save it as CSV"),
+    (rb"\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\n\r\r\n", LogKind.OTHER, "capture of a network; save its payload"),
+    (rb"\s*[\[{]\s*[\"{]", LogKind.OTHER, "JSON file; save it as CSV"),
+    (rb"%PDF|\x89PNG|\xff\xd8\xff", LogKind.OTHER, "document or picture"),
+)
+
+
+def kind_of(path: Path) -> tuple[LogKind, str]:
+    """The kind of a file, and in words what it is.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        first = file.read(_FIRST)
+    for pattern, kind, words in _KINDS:
+        if re.match(pattern, first):
+            return kind, words
+    return LogKind.TABLE, "table"
+
+
+def refuse_other_kinds(path: Path) -> None:
+    """A table is none of the other kinds.
+
+    Raises:
+        InputError: it is; says what it is and what reads it.
+        OSError: it cannot be read.
+    """
+    kind, words = kind_of(path)
+    if kind in (LogKind.CAN, LogKind.GNSS):
+        raise InputError(
+            f"{path}: a {words}, no table; trackslip import reads it by '{kind.value}' in the mapping "
+            "(docs/import.md)"
+        )
+    if kind is LogKind.OTHER:
+        raise InputError(f"{path}: a {words}; accepted: a CSV file")

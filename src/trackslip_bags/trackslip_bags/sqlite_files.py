@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""SQLite files of bags as SQLite reads them: with the transactions in a ``-wal`` or ``-journal`` beside them.
+
+rosbags opens a database as immutable, for which SQLite leaves these companions out. A recorder in WAL mode
+(rosbag2's preset ``resilient``) that was killed leaves its latest messages there.
+"""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from urllib.parse import quote
+
+from rosbags.rosbag2 import storage_sqlite3
+
+_COMPANIONS = ("-wal", "-journal")
+_NAME = "apsw"  # the binding that rosbags uses
+_SQLITE: Any = getattr(storage_sqlite3, _NAME)
+_PREFIX, _IMMUTABLE = "file:", "?immutable=1"  # of the address that rosbags asks for
+_MAGIC = b"SQLite format 3\0"
+
+
+def is_sqlite(path: Path) -> bool:
+    """Whether a file begins as an SQLite database does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_MAGIC)) == _MAGIC
+    except OSError:
+        return False
+
+
+def address(path: Path) -> str:
+    """The URI by which SQLite opens a database for reading.
+
+    Without companions it is immutable: it opens on a medium that nobody can write to.
+    """
+    beside = (path.with_name(path.name + ending) for ending in _COMPANIONS)
+    has_companion = any(file.is_file() and file.stat().st_size for file in beside)
+    return f"{_PREFIX}{quote(str(path.absolute()))}{'?mode=ro' if has_companion else _IMMUTABLE}"
+
+
+def read_companions() -> None:
+    """Have rosbags open databases by ``address``."""
+    names = {**vars(_SQLITE), "Connection": _connection}
+    setattr(storage_sqlite3, _NAME, SimpleNamespace(**names))
+
+
+def _connection(uri: str, flags: int, vfs: str | None = None) -> Any:
+    path = Path(uri.removeprefix(_PREFIX).removesuffix(_IMMUTABLE))
+    connection = _SQLITE.Connection(address(path), flags=flags, vfs=vfs)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master")
+    except _SQLITE.ReadOnlyError as error:
+        connection.close()
+        raise ValueError(
+            f"{path.name}: an unfinished transaction beside it ({error}); copy the bag to where it may be "
+            f"written and run: sqlite3 {path.name} 'PRAGMA integrity_check'"
+        ) from error
+    except _SQLITE.CantOpenError as error:
+        connection.close()
+        raise ValueError(
+            f"{path.name}: its -wal cannot be read here ({error}); copy the bag to where it may be written"
+        ) from error
+    except BaseException:
+        connection.close()
+        raise
+    return connection

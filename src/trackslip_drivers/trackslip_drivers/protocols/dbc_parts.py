@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Loads what can be loaded of a DBC: cantools refuses all of it for one frame, or for a text about one.
+
+A DBC is taken apart into its frames, each with the statements about it, and what all share. Frames that fail
+are found by halves. Choices, comments and attributes that fail are dropped; what gives a signal its meaning
+(multiplexing, floating-point values) is not, so that a frame is read whole or not at all.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import cantools
+from cantools.database import Database
+
+_MOST_BAD = 100  # frames; more are of no DBC
+_TEXT = re.compile(r'"(?:\\"|[^"])*"')
+_STATEMENT = re.compile(
+    r"^[ \t]*(?:BO_|CM_|VAL_|BA_|SG_MUL_VAL_|SIG_VALTYPE_|BO_TX_BU_|SIG_GROUP_|BA_DEF_|BA_DEF_DEF_|EV_)\s",
+    re.MULTILINE,
+)
+_FRAME = re.compile(r"\s*BO_\s+(\d+)\s+(\w+)")
+_ABOUT = re.compile(
+    r'\s*(?:CM_\s+(?:BO_|SG_)|VAL_|BA_\s+"[^"]*"\s+(?:BO_|SG_)|SG_MUL_VAL_|SIG_VALTYPE_|BO_TX_BU_|SIG_GROUP_)'
+    r"\s+(\d+)\b"
+)
+_MEANING = re.compile(r"\s*(?:SG_MUL_VAL_|SIG_VALTYPE_)\s")
+
+
+class _Part(NamedTuple):
+    """One frame, and the statements about it."""
+
+    name: str
+    frame: str
+    about: Sequence[str]
+
+    def text(self) -> str:
+        return self.frame + "\n" + "\n".join(self.about) + "\n"
+
+
+def load_frames_apart(text: str) -> tuple[Database, Mapping[str, str]]:
+    """A DBC, and why each frame that is left out cannot be loaded.
+
+    Raises:
+        Exception: whatever cantools raises of a text that is no DBC.
+    """
+    try:
+        return _load(text), {}
+    except Exception:
+        shared, parts = _apart(text)
+        try:
+            _load(shared)
+        except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
+            parts = []
+        if not parts:
+            raise
+        left_out: dict[str, str] = {}
+        good = _good(shared, parts, left_out)
+        if not good:
+            raise
+        return _load(shared + "\n" + "".join(part.text() for part in good)), left_out
+
+
+def _load(text: str) -> Database:
+    found = cantools.database.load_string(text, database_format="dbc", strict=False)
+    if not isinstance(found, Database):
+        raise ValueError("not of CAN frames")
+    return found
+
+
+def _apart(text: str) -> tuple[str, list[_Part]]:
+    """What all frames share, and the frames."""
+    blank = _TEXT.sub(lambda found: '"' + "x" * (len(found[0]) - 2) + '"', text)  # no keyword in a text
+    starts = [found.start() for found in _STATEMENT.finditer(blank)]
+    pieces = [text[start:end] for start, end in zip([0, *starts], [*starts, len(text)], strict=True)]
+    frames: dict[str, tuple[str, str]] = {}
+    about: defaultdict[str, list[str]] = defaultdict(list)
+    shared = []
+    for piece in pieces:
+        if (frame := _FRAME.match(piece)) is not None:
+            frames[frame[1]] = (frame[2], piece)
+        elif (found := _ABOUT.match(piece)) is not None:
+            about[found[1]].append(piece)
+        else:
+            shared.append(piece)
+    return "".join(shared), [_Part(name, piece, about[key]) for key, (name, piece) in frames.items()]
+
+
+def _good(shared: str, parts: Sequence[_Part], left_out: dict[str, str]) -> list[_Part]:
+    """The parts that load, by halves."""
+    try:
+        _load(shared + "\n" + "".join(part.text() for part in parts))
+        return list(parts)
+    except Exception as error:  # noqa: BLE001 (damaged text can raise anything in the parser)
+        if len(parts) > 1 and len(left_out) <= _MOST_BAD:
+            middle = len(parts) // 2
+            return _good(shared, parts[:middle], left_out) + _good(shared, parts[middle:], left_out)
+        reduced = None if len(parts) > 1 else _without_bad_texts(shared, parts[0])
+        if reduced is not None:
+            return [reduced]
+        left_out |= {part.name: " ".join(str(error).split()) or type(error).__name__ for part in parts}
+        return []
+
+
+def _without_bad_texts(shared: str, part: _Part) -> _Part | None:
+    """A frame without the choices, comments and attributes that fail; None where it fails itself."""
+    kept: list[str] = []
+    for piece in (
+        *(p for p in part.about if _MEANING.match(p)),
+        *(p for p in part.about if not _MEANING.match(p)),
+    ):
+        try:
+            _load(shared + "\n" + _Part(part.name, part.frame, [*kept, piece]).text())
+            kept.append(piece)
+        except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
+            if _MEANING.match(piece):
+                return None
+    try:
+        _load(shared + "\n" + _Part(part.name, part.frame, kept).text())
+    except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)
+        return None
+    return part._replace(about=kept)

@@ -1,0 +1,194 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cuts the bytes of a GNSS receiver into sentences and binary messages, and gives the time of each.
+
+    $ … LF                                                    a sentence of NMEA 0183, printable
+    B5 62 class id length(2, LE) payload checksum(2)          UBX
+    D3 length(2, BE, of 10 bits) payload CRC(3)               RTCM 3
+
+Binary messages are recognised by their checksum. A byte that begins none of the three is noise: of another
+protocol, or damage. Cutting begins again at the byte after it, so that no noise takes a sentence.
+"""
+
+import re
+from collections.abc import Iterator
+from enum import Enum
+from typing import NamedTuple
+
+from pyrtcm import calc_crc24q
+from pyubx2 import calc_checksum
+
+from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, LONGEST_LINE
+
+_UBX, _RTCM, _SENTENCE, _LF = b"\xb5\x62", 0xD3, ord("$"), ord("\n")
+_ENDS_NOISE = re.compile(rb"[$\xb5\xd3\n]")
+_NO_TEXT = re.compile(rb"[^\x20-\x7e\r\t]")
+_LONGEST_UBX = 4096  # bytes of a payload; of raw measurements of a hundred signals 3.2 kB
+LONGEST = _LONGEST_UBX + 8
+_STALL_NS = 300_000_000  # without a byte, after which a binary message does not go on
+_NS_PER_S = 1_000_000_000
+
+
+class Kind(Enum):
+    """What a piece of the stream is."""
+
+    SENTENCE = "NMEA"  # from its $ on, without its end
+    UBX = "UBX"
+    RTCM = "RTCM"
+    TEXT = "text"  # a line without a $
+    OVERLONG = "overlong"  # text that does not end
+    NOISE = "noise"
+
+
+class Frame(NamedTuple):
+    """One piece."""
+
+    kind: Kind
+    content: bytes
+    begun_ns: int  # its first byte left the sender no later
+    ended_ns: int  # its last one did
+
+
+class FrameCutter:
+    """Holds at most ``LONGEST`` bytes between reads, so no stream can make it grow.
+
+    Args:
+        baud: line rate; 0: the bytes come over a network, in no time.
+    """
+
+    def __init__(self, baud: int) -> None:
+        self._baud = baud
+        self.reset()
+
+    @property
+    def bytes_held(self) -> int:
+        """How many bytes wait for the rest of their message."""
+        return len(self._pending)
+
+    def reset(self) -> None:
+        """Drop a message that was half received."""
+        self._pending = bytearray()
+        self._reads: list[tuple[int, int]] = []  # (bytes of those pending that had come, by when)
+        self._latest_ns = 0  # arrival of the latest read
+        self._noise = bytearray()
+        self._overlong = False
+
+    def feed(self, data: bytes, arrival_ns: int) -> Iterator[Frame]:
+        """What one read returned; its last byte was there by ``arrival_ns``."""
+        if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
+            yield from self.resume()
+        self._pending += data
+        self._reads.append((len(self._pending), arrival_ns))
+        yield from self._cut()
+
+    def resume(self) -> Iterator[Frame]:
+        """The line fell silent: a binary message that is pending has no end; its content is cut again."""
+        while self._pending and self._pending[0] != _SENTENCE:
+            yield from self._skip()
+            yield from self._cut()
+
+    def _cut(self) -> Iterator[Frame]:
+        while self._pending:
+            size = self._size()
+            if size is None:
+                return
+            if size == 0:
+                yield from self._skip()
+                continue
+            kind = {_SENTENCE: Kind.SENTENCE, _RTCM: Kind.RTCM}.get(self._pending[0], Kind.UBX)
+            yield from self._end_noise(Kind.NOISE)
+            yield self._take(kind, size)
+
+    def _size(self) -> int | None:
+        """Bytes of the message that begins the pending ones; 0: none does; None: it has not come whole."""
+        first = self._pending[0]
+        if first == _SENTENCE:
+            return self._sentence()
+        if first == _UBX[0]:
+            return self._ubx()
+        return self._rtcm() if first == _RTCM else 0
+
+    def _sentence(self) -> int | None:
+        end = self._pending.find(_LF, 1, LONGEST_LINE + 1)
+        held = min(len(self._pending), LONGEST_LINE + 1) if end < 0 else end
+        if _NO_TEXT.search(self._pending, 1, held) or self._pending.find(_SENTENCE, 1, held) > 0:
+            return 0
+        if end > 0:
+            return end + 1
+        return None if len(self._pending) <= LONGEST_LINE else 0
+
+    def _ubx(self) -> int | None:
+        held = self._pending
+        if len(held) > 1 and held[1] != _UBX[1]:
+            return 0
+        if len(held) < 6:
+            return None
+        size = int.from_bytes(held[4:6], "little") + 8
+        if size > LONGEST:
+            return 0
+        if len(held) < size:
+            return None
+        return size if calc_checksum(bytes(held[2 : size - 2])) == held[size - 2 : size] else 0
+
+    def _rtcm(self) -> int | None:
+        held = self._pending
+        if len(held) > 1 and held[1] & 0xFC:
+            return 0
+        if len(held) < 3:
+            return None
+        size = int.from_bytes(held[1:3], "big") + 6
+        if len(held) < size:
+            return None
+        return 0 if calc_crc24q(bytes(held[:size])) else size
+
+    def _skip(self) -> Iterator[Frame]:
+        """Noise up to where a message may begin, or a line ends."""
+        if self._pending[0] == _SENTENCE:
+            yield from self._end_noise(Kind.NOISE)
+        if self._pending[0] == _LF:
+            self._drop(1)
+            yield from self._end_noise(Kind.TEXT)
+            return
+        found = _ENDS_NOISE.search(self._pending, 1)
+        size = found.start() if found else len(self._pending)
+        self._noise += self._pending[:size]
+        self._drop(size)
+        if len(self._noise) > LONGEST_LINE:
+            self._overlong |= _NO_TEXT.search(self._noise) is None
+            if not self._overlong:
+                yield self._noise_frame(Kind.NOISE)
+            self._noise.clear()
+
+    def _end_noise(self, kind: Kind) -> Iterator[Frame]:
+        """What came before a message, or as a line: a sentence that is cut short has no line end."""
+        is_text = _NO_TEXT.search(self._noise) is None
+        if self._overlong or (is_text and self._noise[:1] == b"$"):
+            kind = Kind.OVERLONG
+        elif not is_text:
+            kind = Kind.NOISE
+        if self._overlong or self._noise.strip():
+            yield self._noise_frame(kind)
+        self._noise.clear()
+        self._overlong = False
+
+    def _noise_frame(self, kind: Kind) -> Frame:
+        ended_ns = self._reads[-1][1] if self._reads else self._latest_ns
+        return Frame(kind, bytes(self._noise), ended_ns, ended_ns)
+
+    def _take(self, kind: Kind, size: int) -> Frame:
+        """A message that is whole. It began no later than any of its reads leaves time for."""
+        held, arrival_ns = self._reads[-1]
+        begun_ns = min(arrived_ns - self.transfer_ns(count) for count, arrived_ns in self._reads)
+        content = bytes(self._pending[:size])
+        content = content.rstrip(b"\r\n") if kind is Kind.SENTENCE else content
+        self._drop(size)
+        return Frame(kind, content, begun_ns, arrival_ns - self.transfer_ns(held - size))
+
+    def _drop(self, size: int) -> None:
+        self._latest_ns = self._reads[-1][1]
+        del self._pending[:size]
+        self._reads = [(count - size, arrival_ns) for count, arrival_ns in self._reads if count > size]
+
+    def transfer_ns(self, count: int) -> int:
+        """How long ``count`` bytes occupy the line."""
+        return count * BITS_PER_CHAR * _NS_PER_S // self._baud if self._baud else 0
