@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The inertial unit alone and against the tracks: frozen, biased, of another unit, or turned in its mounting."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.faults import frozen_span
+from trackslip_estimation.setup_check.finding import Cause, odds_of
+from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
+from trackslip_estimation.setup_check.log import FloatArray, Gyro, Log
+from trackslip_estimation.setup_check.turning import bias_of, fit_turns, mixture, scale_of, standing
+
+UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one declared
+    "deg/s, declared rad/s": np.degrees(1.0),
+    "rad/s, declared deg/s": np.radians(1.0),
+    "mrad/s, declared rad/s": 1e3,
+    "rad/s, declared mrad/s": 1e-3,
+    "deg/h, declared deg/s": 3600.0,
+    "deg/s, declared deg/h": 1.0 / 3600.0,
+    "deg/h, declared rad/s": 3600.0 * np.degrees(1.0),
+    "rad/s, declared deg/h": np.radians(1.0) / 3600.0,
+    "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
+    "rad/s, declared rpm": 2.0 * np.pi / 60.0,
+    "mdeg/s, declared deg/s": 1e3,
+}
+EFFICIENCY = (0.08, 1.5)  # of turns by the gyro over turns by the tracks, of any machine on any ground
+_CENTRE = 0.6
+_LARGE_BIAS = np.radians(2.0)  # rad/s
+_LEAST_STANDING = 2  # windows
+_FROZEN_TURN = np.radians(40.0)  # by the tracks, while it shows the same
+_LEAST_GAIN = 5.0  # ln likelihood over no relation
+_GRAVITY = (7.5, 12.0)  # m/s²
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """The unit as it is to be used further on."""
+
+    log: Log
+    gyro: Gyro | None  # None: it shows nothing of the turns
+    grid: Grid
+    factor: float = 1.0  # what it shows of 1 rad/s, already undone
+    causes: tuple[Cause, ...] = ()
+    gravity: FloatArray | None = None  # (3,) unit vector, in the axes as stated
+    is_upside_down: bool = False
+
+
+def examine(log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None) -> Inertial | None:
+    """Everything but its sign; ``track_scale``: true distance over that by tracks, ``turned``: see ``_frozen``."""
+    grid = make_grid(log, gyro)
+    if grid is None:
+        return None
+    x = window_sums(grid, grid.tracks) / log.machine.tread
+    gravity = gravity_of(gyro, grid, x)
+    cause = _frozen(gyro, grid, log.machine.tread, turned)
+    if cause is not None:
+        return Inertial(log, None, grid, causes=(cause,), gravity=gravity)
+    causes: list[Cause] = []
+    gyro, axis_cause = _axis(gyro, grid, x, gravity)
+    causes += [axis_cause] if axis_cause else []
+    grid = make_grid(log, gyro) or grid
+    factor, unit_cause = _unit(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale)
+    if unit_cause is not None:
+        causes.append(unit_cause)
+        gyro = replace(gyro, rates=gyro.rates / factor)
+        grid = make_grid(log, gyro) or grid
+    bias_cause = _bias(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale)
+    causes += [bias_cause] if bias_cause else []
+    down = gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
+    return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down)
+
+
+def gravity_of(gyro: Gyro, grid: Grid, x: FloatArray) -> FloatArray | None:
+    """(3,) unit vector of the specific force while the tracks stand, or of the whole; None: there is none."""
+    sound = np.isfinite(gyro.accelerations).all(axis=1)
+    if sound.sum() < 10:
+        return None
+    still = standing(x)
+    edges = window_edges(grid)
+    window = np.searchsorted(edges, gyro.t, side="right") - 1
+    inside = sound & (window >= 0) & (window < len(still))
+    at_rest = inside.copy()
+    at_rest[inside] = still[window[inside]]
+    chosen = at_rest if at_rest.sum() >= 10 else sound
+    force = np.median(gyro.accelerations[chosen], axis=0)
+    size = float(np.linalg.norm(force))
+    return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
+
+
+def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> Cause | None:
+    """Bit for bit the same, while tracks, or headings and fixes, turn; ``turned`` (m + 1,) rad of these."""
+    span = frozen_span(gyro)
+    if span is None:
+        return None
+    inside = (grid.edges[:-1] >= span[0]) & (grid.edges[1:] <= span[1])
+    differences = np.abs(window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0)))
+    by_tracks = float(differences.sum()) / tread * EFFICIENCY[0] * 2.0
+    if turned is not None and np.isfinite(turned).all():
+        own = np.interp(span, grid.edges, turned)
+        by_tracks = max(by_tracks, float(abs(own[1] - own[0])))
+    if by_tracks < _FROZEN_TURN:
+        return None
+    value = float(gyro.rates[np.searchsorted(gyro.t, span[0]), 2])
+    whole = float(differences.sum()) / tread
+    return Cause(
+        "gyro_frozen",
+        gyro.name,
+        f"the gyro shows {value:.4g} rad/s without change for {span[1] - span[0]:.0f} s, while the tracks turn "
+        f"{np.degrees(whole):.0f}°",
+        odds_of(20.0),
+        f"Check supply and cable of the unit, or leave it out: {remedies.parameter('yaw_rate_sources', '[]')}",
+    )
+
+
+def _axis(gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
+    """The gyro with the axis that turns as z, where that is another one."""
+    turns = window_sums(grid, grid.turns)
+    gains, scales = np.full(3, -np.inf), np.full(3, np.nan)
+    for axis in range(3):
+        if np.isfinite(turns[:, axis]).sum() < 5:
+            continue
+        scales[axis] = scale_of(turns[:, axis], x, WINDOW)
+        if np.isfinite(scales[axis]) and scales[axis] > 0.0:
+            unit = _unit_of(float(scales[axis]))[1]
+            gains[axis] = float(fit_turns(turns[:, axis], x, WINDOW, unit).logs.max())
+    best = int(np.argmax(gains))
+    if best == 2 or gains[best] < max(gains[2], 0.0) + 12.0 or gains[2] > _LEAST_GAIN:
+        return gyro, None
+    log_ratio = float(gains[best] - max(gains[2], 0.0))
+    sign = 1.0
+    if gravity is not None and abs(gravity[best]) > 0.7:
+        sign = float(np.sign(gravity[best]))
+    fix = to_vertical(best, sign)
+    turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
+    by_gravity = gravity is not None and abs(gravity[best]) > 0.7
+    name = "imu_mounting" if by_gravity else "gyro_axis"
+    force = f", and gravity lies along its {_AXES[best]} axis too" if by_gravity else ""
+    evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z{force}"
+    return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
+
+
+def to_vertical(axis: int, sign: float) -> FloatArray:
+    """(3, 3) rotation that turns an axis of the unit, times ``sign``, upward."""
+    if axis == 0:
+        return remedies.rotation(0.0, -sign * np.pi / 2.0, 0.0)
+    if axis == 1:
+        return remedies.rotation(sign * np.pi / 2.0, 0.0, 0.0)
+    return remedies.rotation(0.0 if sign > 0.0 else np.pi, 0.0, 0.0)
+
+
+def _unit_of(scale: float) -> tuple[str, float]:
+    """The unit that brings a scale nearest to what turning efficiencies are; '', 1 where it is one already."""
+    if EFFICIENCY[0] <= scale <= EFFICIENCY[1]:
+        return "", 1.0
+    fitting = {n: f for n, f in UNITS.items() if EFFICIENCY[0] <= scale / f <= EFFICIENCY[1]}
+    if not fitting:
+        return "", 1.0
+    name = min(fitting, key=lambda n: abs(np.log(scale / fitting[n] / _CENTRE)))
+    return name, float(fitting[name])
+
+
+def _unit(gyro: Gyro, turn: FloatArray, x: FloatArray) -> tuple[float, Cause | None]:
+    scale = scale_of(turn, x, WINDOW)
+    if not np.isfinite(scale):
+        return 1.0, None
+    name, factor = _unit_of(scale)
+    if factor == 1.0:
+        return 1.0, None
+    fit = fit_turns(turn, x, WINDOW, factor)
+    gain = float(fit.logs.max())
+    if gain < _LEAST_GAIN or fit.windows < 3:
+        return 1.0, None
+    evidence = f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
+    return factor, Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, factor))
+
+
+def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray) -> Cause | None:
+    """What it shows while nothing moves, and also while the machine drives."""
+    if gyro.is_above:
+        return None
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y, x = turn[usable], x[usable]
+    still = standing(x)
+    if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
+        return None
+    bias = bias_of(y, x, WINDOW)
+    spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
+    if abs(bias) < _LARGE_BIAS or spread > 0.5 * abs(bias):
+        return None
+    fit = fit_turns(turn, x, WINDOW) if len(turn) == len(x) else fit_turns(y, x, WINDOW)
+    pattern = (-1.0, 1.0) if fit.logs[0] >= fit.logs[1] else (1.0, -1.0)
+    efficiency = float(np.nanmax(fit.efficiencies[:2]))
+    rest = y[~still] - efficiency * (x[~still] @ np.array(pattern))
+    variance = 0.05**2 + 0.02 * np.sum(x[~still] ** 2, axis=1)
+    logs = [float(mixture(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
+    gain = logs[0] - logs[1] + 2.0 * float(still.sum())
+    if logs[0] - logs[1] < 0.0:
+        return None
+    evidence = (
+        f"the gyro shows {np.degrees(bias):.1f} °/s while the tracks stand ({still.sum() * WINDOW:.0f} s), and as much "
+        "more than they turn while they drive"
+    )
+    remedy = (
+        f"Let the unit find its bias at standstill, or subtract it: in the mapping 'origin: {bias:.5g}' (rad/s) at "
+        "angular_velocity_z"
+    )
+    return Cause("gyro_bias", gyro.name, evidence, odds_of(gain), remedy)
+
+
+def upside_down(gyro: Gyro, log_odds: float) -> Cause:
+    """Turns and gravity are both the other way round."""
+    evidence = "turns about z and gravity along z are both the other way round: the unit hangs upside down"
+    return Cause("imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0)))
+
+
+def other_gyros(log: Log, first: Gyro | None) -> Sequence[Gyro]:
+    """All but the one that is used first."""
+    return [g for g in log.gyros if first is None or g.name != first.name]
