@@ -18,11 +18,12 @@ from trackslip_estimation.setup_check.faults import without_missing
 from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import scales
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
-from trackslip_estimation.setup_check.heading import heading_at
+from trackslip_estimation.setup_check.heading import heading_at, unit_log
 from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log
 from trackslip_estimation.setup_check.path import Path, dead_reckoning, thinned
 from trackslip_estimation.setup_check.turning import fit_turns
 
+_UNIT_GAIN = 8.0  # ln likelihood of headings of another unit
 _SEGMENTS = (5.0, 10.0, 20.0)  # s
 _LEAST_ANGLE = np.radians(20.0)  # of a turn
 _TURNING = np.radians(3.0)  # in a window
@@ -65,6 +66,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     unit = speeds.unit_of(rough)
     scaled = log.with_tracks(np.eye(2) / unit)
     state = _inertial(scaled, fixes, compass, found)
+    compass = _in_radians(compass, state, found)
     drive = Drive(state.grid, log.machine, fixes, compass, state.gyro is not None)
     directions = decide_signs(drive, state.gyro, is_upside_down=state.is_upside_down)
     found.add(directions.causes, directions.undetermined)
@@ -111,6 +113,23 @@ def _inertial(log: Log, fixes: Fixes | None, compass: Compass | None, found: _Fo
     return inertial.Inertial(log, None, grid)
 
 
+def _in_radians(compass: Compass | None, state: inertial.Inertial, found: _Found) -> Compass | None:
+    """The headings, if they are in rad; those in another unit are left out, and named."""
+    if compass is None or state.gyro is None:
+        return compass
+    turns = np.nan_to_num(state.grid.turns[:, 2])
+    factor, gain = unit_log(compass, state.grid.edges, np.concatenate(([0.0], np.cumsum(turns))))
+    if factor == 1.0 or gain < _UNIT_GAIN:
+        return compass
+    was, named = ("degrees", "radians") if factor > 1.0 else ("radians", "degrees")
+    evidence = f"the heading turns {factor:.3g} times as much as the gyro: {was}, declared {named}"
+    unit = "deg" if factor > 1.0 else "rad"
+    remedy = f"State its unit in the mapping: yaw: {{column: …, unit: {unit}}}"
+    if compass.is_used:
+        found.add([Cause(signs.HEADING, compass.name, evidence, odds_of(gain), remedy)])
+    return None
+
+
 def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float, found: _Found) -> None:
     """On the log with all signs undone."""
     log = log.with_tracks(directions.assignment.matrix)
@@ -118,6 +137,7 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
         gyro = replace(gyro, rates=gyro.rates * np.array((1.0, 1.0, directions.gyro)))
         log = log.with_gyro(gyro)
     fixes, compass = _primary(log)
+    compass = compass if directions.has_heading else None
     if fixes is not None and directions.is_mirrored:
         fixes = replace(fixes, places=directions.right_places(fixes.places))
         log = log.with_fixes(fixes)
@@ -137,6 +157,7 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
         log = clocks.undelayed(log, cause, clocks.value_of(cause, lates, names))
         gyro = next((g for g in log.gyros if gyro is not None and g.name == gyro.name), gyro)
         fixes, compass = _primary(log)
+        compass = compass if directions.has_heading else None
         grid = make_grid(log, gyro) or grid
     if fixes is None:
         found.add([], [Undetermined("rolling radius and unit of the speeds", "record fixes while driving 10 m straight")])

@@ -35,6 +35,7 @@ class Directions:
     mirror: int = 0  # 0: x and y swapped, 1: y, 2: x the other way round
     convention: int = 0  # 0: from north, clockwise; 1: clockwise
     is_decided: bool = True
+    has_heading: bool = True
     causes: tuple[Cause, ...] = ()
     undetermined: tuple[Undetermined, ...] = field(default=())
 
@@ -84,6 +85,7 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
         "gyro": decision.gyro,
         "is_mirrored": decision.is_mirrored,
         "heading": decision.heading,
+        "has_heading": drive.compass is not None,
     }
     likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     if needs:

@@ -12,8 +12,9 @@ from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Lo
 _LEAST_MISSING = 5  # readings
 _LEAST_SHARE = 0.002  # of all
 _LONGEST_RUN = 3  # readings of the same value in a row
-_JUMP = 4.0  # times the usual change of a reading
-_LARGE = 0.3  # of the usual size of the readings around, below which a jump may be motion
+_RETURN = 0.3  # of a jump, by which the readings before and after it differ at most
+_QUANTA = 5.0  # times the least changes of readings
+_LARGE = 0.3  # of the size of large readings, below which a jump may be motion or noise
 _LEAST_FROZEN = 50  # readings
 _TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
@@ -39,16 +40,19 @@ def missing_in(values: FloatArray) -> tuple[float, BoolArray] | None:
     previous, following = _neighbours(values)
     with np.errstate(invalid="ignore", over="ignore"):
         change = np.abs(np.diff(values))
-        usual = float(np.percentile(change[change > 0.0], 75)) if (change > 0.0).any() else 0.0
+        change = change[change > 0.0]
+        if not len(change):
+            return None
+        step = float(np.percentile(change, 5))  # of a quantised signal its quantum
         size = np.minimum(np.abs(previous - values), np.abs(following - values))
-        level = float(np.percentile(np.abs(values), 75))
-        same_side = np.abs(previous - following) < 0.5 * size
-        jumps = (size > max(_JUMP * usual, _LARGE * level, 1e-9)) & same_side
+        level = float(np.percentile(np.abs(values[values != 0.0]), 95))
+        returns = np.abs(previous - following) < _RETURN * size
+        jumps = (size > max(_QUANTA * step, _LARGE * level)) & returns
     if jumps.sum() < _LEAST_MISSING:
         return None
     found, counts = np.unique(values[jumps], return_counts=True)
     top = int(np.argmax(counts))
-    if counts[top] < max(_LEAST_MISSING, 0.6 * jumps.sum(), _LEAST_SHARE * count):
+    if counts[top] < max(_LEAST_MISSING, 0.5 * jumps.sum(), _LEAST_SHARE * count):
         return None
     return float(found[top]), np.asarray(jumps & (values == found[top]))
 

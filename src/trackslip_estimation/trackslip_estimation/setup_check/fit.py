@@ -26,6 +26,7 @@ class Scales(NamedTuple):
     weights: FloatArray  # (s,) 1/variance
     times: FloatArray  # (s,) s, of the middle
     straight: FloatArray  # (s,) chord over length of the path
+    extents: FloatArray  # (s,) m, of the path by the tracks
 
 
 class Lever(NamedTuple):
@@ -59,7 +60,7 @@ def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | No
     variances = (noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
     middle = (fixes.t[begin] + fixes.t[end]) / 2.0
     straight = np.abs(q[end] - q[begin]) / np.maximum(way, 1e-9)
-    found = (np.abs(c), np.angle(c), 1.0 / variances, middle, straight)
+    found = (np.abs(c), np.angle(c), 1.0 / variances, middle, straight, extent)
     return Scales(*(column[wide] for column in found))
 
 

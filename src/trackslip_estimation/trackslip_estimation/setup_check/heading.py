@@ -19,6 +19,10 @@ _SHARE = 0.1  # of a turn
 _COURSE = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
 _LEAST_STEP = 0.3  # m in a window
 _STRAIGHT = 0.35  # rad in a window
+_DEGREES = float(np.degrees(1.0))
+_STEP_NOISE = 0.03  # rad, of a difference of neighbouring headings
+_LEAST_STEP_TURN, _MOST_STEP_TURN = 0.02, 0.5  # rad from one heading to the next
+_LEAST_STEPS = 8
 _LEAST_NOISES = 6.0  # standard deviations of a fix in a step
 
 
@@ -118,3 +122,24 @@ def wrapped(angles: FloatArray) -> FloatArray:
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
 
 
+
+
+def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
+    """Factor 57.3 or 1/57.3 of headings whose unit is another, and its ln likelihood over the right one.
+
+    From one heading to the next, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
+    """
+    sound = np.isfinite(compass.headings)
+    known, headings = compass.t[sound], compass.headings[sound]
+    steps = wrapped(np.diff(headings))
+    own = np.diff(np.interp(known, t, turned))
+    fine = (np.diff(known) < LONGEST_GAP) & (np.abs(own) > _LEAST_STEP_TURN) & (np.abs(own) < _MOST_STEP_TURN)
+    fine &= (known[1:] <= t[-1]) & (known[:-1] >= t[0])
+    if fine.sum() < _LEAST_STEPS:
+        return 1.0, 0.0
+    logs = {}
+    for factor in (1.0, -1.0, _DEGREES, -_DEGREES, 1.0 / _DEGREES, -1.0 / _DEGREES):
+        variance = _STEP_NOISE**2 + (factor * (0.002 + 0.05 * own[fine])) ** 2
+        logs[factor] = float(mixture(wrapped(steps[fine] - factor * own[fine]), variance, 2.0 * np.pi).sum())
+    best = max(logs, key=lambda factor: logs[factor])
+    return abs(best), logs[best] - max(logs[1.0], logs[-1.0])

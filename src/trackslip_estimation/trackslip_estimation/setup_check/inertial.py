@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check.faults import frozen_span
 from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
 from trackslip_estimation.setup_check.log import FloatArray, Gyro, Log
-from trackslip_estimation.setup_check.turning import bias_of, fit_turns, mixture, scale_of, standing
+from trackslip_estimation.setup_check.turning import PATTERNS, bias_of, fit_turns, mixture, scale_of, standing
 
 UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one declared
     "deg/s, declared rad/s": np.degrees(1.0),
@@ -31,8 +31,12 @@ EFFICIENCY = (0.08, 1.5)  # of turns by the gyro over turns by the tracks, of an
 _CENTRE = 0.6
 _LARGE_BIAS = np.radians(2.0)  # rad/s
 _LEAST_STANDING = 2  # windows
-_FROZEN_TURN = np.radians(40.0)  # by the tracks, while it shows the same
+_LEAST_COMPARED = 10  # windows
+_FROZEN_TURN = np.radians(40.0)  # of the machine, while it shows the same
+_LEAST_EFFICIENCY = 0.25  # of tracks, of which not all stand still on ice
+_HEADING_NOISE = np.radians(5.0)  # in a window
 _LEAST_GAIN = 5.0  # ln likelihood over no relation
+_AXIS_GAIN = 8.0  # of another axis, over that of z
 _GRAVITY = (7.5, 12.0)  # m/s²
 _AXES = "xyz"
 
@@ -61,7 +65,8 @@ def examine(log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None)
     if cause is not None:
         return Inertial(log, None, grid, causes=(cause,), gravity=gravity)
     causes: list[Cause] = []
-    gyro, axis_cause = _axis(gyro, grid, x, gravity)
+    of_heading = None if turned is None else np.diff(turned[:: max(int(round(WINDOW / grid.cell)), 1)])
+    gyro, axis_cause = _axis(gyro, grid, x, gravity, of_heading)
     causes += [axis_cause] if axis_cause else []
     grid = make_grid(log, gyro) or grid
     factor, unit_cause = _unit(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale)
@@ -69,7 +74,7 @@ def examine(log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None)
         causes.append(unit_cause)
         gyro = replace(gyro, rates=gyro.rates / factor)
         grid = make_grid(log, gyro) or grid
-    bias_cause = _bias(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale)
+    bias_cause = _bias(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale, of_heading)
     causes += [bias_cause] if bias_cause else []
     down = gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
     return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down)
@@ -93,31 +98,34 @@ def gravity_of(gyro: Gyro, grid: Grid, x: FloatArray) -> FloatArray | None:
 
 
 def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> Cause | None:
-    """Bit for bit the same, while tracks, or headings and fixes, turn; ``turned`` (m + 1,) rad of these."""
+    """Bit for bit the same, while tracks, or headings, turn; ``turned`` (m + 1,) rad of these."""
     span = frozen_span(gyro)
     if span is None:
         return None
     inside = (grid.edges[:-1] >= span[0]) & (grid.edges[1:] <= span[1])
     differences = np.abs(window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0)))
-    by_tracks = float(differences.sum()) / tread * EFFICIENCY[0] * 2.0
-    if turned is not None and np.isfinite(turned).all():
-        own = np.interp(span, grid.edges, turned)
-        by_tracks = max(by_tracks, float(abs(own[1] - own[0])))
-    if by_tracks < _FROZEN_TURN:
+    by_tracks = float(np.nansum(differences)) / tread
+    by_heading = 0.0
+    if turned is not None:
+        own = np.abs(window_sums(grid, np.where(inside, np.diff(turned), 0.0)))
+        by_heading = float(np.nansum(own[own > _HEADING_NOISE]))
+    if by_heading < _FROZEN_TURN and by_tracks * _LEAST_EFFICIENCY < _FROZEN_TURN:
         return None
     value = float(gyro.rates[np.searchsorted(gyro.t, span[0]), 2])
-    whole = float(differences.sum()) / tread
+    also = f", the heading {np.degrees(by_heading):.0f}°" if by_heading >= _FROZEN_TURN else ""
     return Cause(
         "gyro_frozen",
         gyro.name,
         f"the gyro shows {value:.4g} rad/s without change for {span[1] - span[0]:.0f} s, while the tracks turn "
-        f"{np.degrees(whole):.0f}°",
+        f"{np.degrees(by_tracks):.0f}°{also}",
         odds_of(20.0),
         f"Check supply and cable of the unit, or leave it out: {remedies.parameter('yaw_rate_sources', '[]')}",
     )
 
 
-def _axis(gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
+def _axis(
+    gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None, of_heading: FloatArray | None
+) -> tuple[Gyro, Cause | None]:
     """The gyro with the axis that turns as z, where that is another one."""
     turns = window_sums(grid, grid.turns)
     gains, scales = np.full(3, -np.inf), np.full(3, np.nan)
@@ -128,8 +136,10 @@ def _axis(gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None) -> 
         if np.isfinite(scales[axis]) and scales[axis] > 0.0:
             unit = _unit_of(float(scales[axis]))[1]
             gains[axis] = float(fit_turns(turns[:, axis], x, WINDOW, unit).logs.max())
+            if of_heading is not None:
+                gains[axis] += _heading_gain(turns[:, axis] / unit, of_heading)
     best = int(np.argmax(gains))
-    if best == 2 or gains[best] < max(gains[2], 0.0) + 12.0 or gains[2] > _LEAST_GAIN:
+    if best == 2 or gains[best] < max(gains[2], 0.0) + _AXIS_GAIN or gains[2] > _LEAST_GAIN:
         return gyro, None
     log_ratio = float(gains[best] - max(gains[2], 0.0))
     sign = 1.0
@@ -142,6 +152,21 @@ def _axis(gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None) -> 
     force = f", and gravity lies along its {_AXES[best]} axis too" if by_gravity else ""
     evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z{force}"
     return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
+
+
+def _heading_gain(turn: FloatArray, of_heading: FloatArray) -> float:
+    """Ln likelihood of the turns of headings, if these are the axis' own, or opposite, over none at all."""
+    count = min(len(turn), len(of_heading))
+    y, h = turn[:count], of_heading[:count]
+    usable = np.isfinite(y) & np.isfinite(h)
+    if usable.sum() < 3:
+        return 0.0
+    y, h = y[usable], h[usable]
+    width = 2.0 * max(float(np.abs(h).max()), 1.0)
+    variance = _HEADING_NOISE**2 + (0.1 * y) ** 2
+    with_it = max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0))
+    without = float(mixture(h, np.full(len(h), _HEADING_NOISE**2 + float(np.mean(h**2))), width).sum())
+    return max(with_it - without, 0.0)
 
 
 def to_vertical(axis: int, sign: float) -> FloatArray:
@@ -179,10 +204,25 @@ def _unit(gyro: Gyro, turn: FloatArray, x: FloatArray) -> tuple[float, Cause | N
     return factor, Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, factor))
 
 
-def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray) -> Cause | None:
-    """What it shows while nothing moves, and also while the machine drives."""
+def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> Cause | None:
+    """What it shows while nothing moves, and also while the machine drives; or more than the headings turn."""
     if gyro.is_above:
         return None
+    found = _at_standstill(turn, x)
+    if found is None and of_heading is not None:
+        found = _against_heading(turn, of_heading)
+    if found is None:
+        return None
+    bias, log_ratio, evidence = found
+    remedy = (
+        f"Let the unit find its bias at standstill, or subtract it: in the mapping 'origin: {bias:.5g}' (rad/s) at "
+        "angular_velocity_z"
+    )
+    evidence = f"the gyro shows {np.degrees(bias):.1f} °/s {evidence}"
+    return Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)
+
+
+def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     still = standing(x)
@@ -192,24 +232,29 @@ def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray) -> Cause | None:
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
     if abs(bias) < _LARGE_BIAS or spread > 0.5 * abs(bias):
         return None
-    fit = fit_turns(turn, x, WINDOW) if len(turn) == len(x) else fit_turns(y, x, WINDOW)
-    pattern = (-1.0, 1.0) if fit.logs[0] >= fit.logs[1] else (1.0, -1.0)
-    efficiency = float(np.nanmax(fit.efficiencies[:2]))
-    rest = y[~still] - efficiency * (x[~still] @ np.array(pattern))
+    fit = fit_turns(y, x, WINDOW)
+    best = int(np.argmax(fit.logs))
+    rest = y[~still] - float(fit.efficiencies[best]) * (x[~still] @ PATTERNS[best])
     variance = 0.05**2 + 0.02 * np.sum(x[~still] ** 2, axis=1)
     logs = [float(mixture(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
-    gain = logs[0] - logs[1] + 2.0 * float(still.sum())
-    if logs[0] - logs[1] < 0.0:
+    if logs[0] < logs[1]:
         return None
-    evidence = (
-        f"the gyro shows {np.degrees(bias):.1f} °/s while the tracks stand ({still.sum() * WINDOW:.0f} s), and as much "
-        "more than they turn while they drive"
-    )
-    remedy = (
-        f"Let the unit find its bias at standstill, or subtract it: in the mapping 'origin: {bias:.5g}' (rad/s) at "
-        "angular_velocity_z"
-    )
-    return Cause("gyro_bias", gyro.name, evidence, odds_of(gain), remedy)
+    evidence = f"while the tracks stand ({still.sum() * WINDOW:.0f} s), and so much more than they turn while they drive"
+    return bias, logs[0] - logs[1] + 2.0 * float(still.sum()), evidence
+
+
+def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, float, str] | None:
+    count = min(len(turn), len(of_heading))
+    y, h = turn[:count], of_heading[:count]
+    usable = np.isfinite(y) & np.isfinite(h)
+    if usable.sum() < _LEAST_COMPARED:
+        return None
+    more = (y[usable] - h[usable]) / WINDOW
+    bias = float(np.median(more))
+    stddev = 1.25 * 1.4826 * float(np.median(np.abs(more - bias))) / float(np.sqrt(len(more))) + 1e-4
+    if abs(bias) - 3.0 * stddev < _LARGE_BIAS or (np.sign(more) == np.sign(bias)).mean() < 0.8:
+        return None
+    return bias, 0.5 * (bias / stddev) ** 2, f"more than the headings turn, in {len(more)} pieces of {WINDOW:g} s"
 
 
 def upside_down(gyro: Gyro, log_odds: float) -> Cause:

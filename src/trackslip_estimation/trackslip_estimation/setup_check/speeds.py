@@ -14,7 +14,7 @@ from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_o
 from trackslip_estimation.setup_check.fit import Scales
 from trackslip_estimation.setup_check.grid import Grid, window_edges, window_sums
 from trackslip_estimation.setup_check.heading import place_at
-from trackslip_estimation.setup_check.log import Fixes, Machine
+from trackslip_estimation.setup_check.log import BoolArray, Fixes, FloatArray, Machine
 
 UNITS = {  # speed by the tracks over what it should be
     "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
@@ -34,11 +34,13 @@ UNITS = {  # speed by the tracks over what it should be
     "m/s, declared cm/s": 1e-2,
 }
 _LEAST_WINDOWS = 5
-_RADIUS_RANGE = (1.10, 1.75)  # of ρ: the stated radius is too small
+_RADIUS_RANGE = (1.10, 1.55)  # of ρ: the stated radius is too small
 _SLIP = 0.08  # mean slip of a drive, of an exponential prior
 _AHEAD = 0.04  # standard deviation of how much a machine goes ahead of its tracks
 _LEAST_DISTANCE = 5.0  # m
+_HOLDS = 1.05  # ρ on the worst ground where the unit makes it larger than 1
 _GEAR = (1.25, 3.0)  # ratio of displacements
+_LEAST_IN_GEAR = 4  # pieces
 _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
@@ -77,11 +79,18 @@ def slip_log(rho: float) -> float:
 
 
 class Ratios:
-    """ρ of the segments of a drive, by what they weigh."""
+    """ρ of the pieces of a drive that are straight, or else the widest."""
 
     def __init__(self, found: Scales) -> None:
-        use = found.straight > 0.7 if (found.straight > 0.7).sum() >= _LEAST_WINDOWS else found.straight >= 0.0
+        use = found.straight > 0.7
+        if use.sum() < _LEAST_WINDOWS:
+            use = found.extents >= np.median(found.extents)
         self.values, self.times = found.ratios[use], found.times[use]
+
+    @property
+    def worst(self) -> float:
+        """On the worst ground but a tenth."""
+        return float(np.percentile(self.values, 10))
 
     @property
     def best(self) -> float:
@@ -115,12 +124,11 @@ def judge(
     gear = _gear(ratios, factor)
     if gear is not None:
         return [gear], []
-    in_radius = _RADIUS_RANGE[0] < whole <= _RADIUS_RANGE[1]
-    if in_radius and names[best] < -3.0 and ratios.values.min() / factor > 1.0 or (
-        in_radius and ratios.middle - ratios.spread > _RADIUS_RANGE[0] * factor
-    ):
+    middle = ratios.middle / factor
+    if _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
         return [_radius(ratios, machine, factor)], []
-    if gain > np.log(100.0) and names[best] > -4.0 and not 0.55 < whole < 1.3:
+    holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
+    if gain > np.log(100.0) and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
         value = UNITS[best]
         evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
         remedy = (
@@ -144,35 +152,53 @@ def _radius(ratios: Ratios, machine: Machine, factor: float) -> Cause:
 
 
 def _gear(ratios: Ratios, factor: float) -> Cause | None:
-    """Two levels of ρ with one ratio, the upper of which no slip explains."""
-    values = ratios.values / factor
-    order = np.sort(values)
-    gaps = np.diff(np.log(np.maximum(order, 1e-6)))
-    count = len(order)
-    if count < 2 * 3:
+    """Two levels of ρ over times in a row, the upper of which no slip explains."""
+    order = np.argsort(ratios.times)
+    values = np.log(np.maximum(ratios.values[order] / factor, 1e-3))
+    count = len(values)
+    if count < 2 * _LEAST_IN_GEAR:
         return None
-    inner = slice(2, count - 3)
-    if not len(gaps[inner]):
+    is_high, rest = _two_levels(values)
+    low, high = values[~is_high], values[is_high]
+    if min(len(low), len(high)) < _LEAST_IN_GEAR or (np.diff(is_high.astype(np.int64)) != 0).sum() > 3:
         return None
-    k = int(np.argmax(gaps[inner])) + 2
-    low, high = order[: k + 1], order[k + 1 :]
-    ratio = float(np.median(high) / np.median(low))
-    scatter = max(float(np.std(np.log(low))), float(np.std(np.log(high))))
-    switches = int((np.diff((values > high[0] - 1e-9).astype(np.int64)[np.argsort(ratios.times)]) != 0).sum())
-    if not _GEAR[0] < ratio < _GEAR[1] or scatter > 0.25 * np.log(ratio) or float(np.median(high)) < 1.15:
-        return None
-    if float(np.median(low)) > 1.12 or switches > count // 3:
+    low_ratio, high_ratio = float(np.exp(np.median(low))), float(np.exp(np.median(high)))
+    ratio = high_ratio / low_ratio
+    usual = not 0.55 < low_ratio < 1.1
+    if not _GEAR[0] < ratio < _GEAR[1] or high_ratio < 1.2 or usual or rest > 0.25 * np.log(ratio):
         return None
     evidence = (
-        f"the machine goes {np.median(low):.2f} times as far as its tracks in {len(low)} pieces of the drive, and "
-        f"{np.median(high):.2f} times in {len(high)}: a travel motor of {ratio:.2f} times the displacement"
+        f"the machine goes {low_ratio:.2f} times as far as its tracks in {len(low)} pieces of the drive, and "
+        f"{high_ratio:.2f} times in {len(high)}: a travel motor of another displacement"
     )
     remedy = (
         f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use left_position and "
         "right_position of the sprockets in the roles file, or record each gear by itself"
     )
-    log_ratio = len(high) * 0.5 * ((float(np.median(high)) - 1.0) / 0.1) ** 2
-    return Cause("travel_gear", "sprockets", evidence, odds_of(log_ratio), remedy)
+    return Cause("travel_gear", "sprockets", evidence, odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2), remedy)
+
+
+def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
+    """(n,) which of the values in order of time lie high, runs of one smoothed away; how far from a level most are."""
+    low, high = float(np.percentile(values, 20)), float(np.percentile(values, 80))
+    is_high = values > (low + high) / 2.0
+    for _ in range(5):
+        smooth = median_of_three(is_high)
+        if smooth.all() or not smooth.any():
+            break
+        low, high = float(np.median(values[~smooth])), float(np.median(values[smooth]))
+        is_high = values > (low + high) / 2.0
+    smooth = median_of_three(is_high)
+    rest = np.abs(values - np.where(smooth, high, low))
+    return smooth, float(np.percentile(rest, 80))
+
+
+def median_of_three(flags: BoolArray) -> BoolArray:
+    """(n,) each with the majority of itself and its neighbours, twice."""
+    for _ in range(2):
+        padded = np.concatenate((flags[:1], flags, flags[-1:])).astype(np.int64)
+        flags = padded[:-2] + padded[1:-1] + padded[2:] >= 2
+    return flags
 
 
 def distance_of(fixes: Fixes, grid: Grid) -> float:

@@ -41,16 +41,21 @@ def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0
     y, x = turn[usable] / scale, x[usable]
     if len(y) < 3:
         return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0, 0)
-    bias = bias_of(y, x, length)
-    y = y - bias * length
-    none = _unrelated(y)
+    none = _unrelated(y, x, length)
     candidates = PATTERNS @ x.T  # (4, w)
     ks = EFFICIENCIES[:, np.newaxis, np.newaxis]
+    rests = y - ks * candidates  # (k, 4, w)
+    if has_standstill(x):
+        biases = np.full(rests.shape[:2], bias_of(y, x, length) * length)
+    else:
+        biases = np.median(rests, axis=2)
     variance = _NOISE**2 + SLIP**2 * np.sum(x**2, axis=1)
-    logs = mixture(y - ks * candidates, variance, _range(y)).sum(axis=2)  # (k, 4)
+    logs = mixture(rests - biases[:, :, np.newaxis], variance, _range(y)).sum(axis=2)  # (k, 4)
     best = np.argmax(logs, axis=0)
-    moved = int(np.sum(np.abs(y) > np.radians(3.0)))
-    found = logs[best, np.arange(4)] - none
+    every = np.arange(4)
+    found = logs[best, every] - none
+    bias = float(biases[best, every][int(np.argmax(found))]) / length
+    moved = int(np.sum(np.abs(y - bias * length) > np.radians(3.0)))
     return TurnFit(found, EFFICIENCIES[best], bias * scale, moved)
 
 
@@ -76,9 +81,14 @@ def scale_of(turn: FloatArray, x: FloatArray, length: float) -> float:
 
 
 def bias_of(y: FloatArray, x: FloatArray, length: float) -> float:
-    """Rate while the tracks stand, rad/s; 0 where they never do."""
+    """Rate while the tracks stand, rad/s; where they never do, the median: turns to both sides cancel."""
     still = standing(x)
-    return float(np.median(y[still])) / length if still.sum() >= 2 else 0.0
+    return float(np.median(y[still] if has_standstill(x) else y)) / length if len(y) else 0.0
+
+
+def has_standstill(x: FloatArray) -> bool:
+    """Whether the tracks stand in two windows (w, 2) at least."""
+    return bool(standing(x).sum() >= 2)
 
 
 def standing(x: FloatArray) -> BoolArray:
@@ -98,7 +108,8 @@ def _range(y: FloatArray) -> float:
     return 2.0 * max(float(np.abs(y).max(initial=0.0)), 1.0)
 
 
-def _unrelated(y: FloatArray) -> float:
+def _unrelated(y: FloatArray, x: FloatArray, length: float) -> float:
     """Ln likelihood of turns that have nothing to do with the tracks."""
+    y = y - bias_of(y, x, length) * length
     variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
     return float(mixture(y, variance, _range(y)).sum())
