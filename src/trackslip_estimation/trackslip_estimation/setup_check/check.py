@@ -24,7 +24,7 @@ from trackslip_estimation.setup_check.path import Path, dead_reckoning, thinned
 from trackslip_estimation.setup_check.turning import fit_turns
 
 _UNIT_GAIN = 8.0  # ln likelihood of headings of another unit
-_SEGMENTS = (5.0, 10.0, 20.0)  # s
+_SEGMENTS = (2.5, 5.0, 10.0, 20.0)  # s
 _LEAST_ANGLE = np.radians(20.0)  # of a turn
 _TURNING = np.radians(3.0)  # in a window
 
@@ -166,7 +166,7 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     noise = float(np.median(fixes.stddevs))
     thin = thinned(fixes, 0.2)
     all_scales = [scales(path, thin, length, noise) for length in _SEGMENTS]
-    best = max((s for s in all_scales if s is not None), key=lambda s: len(s.ratios), default=None)
+    best = max((s for s in all_scales if s is not None), key=speeds.worth, default=None)
     found.add(*speeds.judge(best, log.machine, unit, speeds.distance_of(fixes, grid)))
     if not causes:
         found.add(*places.judge_lever(path, fixes, log))

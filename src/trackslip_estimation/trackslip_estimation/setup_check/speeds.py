@@ -34,6 +34,8 @@ UNITS = {  # speed by the tracks over what it should be
     "m/s, declared cm/s": 1e-2,
 }
 _LEAST_WINDOWS = 5
+_STRAIGHT = 0.9  # chord over path
+_ENOUGH = 20  # straight pieces
 _RADIUS_RANGE = (1.10, 1.55)  # of ρ: the stated radius is too small
 _SLIP = 0.08  # mean slip of a drive, of an exponential prior
 _AHEAD = 0.04  # standard deviation of how much a machine goes ahead of its tracks
@@ -78,11 +80,16 @@ def slip_log(rho: float) -> float:
     return -0.5 * (slip / _AHEAD) ** 2
 
 
+def worth(found: Scales) -> tuple[int, int]:
+    """How many pieces are straight, and how many there are."""
+    return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH), len(found.ratios)
+
+
 class Ratios:
     """ρ of the pieces of a drive that are straight, or else the widest."""
 
     def __init__(self, found: Scales) -> None:
-        use = found.straight > 0.7
+        use = found.straight > _STRAIGHT
         if use.sum() < _LEAST_WINDOWS:
             use = found.extents >= np.median(found.extents)
         self.values, self.times = found.ratios[use], found.times[use]
