@@ -21,12 +21,10 @@ from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, windo
 from trackslip_estimation.setup_check.heading import heading_at, unit_log
 from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log
 from trackslip_estimation.setup_check.path import Path, dead_reckoning, thinned
-from trackslip_estimation.setup_check.turning import fit_turns
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, fit_turns, scale_of, turns_of
 
 _UNIT_GAIN = 8.0  # ln likelihood of headings of another unit
-_SEGMENTS = (2.5, 5.0, 10.0, 20.0)  # s
-_LEAST_ANGLE = np.radians(20.0)  # of a turn
-_TURNING = np.radians(3.0)  # in a window
+_SEGMENTS = (2.5, 5.0, 10.0, 20.0, 40.0)  # s
 
 
 @dataclass
@@ -106,20 +104,24 @@ def _inertial(log: Log, fixes: Fixes | None, compass: Compass | None, found: _Fo
     for gyro in log.gyros:
         if len(gyro.t) < 10:
             continue
-        state = inertial.examine(log, gyro, 1.0, turned)
+        state = inertial.examine(log, gyro, 1.0, turned, fixes)
         if state is not None:
-            found.add(state.causes)
+            found.add(state.causes, state.undetermined)
             return state
     return inertial.Inertial(log, None, grid)
 
 
 def _in_radians(compass: Compass | None, state: inertial.Inertial, found: _Found) -> Compass | None:
     """The headings, if they are in rad; those in another unit are left out, and named."""
-    if compass is None or state.gyro is None:
+    if compass is None or state.gyro is None or state.factor != 1.0:
         return compass
     turns = np.nan_to_num(state.grid.turns[:, 2])
     factor, gain = unit_log(compass, state.grid.edges, np.concatenate(([0.0], np.cumsum(turns))))
-    if factor == 1.0 or gain < _UNIT_GAIN:
+    of_gyro = window_sums(state.grid, state.grid.turns)[:, 2]
+    x = window_sums(state.grid, state.grid.tracks) / state.log.machine.tread
+    scale = scale_of(of_gyro, x, WINDOW)
+    is_known = turns_of(of_gyro) >= LEAST_TURNS and inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1]
+    if factor == 1.0 or gain < _UNIT_GAIN or not is_known:
         return compass
     was, named = ("degrees", "radians") if factor > 1.0 else ("radians", "degrees")
     evidence = f"the heading turns {factor:.3g} times as much as the gyro: {was}, declared {named}"
@@ -151,14 +153,25 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     lates = clocks.lates_of(grid, log, gyro, fixes, compass, fit.bias)
     names = {"tracks": "sprockets", "gyro": gyro.name if gyro else "", "fixes": fixes.name if fixes else ""}
     names["heading"] = compass.name if compass else ""
-    causes, open_ones = clocks.judge(lates, names)
-    found.add(causes, open_ones)
+    has_times = not any(cause.cause == "time_unit" for cause in found.causes)
+    causes, open_ones = clocks.judge(lates, names) if has_times else ([], [])
+    path = _path(grid, gyro, fit.bias, log)
+    lever = places.lever_of(path, fixes) if fixes is not None else None
     for cause in causes:
-        log = clocks.undelayed(log, cause, clocks.value_of(cause, lates, names))
+        late = clocks.value_of(cause, lates, names)
+        rival = lever.log_ratio if lever is not None and cause.source == names["fixes"] else 0.0
+        if late.gain is not None and rival > late.gain - _UNIT_GAIN:  # both move fixes along the path in turns
+            causes = []
+            if rival < late.gain + _UNIT_GAIN:
+                what = f"{cause.source}: late, or a lever arm"
+                open_ones.append(Undetermined(what, "turn on the spot, and stop and start on straights"))
+            break
+        log = clocks.undelayed(log, cause, late.value)
         gyro = next((g for g in log.gyros if gyro is not None and g.name == gyro.name), gyro)
         fixes, compass = _primary(log)
         compass = compass if directions.has_heading else None
         grid = make_grid(log, gyro) or grid
+    found.add(causes, open_ones)
     if fixes is None:
         found.add([], [Undetermined("rolling radius and unit of the speeds", "record fixes while driving 10 m straight")])
         return
@@ -168,12 +181,20 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     all_scales = [scales(path, thin, length, noise) for length in _SEGMENTS]
     best = max((s for s in all_scales if s is not None), key=speeds.worth, default=None)
     found.add(*speeds.judge(best, log.machine, unit, speeds.distance_of(fixes, grid)))
+    by_delay = max((late.gain for late in lates if late.gain is not None), default=0.0)
+    clear = any(late.gain is None and "fixes" in _parties(late, compass, fixes) for late in lates)
     if not causes:
-        found.add(*places.judge_lever(path, fixes, log))
+        found.add(*places.judge_lever(path, fixes, log, 0.0 if clear else by_delay + _UNIT_GAIN))
     if compass is not None:
         turn = gyro_turn_of(grid, gyro, fit.bias)
         offsets, open_ones, _ = places.judge_offset(grid, turn, fixes, compass)
         found.add(offsets, open_ones)
+
+
+def _parties(late: clocks.Late, compass: Compass | None, fixes: Fixes) -> set[str]:
+    """The sources of a pair; headings of the fixes' own messages have their stamps."""
+    own = compass is not None and compass.name == fixes.name
+    return {"fixes" if own and one == "heading" else one for one in (late.first, late.second)}
 
 
 def gyro_turn_of(grid: Grid, gyro: Gyro | None, bias: float) -> FloatArray:

@@ -21,6 +21,7 @@ from trackslip_estimation.setup_check.path import dead_reckoning, thinned
 
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
 _SURE = 3.0  # standard deviations
+_FINE = 0.15  # s, of a delay by turn rates
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
 _EFFICIENCY = 0.75  # κ of turns by tracks alone
@@ -36,6 +37,7 @@ class Late:
     second: str
     value: float  # s
     stddev: float  # s
+    gain: float | None = None  # ln likelihood over no delay, of one by the shape of the path
 
 
 def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
@@ -121,14 +123,15 @@ def _of_path(
         k = int(np.argmax(logs))
         near = np.flatnonzero(logs > logs[k] - 2.0)
         stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
-        if np.ptp(logs) > 8.0 and (best is None or stddev < best.stddev):
-            best = Late("tracks", "fixes", float(_LATES[k]), stddev)
+        if np.ptp(logs) > 2.0 and (best is None or stddev < best.stddev):
+            gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
+            best = Late("tracks", "fixes", float(_LATES[k]), stddev, gain)
     if best is None:
         return []
     if apart is None:
         return [best]
     both = float(np.hypot(best.stddev, apart.stddev))
-    return [best, Late("gyro", "fixes", best.value - apart.value, both)]
+    return [best, Late("gyro", "fixes", best.value - apart.value, both, best.gain)]
 
 
 def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[Undetermined]]:
@@ -140,10 +143,8 @@ def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[U
     if names.get("heading") != names.get("fixes"):
         groups["heading"] = "heading"
     values: dict[tuple[str, str], tuple[float, float]] = {}
-    for late in lates:
-        key = groups[late.first], groups[late.second]
-        if key not in values or late.stddev < values[key][1]:
-            values[key] = late.value, late.stddev
+    for late in sorted(lates, key=lambda one: (not (one.gain is None and one.stddev < _FINE), one.stddev)):
+        values.setdefault((groups[late.first], groups[late.second]), (late.value, late.stddev))
     off = {key: v for key, v in values.items() if abs(v[0]) > LEAST_DELAY and abs(v[0]) > _SURE * v[1]}
     if not off:
         return [], []
@@ -188,10 +189,10 @@ def undelayed(log: Log, cause: Cause, value: float) -> Log:
 
 
 
-def value_of(cause: Cause, lates: list[Late], names: dict[str, str]) -> float:
-    """By how much a late source is late, s."""
-    party = {topic: name for name, topic in names.items()}.get(cause.source, "")
+def value_of(cause: Cause, lates: list[Late], names: dict[str, str]) -> Late:
+    """The pair that shows a late source best, with the delay of that source."""
+    party = {topic: name for name, topic in names.items() if topic}.get(cause.source, "")
     same = {"heading", "fixes"} if party in ("heading", "fixes") else {party}
     own = [late for late in lates if (late.first in same) != (late.second in same)]
-    best = min(own, key=lambda late: late.stddev)
-    return best.value if best.second in same else -best.value
+    best = min(own, key=lambda late: (late.gain is not None and len(own) > 1, late.stddev))
+    return best if best.second in same else replace(best, value=-best.value)

@@ -13,12 +13,9 @@ from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.heading import Courses, straight_courses
 from trackslip_estimation.setup_check.log import FloatArray, Gyro
 from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
-from trackslip_estimation.setup_check.turning import fit_turns
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, fit_turns, turns_of
 
 LEAST_LOG = float(np.log(100.0))
-_TURNING = np.radians(3.0)  # in a window
-_LEAST_ANGLE = np.radians(20.0)  # of a turn
-LEAST_TURNS = 3
 _LEAST_WAY = 2.0  # m, times what the tread is over 1 m
 MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
 _TURN = "turn left and right by 90° once each, and drive 10 m straight"
@@ -50,20 +47,6 @@ class Directions:
         return np.pi / 2.0 - headings if self.convention == 0 else -headings
 
 
-def turns_of(turn: FloatArray) -> int:
-    """How often (w,) turns add up to 20° in one sense."""
-    count, total = 0, 0.0
-    for own in np.where(np.isfinite(turn), turn, 0.0):
-        if abs(own) < _TURNING or own * total < 0.0:
-            count += abs(total) >= _LEAST_ANGLE
-            total = 0.0
-        if abs(own) >= _TURNING:
-            total += float(own)
-            if abs(total) >= np.radians(180.0):  # a long one counts for each half
-                count, total = count + 1, 0.0
-    return int(count + (abs(total) >= _LEAST_ANGLE))
-
-
 def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Directions:
     """Of tracks, gyro, map and headings together."""
     fit = fit_turns(drive.turn, drive.x, WINDOW)
@@ -77,7 +60,7 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     way = max(way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0)))))
     needs = []
     if count < LEAST_TURNS:
-        needs.append(Undetermined(f"signs of tracks and gyro ({count} turns of 20°)", _TURN))
+        needs.append(Undetermined(f"signs of tracks and gyro ({count} turns of 15°)", _TURN))
     if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
         needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
     base = {

@@ -115,13 +115,8 @@ def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> Boo
         if counts[k] < _LEAST_MISSING or counts[k] > 0.5 * len(places):
             continue
         where = index.ravel() == k
-        others = places[~where]
-        gaps = np.hypot(*(others - unique[k]).T)
-        leaves = np.flatnonzero(np.diff(where.astype(np.int64)) != 0)
-        steps = np.hypot(*np.diff(places, axis=0)[leaves].T)
-        if gaps.min() > max(_FIX_STEP, 2.0 * spread) or (
-            len(steps) >= _LEAST_MISSING and float(np.median(steps)) > _FIX_STEP
-        ):
+        gaps = np.hypot(*(places[~where] - unique[k]).T)
+        if float(np.percentile(gaps, 2)) > max(_FIX_STEP, spread):
             found.append(Missing(source, "place", float(unique[k][0]), int(counts[k]), float(where.mean())))
             return np.asarray(where)
     return nothing
@@ -139,6 +134,12 @@ def frozen_span(gyro: Gyro) -> tuple[float, float] | None:
     if lengths[k] < _LEAST_FROZEN:
         return None
     return float(gyro.t[edges[k]]), float(gyro.t[edges[k + 1] - 1])
+
+
+def frozen_share(gyro: Gyro) -> float:
+    """Share of its time in the longest frozen span."""
+    span = frozen_span(gyro)
+    return 0.0 if span is None else (span[1] - span[0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9)
 
 
 def time_factor(t: FloatArray, kind: str) -> float:

@@ -8,11 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.faults import frozen_span
-from trackslip_estimation.setup_check.finding import Cause, odds_of
+from trackslip_estimation.setup_check.faults import frozen_share, frozen_span
+from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
-from trackslip_estimation.setup_check.log import FloatArray, Gyro, Log
-from trackslip_estimation.setup_check.turning import PATTERNS, bias_of, fit_turns, mixture, scale_of, standing
+from trackslip_estimation.setup_check.log import Fixes, FloatArray, Gyro, Log
+from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
+from trackslip_estimation.setup_check.signs import DISTANCES
+from trackslip_estimation.setup_check.turning import (
+    LEAST_TURNS,
+    PATTERNS,
+    bias_of,
+    fit_turns,
+    mixture,
+    scale_of,
+    standing,
+    turns_of,
+)
 
 UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one declared
     "deg/s, declared rad/s": np.degrees(1.0),
@@ -36,9 +47,14 @@ _FROZEN_TURN = np.radians(40.0)  # of the machine, while it shows the same
 _LEAST_EFFICIENCY = 0.25  # of tracks, of which not all stand still on ice
 _HEADING_NOISE = np.radians(5.0)  # in a window
 _LEAST_GAIN = 5.0  # ln likelihood over no relation
+_TRACK_GAIN = 3.0  # of turns by the tracks, where there are witnesses
+_UNIT_ERROR = 0.35  # of the logarithm of a scale by headings
 _AXIS_GAIN = 8.0  # of another axis, over that of z
 _GRAVITY = (7.5, 12.0)  # m/s²
+_FOLLOWS = 0.85  # correlation of turns of one machine
+_MOST_TURN = 3.0  # of the gyro over the tracks, of any machine
 _AXES = "xyz"
+_MOSTLY = 0.5  # of all readings
 
 
 @dataclass(frozen=True)
@@ -52,9 +68,12 @@ class Inertial:
     causes: tuple[Cause, ...] = ()
     gravity: FloatArray | None = None  # (3,) unit vector, in the axes as stated
     is_upside_down: bool = False
+    undetermined: tuple[Undetermined, ...] = ()
 
 
-def examine(log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None) -> Inertial | None:
+def examine(
+    log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None, fixes: Fixes | None
+) -> Inertial | None:
     """Everything but its sign; ``track_scale``: true distance over that by tracks, ``turned``: see ``_frozen``."""
     grid = make_grid(log, gyro)
     if grid is None:
@@ -69,15 +88,23 @@ def examine(log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None)
     gyro, axis_cause = _axis(gyro, grid, x, gravity, of_heading)
     causes += [axis_cause] if axis_cause else []
     grid = make_grid(log, gyro) or grid
-    factor, unit_cause = _unit(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale)
+    factor, unit_cause, open_ones = _unit(gyro, grid, x * track_scale, of_heading, fixes)
     if unit_cause is not None:
         causes.append(unit_cause)
         gyro = replace(gyro, rates=gyro.rates / factor)
         grid = make_grid(log, gyro) or grid
-    bias_cause = _bias(gyro, window_sums(grid, grid.turns)[:, 2], x * track_scale, of_heading)
-    causes += [bias_cause] if bias_cause else []
+    turn = window_sums(grid, grid.turns)[:, 2]
+    scale = scale_of(turn, x * track_scale, WINDOW)
+    share = turned_share(turn, x * track_scale)
+    if scale > EFFICIENCY[1] or share > _MOST_TURN:
+        what = f"gyro that turns {max(np.nan_to_num(scale), share):.3g} times as much as the tracks"
+        open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
+        return Inertial(log, None, grid, causes=tuple(causes), gravity=gravity, undetermined=tuple(open_ones))
+    if _is_known(turn, x * track_scale, of_heading) and frozen_share(gyro) < _MOSTLY:
+        bias_cause = _bias(gyro, turn, x * track_scale, of_heading)
+        causes += [bias_cause] if bias_cause else []
     down = gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
-    return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down)
+    return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down, tuple(open_ones))
 
 
 def gravity_of(gyro: Gyro, grid: Grid, x: FloatArray) -> FloatArray | None:
@@ -141,6 +168,8 @@ def _axis(
     best = int(np.argmax(gains))
     if best == 2 or gains[best] < max(gains[2], 0.0) + _AXIS_GAIN or gains[2] > _LEAST_GAIN:
         return gyro, None
+    if turns_of(turns[:, best] / _unit_of(float(scales[best]))[1]) < LEAST_TURNS:
+        return gyro, None
     log_ratio = float(gains[best] - max(gains[2], 0.0))
     sign = 1.0
     if gravity is not None and abs(gravity[best]) > 0.7:
@@ -152,6 +181,16 @@ def _axis(
     force = f", and gravity lies along its {_AXES[best]} axis too" if by_gravity else ""
     evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z{force}"
     return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
+
+
+def turned_share(turn: FloatArray, x: FloatArray) -> float:
+    """Turn of the gyro over the most that tracks of any signs explain; 0 for some turns that anything may do."""
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y, x = turn[usable], x[usable]
+    y = np.abs(y - bias_of(y, x, WINDOW) * WINDOW)
+    most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
+    total = float(y.sum())
+    return total / (float(most.sum()) + 0.5) if total > np.pi else 0.0
 
 
 def _heading_gain(turn: FloatArray, of_heading: FloatArray) -> float:
@@ -189,19 +228,93 @@ def _unit_of(scale: float) -> tuple[str, float]:
     return name, float(fitting[name])
 
 
-def _unit(gyro: Gyro, turn: FloatArray, x: FloatArray) -> tuple[float, Cause | None]:
+def _unit(
+    gyro: Gyro, grid: Grid, x: FloatArray, of_heading: FloatArray | None, fixes: Fixes | None
+) -> tuple[float, Cause | None, list[Undetermined]]:
+    """Factor of a unit that headings, or the path of the fixes, ask for as well as the tracks do.
+
+    A gyro that turns more than its tracks needs no witness; tracks that turn more than the gyro may slip.
+    """
+    turn = window_sums(grid, grid.turns)[:, 2]
     scale = scale_of(turn, x, WINDOW)
-    if not np.isfinite(scale):
-        return 1.0, None
-    name, factor = _unit_of(scale)
+    name, factor = _unit_of(scale) if np.isfinite(scale) else ("", 1.0)
     if factor == 1.0:
-        return 1.0, None
-    fit = fit_turns(turn, x, WINDOW, factor)
-    gain = float(fit.logs.max())
-    if gain < _LEAST_GAIN or fit.windows < 3:
-        return 1.0, None
+        return 1.0, None, []
+    by_heading = None if of_heading is None else _scale_of_heading(turn, of_heading)
+    if by_heading is not None:  # which does not slip
+        name, factor = min(UNITS.items(), key=lambda item: abs(np.log(by_heading / item[1])))
+        if abs(np.log(by_heading / factor)) > _UNIT_ERROR:
+            return 1.0, None, []
+    gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
+    if turns_of(turn / factor) < LEAST_TURNS:
+        return 1.0, None, []
+    witness = _witness(turn, grid, of_heading, fixes, factor)
+    if witness is None and factor < 1.0:
+        what = f"gyro that shows {scale:.3g} of what the tracks turn: tracks that slip, or {name}"
+        return 1.0, None, [Undetermined(what, "record fixes while you turn left and right by 90° once each")]
+    total = gain if witness is None else max(gain, 0.0) + witness
+    if gain < _TRACK_GAIN or (witness is not None and witness < _LEAST_GAIN) or total < _LEAST_GAIN:
+        return 1.0, None, []
     evidence = f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
-    return factor, Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, factor))
+    cause = Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedies.gyro_scale(gyro, factor))
+    return factor, cause, []
+
+
+def _witness(
+    turn: FloatArray, grid: Grid, of_heading: FloatArray | None, fixes: Fixes | None, factor: float
+) -> float | None:
+    """Ln likelihood that headings or the path of the fixes give a unit over none; None: there is no witness."""
+    if of_heading is not None and _scale_of_heading(turn, of_heading) is not None:
+        count = min(len(turn), len(of_heading))
+        y, h = turn[:count], of_heading[:count]
+        return _over(h, y / factor, y)
+    if fixes is None:
+        return None
+    paths = [
+        dead_reckoning(grid, grid.tracks @ distance / 2.0, sign * grid.turns[:, 2] / f)
+        for f in (factor, 1.0)
+        for distance in DISTANCES
+        for sign in (1.0, -1.0)
+    ]
+    shapes = compare(paths, thinned(fixes, 0.5))
+    if shapes.segments < 3:
+        return None
+    return float(shapes.logs[:4].max() - shapes.logs[4:].max())
+
+
+def _over(h: FloatArray, scaled: FloatArray, raw: FloatArray) -> float:
+    """Ln likelihood of turns h of headings by scaled turns of the gyro, of either sign, over raw ones."""
+    usable = np.isfinite(h) & np.isfinite(scaled)
+    h, both = h[usable], (scaled[usable], raw[usable])
+    width = 2.0 * max(float(np.abs(h).max(initial=0.0)), 1.0)
+    logs = []
+    for y in both:
+        variance = _HEADING_NOISE**2 + (0.1 * np.clip(y, -3.0, 3.0)) ** 2
+        logs.append(max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0)))
+    return logs[0] - logs[1]
+
+
+def _scale_of_heading(turn: FloatArray, of_heading: FloatArray) -> float | None:
+    """What the gyro shows of a turn of the headings; None where these do not turn."""
+    count = min(len(turn), len(of_heading))
+    y, h = turn[:count], of_heading[:count]
+    usable = np.isfinite(y) & np.isfinite(h)
+    y, h = y[usable], h[usable]
+    if (np.abs(h) > 2.0 * _HEADING_NOISE).sum() < 3:
+        return None
+    y, h = y - np.median(y), h - np.median(h)
+    correlation = float(np.sum(y * h) / np.sqrt(np.sum(y**2) * np.sum(h**2) + 1e-12))
+    return abs(float(np.sum(y * h) / np.sum(h**2))) if abs(correlation) > _FOLLOWS else None
+
+
+def _is_known(turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> bool:
+    """Whether turns of tracks or headings show that its unit is right."""
+    if of_heading is not None:
+        of_it = _scale_of_heading(turn, of_heading)
+        if of_it is not None and 0.6 < of_it < 1.6:
+            return True
+    scale = scale_of(turn, x, WINDOW)
+    return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and turns_of(turn) >= LEAST_TURNS
 
 
 def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> Cause | None:

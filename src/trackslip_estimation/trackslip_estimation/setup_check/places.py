@@ -22,7 +22,7 @@ from trackslip_estimation.setup_check.path import Path, thinned
 _LENGTHS = (5.0, 10.0, 20.0)  # s
 _ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
 _LEAST_LEVER = 0.08  # m
-_SURE = 5.0  # standard deviations
+_SURE = 4.0  # standard deviations
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
 _LEAST_COURSES = 5
@@ -38,8 +38,10 @@ def lever_of(path: Path, fixes: Fixes) -> Lever | None:
     return min(found, key=lambda lever: sum(lever.stddevs), default=None)
 
 
-def judge_lever(path: Path, fixes: Fixes, log: Log) -> tuple[list[Cause], list[Undetermined]]:
-    """Of a source on the undercarriage."""
+def judge_lever(
+    path: Path, fixes: Fixes, log: Log, rival: float
+) -> tuple[list[Cause], list[Undetermined]]:
+    """Of a source on the undercarriage; ``rival``: ln likelihood of a delay that it must exceed."""
     if fixes.is_above:
         return [], []
     lever = lever_of(path, fixes)
@@ -53,6 +55,9 @@ def judge_lever(path: Path, fixes: Fixes, log: Log) -> tuple[list[Cause], list[U
     is_off = np.abs(off) > np.maximum(allowed, 0.0) + _SURE * sure
     if not is_off.any() or lever.log_ratio < np.log(100.0):
         return [], []
+    if lever.log_ratio < rival:
+        what = f"lever arm of {fixes.name}, or a delay of its stamps"
+        return [], [Undetermined(what, "turn on the spot, and stop and start on straights")]
     value = np.array(fixes.lever) + off
     group = group_of(fixes.name)
     evidence = (

@@ -23,6 +23,9 @@ EFFICIENCIES = np.geomspace(0.1, 1.15, 18)
 SLIP = 0.1  # standard deviation of what one track slips more than usual, times κ
 OUTLIERS = 0.05  # share of windows
 _NOISE = 0.03  # rad in a window: delays, quantisation
+_TURNING = np.radians(3.0)  # in a window
+_LEAST_ANGLE = np.radians(15.0)  # of a turn
+LEAST_TURNS = 3
 _STILL = 0.02  # of the greatest motion of a window, below which the tracks stand
 
 
@@ -113,3 +116,17 @@ def _unrelated(y: FloatArray, x: FloatArray, length: float) -> float:
     y = y - bias_of(y, x, length) * length
     variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
     return float(mixture(y, variance, _range(y)).sum())
+
+
+def turns_of(turn: FloatArray) -> int:
+    """How often (w,) turns add up to 15° in one sense."""
+    count, total = 0, 0.0
+    for own in np.where(np.isfinite(turn), turn, 0.0):
+        if abs(own) < _TURNING or own * total < 0.0:
+            count += abs(total) >= _LEAST_ANGLE
+            total = 0.0
+        if abs(own) >= _TURNING:
+            total += float(own)
+            if abs(total) >= np.radians(180.0):  # a long one counts for each half
+                count, total = count + 1, 0.0
+    return int(count + (abs(total) >= _LEAST_ANGLE))
