@@ -15,8 +15,8 @@ from trackslip_estimation.setup_check import clocks, inertial, places, remedies,
 from trackslip_estimation.setup_check.directions import Directions, decide_signs
 from trackslip_estimation.setup_check.evidence import Drive, gyro_turn
 from trackslip_estimation.setup_check.faults import without_missing
-from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined, odds_of
-from trackslip_estimation.setup_check.fit import scales
+from trackslip_estimation.setup_check.finding import Cause, Measured, Result, Undetermined, odds_of
+from trackslip_estimation.setup_check.fit import Lever, scales
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
 from trackslip_estimation.setup_check.heading import heading_at, unit_log
 from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log
@@ -33,6 +33,7 @@ class _Found:
 
     causes: list[Cause] = field(default_factory=list)
     undetermined: list[Undetermined] = field(default_factory=list)
+    measured: list[Measured] = field(default_factory=list)
 
     def add(self, causes: Sequence[Cause], undetermined: Sequence[Undetermined] = ()) -> None:
         self.causes += causes
@@ -46,7 +47,8 @@ def check(log: Log) -> Result:
         facts = _check(log, found)
     causes = [cause for cause in found.causes if cause.odds >= 100.0]
     causes.sort(key=lambda cause: -cause.odds)
-    return Result(tuple(causes), tuple(dict.fromkeys(found.undetermined)), tuple(facts))
+    open_ones = tuple(dict.fromkeys(found.undetermined))
+    return Result(tuple(causes), open_ones, tuple(facts), tuple(found.measured))
 
 
 def _check(log: Log, found: _Found) -> list[str]:
@@ -153,6 +155,7 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     lates = clocks.lates_of(grid, log, gyro, fixes, compass, fit.bias)
     names = {"tracks": "sprockets", "gyro": gyro.name if gyro else "", "fixes": fixes.name if fixes else ""}
     names["heading"] = compass.name if compass else ""
+    found.measured += [_delay(late, names) for late in lates if late.first == "tracks" and late.stddev < 0.2]
     has_times = not any(cause.cause == "time_unit" for cause in found.causes)
     causes, open_ones = clocks.judge(lates, names) if has_times else ([], [])
     path = _path(grid, gyro, fit.bias, log)
@@ -185,10 +188,27 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     clear = any(late.gain is None and "fixes" in _parties(late, compass, fixes) for late in lates)
     if not causes:
         found.add(*places.judge_lever(path, fixes, log, 0.0 if clear else by_delay + _UNIT_GAIN))
+    if lever is not None and max(lever.stddevs) < 0.3:
+        found.measured += _arms(lever, fixes)
     if compass is not None:
         turn = gyro_turn_of(grid, gyro, fit.bias)
-        offsets, open_ones, _ = places.judge_offset(grid, turn, fixes, compass)
+        offsets, open_ones, offset = places.judge_offset(grid, turn, fixes, compass)
         found.add(offsets, open_ones)
+        found.measured += [] if offset is None else [offset]
+
+
+def _delay(late: clocks.Late, names: dict[str, str]) -> Measured:
+    basis = "path of the fixes" if late.gain is not None else "turn rates"
+    return Measured("delay", names[late.second], late.value, 2.0 * late.stddev, "s", f"after the sprockets, by {basis}")
+
+
+def _arms(lever: Lever, fixes: Fixes) -> list[Measured]:
+    values = fixes.lever[0] + lever.value.real, fixes.lever[1] + lever.value.imag
+    basis = f"{np.degrees(lever.turned):.0f}° of turns"
+    return [
+        Measured(f"lever_arm_{axis}", fixes.name, value, 2.0 * stddev, "m", basis)
+        for axis, value, stddev in zip("xy", values, lever.stddevs, strict=True)
+    ]
 
 
 def _parties(late: clocks.Late, compass: Compass | None, fixes: Fixes) -> set[str]:

@@ -3,7 +3,7 @@
 """Measurements of the slip estimator, as it is given them, become the columns that the setup check compares."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -129,5 +129,15 @@ def _log(
             compasses.append(Compass(name, t, values[:, 0] - own.offset, True, False, own.offset, own.above))
         elif kind == ON_SWING and name in angles:
             swing = t, values[:, 0] - angles[name].offset
+    if swing is not None:
+        compasses = [_of_undercarriage(one, swing) for one in compasses]
     geometry = Machine(machine.rolling_radius, machine.tread, machine.contact_length)
     return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, left_out)
+
+
+def _of_undercarriage(compass: Compass, swing: tuple[FloatArray, FloatArray]) -> Compass:
+    """Its headings less the swing, where it sits above."""
+    if not compass.is_above or len(swing[0]) < 2:
+        return compass
+    angle = np.interp(compass.t, swing[0], np.unwrap(swing[1]))
+    return replace(compass, headings=compass.headings - angle, is_above=False)

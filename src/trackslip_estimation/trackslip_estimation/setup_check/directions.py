@@ -16,6 +16,9 @@ from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidenc
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, fit_turns, turns_of
 
 LEAST_LOG = float(np.log(100.0))
+_CLEAR = float(np.log(1e4))  # odds that need no three turns
+_LEAST_TURNED = np.radians(25.0)  # but so much in all
+_TURNING = np.radians(2.0)  # in a window
 _LEAST_WAY = 2.0  # m, times what the tread is over 1 m
 MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
 _TURN = "turn left and right by 90° once each, and drive 10 m straight"
@@ -53,13 +56,16 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     evidence = gather(drive, fit)
     decision = decide(evidence)
     mirror, convention = _kinds(drive, decision, fit.bias)
-    count = turns_of(drive.turn) if drive.has_gyro else turns_of(drive.heading_turns())
+    turn = drive.turn - fit.bias * WINDOW
+    count = turns_of(turn) if drive.has_gyro else turns_of(drive.heading_turns())
     if not drive.has_gyro and drive.compass is None:
         count = max(turns_of(0.5 * (drive.x[:, 1] - drive.x[:, 0])), turns_of(0.5 * drive.x.sum(axis=1)))
     way = float(np.nansum(np.abs(window_sums(drive.grid, drive.grid.tracks.mean(axis=1)))))
     way = max(way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0)))))
     needs = []
-    if count < LEAST_TURNS:
+    turned = float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING]))) if drive.has_gyro else 0.0
+    is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
+    if count < LEAST_TURNS and not is_clear:
         needs.append(Undetermined(f"signs of tracks and gyro ({count} turns of 15°)", _TURN))
     if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
         needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))

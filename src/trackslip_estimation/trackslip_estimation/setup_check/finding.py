@@ -50,12 +50,25 @@ class Undetermined:
 
 
 @dataclass(frozen=True)
+class Measured:
+    """A number of the machine that the drive shows."""
+
+    name: str  # lever_arm_x, lever_arm_y, yaw_offset, delay
+    source: str
+    value: float
+    half_width: float  # of the 95 % interval
+    unit: str
+    basis: str
+
+
+@dataclass(frozen=True)
 class Result:
     """Of one check."""
 
     causes: tuple[Cause, ...] = ()
     undetermined: tuple[Undetermined, ...] = ()
     facts: tuple[str, ...] = ()  # distance and turn by each odometer, rates: one line each
+    measured: tuple[Measured, ...] = ()
 
     @property
     def is_plausible(self) -> bool:

@@ -54,7 +54,7 @@ def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | No
     distance = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.places)))))
     way = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
     own = np.abs(z[end] - z[begin])
-    wide = (np.maximum(extent, own / 3.5) > max(6.0 * noise, 0.15)) & (way > 0.3)
+    wide = (np.maximum(extent, own / 3.5) > max(6.0 * noise, 0.25)) & (way > 0.3)
     if not wide.any():
         return None
     variances = (noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2

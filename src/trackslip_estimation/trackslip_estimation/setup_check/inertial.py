@@ -40,7 +40,7 @@ UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one
 }
 EFFICIENCY = (0.08, 1.5)  # of turns by the gyro over turns by the tracks, of any machine on any ground
 _CENTRE = 0.6
-_LARGE_BIAS = np.radians(2.0)  # rad/s
+_LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; beyond it the unit is another
 _LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
 _FROZEN_TURN = np.radians(40.0)  # of the machine, while it shows the same
@@ -343,7 +343,7 @@ def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] 
         return None
     bias = bias_of(y, x, WINDOW)
     spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
-    if abs(bias) < _LARGE_BIAS or spread > 0.5 * abs(bias):
+    if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or spread > 0.5 * abs(bias):
         return None
     fit = fit_turns(y, x, WINDOW)
     best = int(np.argmax(fit.logs))
@@ -365,7 +365,7 @@ def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, f
     more = (y[usable] - h[usable]) / WINDOW
     bias = float(np.median(more))
     stddev = 1.25 * 1.4826 * float(np.median(np.abs(more - bias))) / float(np.sqrt(len(more))) + 1e-4
-    if abs(bias) - 3.0 * stddev < _LARGE_BIAS or (np.sign(more) == np.sign(bias)).mean() < 0.8:
+    if abs(bias) - 3.0 * stddev < _LARGE_BIAS or abs(bias) > _LARGEST_BIAS or (np.sign(more) == np.sign(bias)).mean() < 0.8:
         return None
     return bias, 0.5 * (bias / stddev) ** 2, f"more than the headings turn, in {len(more)} pieces of {WINDOW:g} s"
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import Grid, window_sums
 from trackslip_estimation.setup_check.heading import (
@@ -70,24 +70,26 @@ def judge_lever(
 
 def judge_offset(
     grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass
-) -> tuple[list[Cause], list[Undetermined], float]:
-    """Of headings against courses; also what it is, rad."""
+) -> tuple[list[Cause], list[Undetermined], Measured | None]:
+    """Of headings against courses; also what it is, where there are courses."""
     steps = straight_courses(grid, turn, fixes, compass)
     if len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
-        return [], [Undetermined(f"offset of the heading of {compass.name}", needed)], 0.0
+        return [], [Undetermined(f"offset of the heading of {compass.name}", needed)], None
     ways = window_sums(grid, grid.tracks.mean(axis=1))[steps.windows.astype(np.int64)]
     differences = wrapped(steps.courses - steps.headings - np.where(ways < 0.0, np.pi, 0.0))
     middle = mean_direction(differences)
     rest = wrapped(differences - middle)
     scatter = 1.4826 * float(np.median(np.abs(rest)))
     stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(rest)), 0.01))
+    basis = f"{len(rest)} straight pieces, course less heading"
+    measured = Measured("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
     usual = np.abs(rest) < 0.5
     if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or usual.mean() < 0.7:
-        return [], [], middle
+        return [], [], measured
     log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(rest)), 0.02)) ** 2
     if log_ratio < np.log(100.0):
-        return [], [], middle
+        return [], [], measured
     if compass.of_poses:
         remedy = (
             f"Add {middle:.3f} rad to the headings of {compass.name} where they are made (box_localizer: heading of the box; "
@@ -99,7 +101,7 @@ def judge_offset(
     evidence = (
         f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the stated heading in {len(rest)} straight pieces"
     )
-    return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], middle
+    return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
 
 
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:

@@ -40,6 +40,7 @@ _RADIUS_RANGE = (1.10, 1.55)  # of ρ: the stated radius is too small
 _SLIP = 0.08  # mean slip of a drive, of an exponential prior
 _AHEAD = 0.04  # standard deviation of how much a machine goes ahead of its tracks
 _LEAST_DISTANCE = 5.0  # m
+_WORST_BEST = 0.56  # ρ on the best ground of a drive, if slip leaves so little
 _HOLDS = 1.05  # ρ on the worst ground where the unit makes it larger than 1
 _GEAR = (1.25, 3.0)  # ratio of displacements
 _LEAST_IN_GEAR = 4  # pieces
@@ -128,6 +129,9 @@ def judge(
     names = {name: slip_log(whole * f) for name, f in UNITS.items()}
     best = max(names, key=lambda name: names[name])
     gain = names[best] - max(slip_log(whole), -60.0) - 1.0
+    if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # no ground of the drive is a better one
+        middle = ratios.middle / factor
+        gain = max(gain, slip_log(middle * UNITS[best]) - slip_log(middle) - 1.0)
     gear = _gear(ratios, factor)
     if gear is not None:
         return [gear], []
