@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from trackslip_common.config_files import node_defaults
+from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.sources import group_name
-from trackslip_tools.calibration import gyro, standing, timing, tracks
+from trackslip_tools.calibration import gyro, standing, third, timing, tracks
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording
 
@@ -33,11 +34,14 @@ def calibrate(
     recordings: Sequence[Recording],
     p: SlipEstimatorParameters,
     sources: tuple[str, str],
+    setups: Sequence[Result] = (),
     *,
     hard_ground: bool = False,
     everything: bool = False,
 ) -> Calibration:
     """``sources``: topics of gyro and poses; ``hard_ground``: that nothing slips on the straights.
+
+    ``setups``: of the setup check of the same bags; no value is found that it contradicts.
 
     ``everything``: also what the present value is as good as becomes a parameter.
     """
@@ -65,6 +69,7 @@ def calibrate(
     findings["tread"] = refused(
         "turns show r κ/B only, and κ is not 1 on any ground: measure it with a tape", "m"
     )
+    findings = {**third.contradicted(findings, setups), **third.measured(setups)}
     spread = turns.spread * p.vehicle.kinematics.tread / radius
     confirmed = () if everything else _confirmed(findings, p, sources[0])
     news = {name: _NOTHING if name in confirmed else finding for name, finding in findings.items()}

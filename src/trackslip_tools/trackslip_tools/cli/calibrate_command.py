@@ -13,6 +13,8 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import BEGINNING, summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
+from trackslip_tools.check.bag import check_bag
+from trackslip_tools.check.text import finding
 from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.outputs import refuse_foreign, require_writable
@@ -63,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         p = replay_options.parameters_of(bag, args.params, [], args.vehicle)
         gyro, poses = _sources(args, bag, p)
         compass = next(iter(p.compasses().items()), None)
-    recordings = []
+    recordings, setups = [], []
     with counted(len(args.bags), "reading") as advance:
         for path in args.bags:
             with open_bag(path, args.namespace) as bag:
@@ -72,12 +74,17 @@ def run(args: argparse.Namespace) -> int:
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
                 moved_on = in_shares(advance, bag.duration_s)
                 recordings.append(read_recording(bag, gyro, poses, p.motion, compass, moved_on))
+                setups.append(check_bag(bag, p))
             for topic, count in recordings[-1].left_out.items():
                 why = "no numbers of a machine, or stamped by another clock"
                 show(f"note: {path}: {count} messages of {topic} are left out: {why}", file=sys.stderr)
     with counted(None, "calibrating"):
-        result = calibrate(recordings, p, (gyro, poses), hard_ground=args.hard_ground, everything=args.all)
+        result = calibrate(
+            recordings, p, (gyro, poses), setups, hard_ground=args.hard_ground, everything=args.all
+        )
     names = [str(path) for path in args.bags]
+    for path, setup in zip(args.bags, setups, strict=True):
+        show((f"{path}: " if len(setups) > 1 else "") + finding(setup))
     show(text(result))
     if args.output is not None and result.parameters:
         write_parameters(args.output, result, names)

@@ -18,6 +18,10 @@ _ALL = {
         "trackslip_tools.cli.calibrate_command",
         "Find rolling radius, gyro scale and mounting, delays and offsets from bags, with 95 % intervals.",
     ),
+    "check": Command(
+        "trackslip_tools.cli.check_command",
+        "Name the mistake of a setup: swapped tracks, wrong signs, units, delays, lever arms; and its remedy.",
+    ),
     "import": Command(
         "trackslip_tools.cli.import_command",
         "Turn a log of another machine (CSV files, a bag of ROS 1 or ROS 2) into a bag, by a mapping.",

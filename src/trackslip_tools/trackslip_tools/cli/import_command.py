@@ -8,14 +8,20 @@ from pathlib import Path
 
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.reader import open_bag
+from trackslip_bags.input_filters import relative
+from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.config_files import config_file
-from trackslip_common.errors import ExitCode, show
+from trackslip_common.errors import ExitCode, collected, show
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_tools.cli import machine_options
+from trackslip_estimation.setup_check.finding import Result
+from trackslip_tools.check.bag import check_bag
+from trackslip_tools.check.text import finding
+from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted
+from trackslip_tools.replay.inputs import SPROCKETS
+from trackslip_tools.terminal_text import wrapped
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -52,10 +58,25 @@ def run(args: argparse.Namespace) -> int:
     with counted(None, "importing"):
         imported = import_log(args.logs, mapping, args.output)
     with open_bag(args.output) as bag:
+        setup = _check(bag)
+        if setup is not None:
+            show(finding(setup))
         show(describe(bag))
     for line in _notes(imported):
         show(line)
+    for line in setup.facts if setup is not None else ():
+        show(wrapped(line))
+    show(f"next: trackslip {'replay' if setup is None or setup.is_plausible else 'check'} {args.output}")
     return ExitCode.DONE
+
+
+def _check(bag: Bag) -> Result | None:
+    """Of what was imported; None where it has no tracks."""
+    if not any(relative(topic) == SPROCKETS for topic in bag.topics):
+        return None
+    with collected():  # which vehicle it is stands in the list of topics
+        p = replay_options.parameters_of(bag, [], [])
+    return check_bag(bag, p)
 
 
 def _notes(imported: Imported) -> Iterator[str]:

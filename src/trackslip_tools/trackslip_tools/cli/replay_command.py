@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
     replay_options.add_options(parser)
+    replay_options.add_force(parser)
     add("--output", metavar="BAG", type=Path, help="write the estimates to a new bag")
     add("--json", metavar="FILE", type=Path, help="write the summary as JSON; of many bags a list")
     worker_options.add_options(parser)
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         show(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waited_s()))
-    return ExitCode.FAILED if result.no_estimate else ExitCode.DONE
+    return ExitCode.FAILED if result.has_failed(force=args.force) else ExitCode.DONE
 
 
 def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
@@ -97,7 +98,7 @@ def _entry(args: argparse.Namespace, path: Path) -> Entry:
         with open_bag(path, args.namespace) as bag:
             return _replayed(bag, args, [watch]), ""
 
-    return entry_of(path, replayed)
+    return entry_of(path, replayed, force=args.force)
 
 
 def _show_damage(bag: Bag) -> None:

@@ -65,6 +65,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
 
 
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Declare what accepts a setup that is wrong."""
+    parser.add_argument(
+        "--force", action="store_true", help="exit code 0 although the setup check found a cause (trackslip check)"
+    )
+
+
 def filters_of(args: argparse.Namespace) -> InputFilters:
     """What the options change in a bag.
 

@@ -14,6 +14,7 @@ from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_common.whole_file import write_whole
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
+from trackslip_tools.check.text import finding
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
 from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable
 from trackslip_tools.cli.progress import counted, following, in_shares
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"ROS parameter file over the bag's own; several are compared, '{_OWN}' is none of them",
     )
     replay_options.add_options(parser)
+    replay_options.add_force(parser)
     add("--smooth", action="store_true", help="show beside each estimate what the smoother makes of it")
     add("--limits", metavar="FILE", action="append", help="limits of the verdict over config/report.yaml")
     add(
@@ -92,8 +94,10 @@ def run(args: argparse.Namespace) -> int:
             recordings[path] = runs[-1].recording
     page = _page(runs, limits)
     _write(args.output, page)
+    for one in runs:
+        show((f"{one.label}: " if len(runs) > 1 else "") + finding(one.replay.setup))
     show(f"report: {args.output} ({len(page) / 1e6:.1f} MB)")
-    return ExitCode.DONE if not all(one.replay.no_estimate for one in runs) else ExitCode.FAILED
+    return ExitCode.FAILED if all(one.replay.has_failed(force=args.force) for one in runs) else ExitCode.DONE
 
 
 def _run(
@@ -140,7 +144,7 @@ def _entry(args: argparse.Namespace, path: Path) -> Entry:
             one = _run(args, bag, name, None, path.name, watch)
         return one.replay, _page([one], load_limits(args.limits or ()))
 
-    return entry_of(path, replayed)
+    return entry_of(path, replayed, force=args.force)
 
 
 def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:

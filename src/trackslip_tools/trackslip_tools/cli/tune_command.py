@@ -11,6 +11,8 @@ from pathlib import Path
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
+from trackslip_tools.check.bag import check_bag
+from trackslip_tools.check.text import finding
 from trackslip_tools.cli import replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
@@ -97,4 +99,6 @@ def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Tas
             show(f"note: {bag.damage}", file=sys.stderr)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         replay_options.require_named(bag, p, filters, reference)
+        setup = check_bag(bag, p, filters)
+        show(finding(setup) if setup.is_plausible else f"{path}: {finding(setup)}", file=sys.stderr)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

@@ -63,8 +63,13 @@ class Distance:
         self._stamp_ns = int(estimates["stamp_ns"][-1])
 
 
-def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]]) -> Entry:
-    """The entry of a bag, whatever is wrong with it; ``replayed`` gives its replay and its page."""
+def entry_of(
+    path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, force: bool = False
+) -> Entry:
+    """The entry of a bag, whatever is wrong with it; ``replayed`` gives its replay and its page.
+
+    ``force``: a setup that is wrong is accepted.
+    """
     way = Distance()
     with collected() as lines:
         try:
@@ -74,8 +79,9 @@ def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]]) -> Ent
             return Entry(str(path), ExitCode.BAD_INPUT, text, tuple(lines))
     found = summary(result, result.elapsed_s or 1.0)
     del found[_TIMING]
-    code = ExitCode.FAILED if result.no_estimate else ExitCode.DONE
-    return Entry(str(path), code, result.no_estimate, tuple(lines), way.metres, found, page)
+    code = ExitCode.FAILED if result.has_failed(force=force) else ExitCode.DONE
+    wrong = "" if result.setup.is_plausible else f"setup: {result.setup.headline}"
+    return Entry(str(path), code, result.no_estimate or wrong, tuple(lines), way.metres, found, page)
 
 
 def exit_code(entries: Iterable[Entry]) -> int:

@@ -30,6 +30,7 @@ from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_tools.check.text import finding
 from trackslip_tools.replay.compared import compared_lines, compared_parts
 from trackslip_tools.replay.inputs import REPORTS
 from trackslip_tools.replay.parts import Begin, Part
@@ -147,6 +148,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
         last = result.withheld[-1].as_dict()
         rmse["withheld"] = {"rmse": last["rmse"], "end": last["end"]}
     content = {
+        "setup": result.setup.as_dict(),
         "vehicle": result.vehicle,
         "duration_s": result.duration_s,
         "messages": dict(sorted(result.messages.items())),
@@ -199,7 +201,7 @@ def text(result: Replay, elapsed_s: float) -> str:
     lines += _live(result)
     if result.soil is not None:
         lines += soil_lines(result.soil)
-    return "\n".join(map(wrapped, lines))
+    return "\n".join([finding(result.setup), *map(wrapped, lines)])
 
 
 def _happened(result: Replay) -> list[str]:

@@ -19,6 +19,7 @@ from trackslip_common.topics import (
 )
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.attitude.records import AttitudeRefusal
+from trackslip_estimation.setup_check.finding import Result as Setup
 from trackslip_estimation.slip.explanations import Happened
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
@@ -78,6 +79,11 @@ class Replay:
     withheld: list[Withheld] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
     start: str = ""  # what it started from, where that is not the parameters alone
+    setup: Setup = field(default_factory=Setup)  # whether the sensors agree
+
+    def has_failed(self, *, force: bool) -> bool:
+        """Whether there is no estimate, or one by a setup that is wrong, unless ``force`` accepts it."""
+        return bool(self.no_estimate) or not (force or self.setup.is_plausible)
 
 
 class Collector:

@@ -10,10 +10,12 @@ import time
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY
+from trackslip_estimation.setup_check.collect import Collector as SetupCollector
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_tools.check.bag import result_of
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import why_no_estimate
 from trackslip_tools.replay.parts import Watch, run_estimator
@@ -52,8 +54,10 @@ def replay(
         else None
     )
     learned, start = learned_before(bag, p)
+    setup = SetupCollector(p)
     for part in run_estimator(stream, SlipEstimator(p, learned=learned)):
         collector.add(part)
+        setup.add(part.arrivals, part.sources)
         if soil is not None:
             published = part.results["published"]
             soil.add(part.estimates, part.arrivals["log_time_ns"][published], part.tables)
@@ -61,6 +65,7 @@ def replay(
     result = collector.result()
     result.no_estimate = why_no_estimate(bag, p, filters, collector.processed)
     result.start = start
+    result.setup = result_of(setup)
     of_soil_alone = soil.hidden if soil is not None else [0] * len(stream.hidden)
     result.withheld = withheld.result([sum(n) for n in zip(stream.hidden, of_soil_alone, strict=True)])
     if soil is not None and stream.messages[HYDRAULICS]:

@@ -43,6 +43,7 @@ Check = Callable[[Run, VerdictLimits], Verdict]
 def verdicts(run: Run, limits: VerdictLimits) -> dict[str, Verdict]:
     """All checks, by name, in the order of the table."""
     checks: dict[str, Check] = {
+        "Setup plausible": _setup,
         "Bag": _intact,
         "Replay = live": _same_as_live,
         "Position": _position,
@@ -64,6 +65,19 @@ def _checked(good: bool, value: str, words: str) -> Verdict:
 
 def _unknown(words: str) -> Verdict:
     return Verdict(State.UNKNOWN, "–", words)
+
+
+def _setup(run: Run, _: VerdictLimits) -> Verdict:
+    """Whether tracks, inertial unit and fixes agree."""
+    setup = run.replay.setup
+    if not setup.is_plausible:
+        words = "; ".join(f"{cause.evidence}. {cause.remedy}" for cause in setup.causes)
+        return _checked(False, ", ".join(cause.cause for cause in setup.causes), f"{words}.")
+    if not setup.facts:
+        return _unknown("The drive is too short for the setup check.")
+    open_ones = "; ".join(f"{one.what}: {one.needed}" for one in setup.undetermined)
+    agree = "Tracks, inertial unit and fixes agree."
+    return _checked(True, "no cause found", f"{agree} Not decided: {open_ones}." if open_ones else agree)
 
 
 def _intact(run: Run, _: VerdictLimits) -> Verdict:

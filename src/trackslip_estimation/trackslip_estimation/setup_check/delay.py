@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""By how much one turn rate follows another: cross-correlation of rates, in pieces, so that it has an interval."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_estimation.setup_check.log import FloatArray
+
+LATEST = 2.0  # s, searched
+_PIECE = 15.0  # s, of which each has a correlation of its own
+_LEAST_PIECES = 3
+_LEAST_CORRELATION = 0.5
+
+
+class Delay(NamedTuple):
+    """Of the second rate after the first."""
+
+    value: float  # s
+    stddev: float  # s
+    correlation: float  # at best
+    pieces: int
+
+
+def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
+    """Of two rates (m,) on cells of ``cell`` s; None where they do not follow each other."""
+    steps = int(round(LATEST / cell))
+    usable = np.isfinite(first) & np.isfinite(second)
+    a, b = (_without_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
+    size = int(round(_PIECE / cell))
+    count = (len(a) - 2 * steps) // size
+    if count < _LEAST_PIECES:
+        size = max((len(a) - 2 * steps) // _LEAST_PIECES, 1)
+        count = _LEAST_PIECES if size * cell > 3.0 else 0
+    if count < _LEAST_PIECES:
+        return None
+    shifts = np.arange(-steps, steps + 1)
+    cross = np.zeros((count, len(shifts)))
+    energies = np.zeros((count, 2, len(shifts)))
+    for k in range(count):
+        at = steps + k * size + np.arange(size)
+        own = a[at] - a[at].mean()
+        windows = b[at[:, np.newaxis] + shifts[np.newaxis, :]]
+        windows = windows - windows.mean(axis=0)
+        cross[k] = own @ windows
+        energies[k, 0], energies[k, 1] = own @ own, np.sum(windows**2, axis=0)
+    total = _peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
+    if total is None or total[1] < _LEAST_CORRELATION:
+        return None
+    strong = energies[:, 0, 0] > 0.02 * energies[:, 0, 0].sum()
+    if strong.sum() < 2:
+        return None
+    left: list[float] = []
+    for k in np.flatnonzero(strong):
+        rest = np.arange(count) != k
+        found = _peak(cross[rest].sum(axis=0), energies[rest].sum(axis=0), shifts, cell)
+        if found is not None:
+            left.append(found[0] - total[0])
+    n = len(left)
+    spread = float(np.sqrt((n - 1) / n * np.sum(np.square(left)))) if n > 1 else LATEST
+    return Delay(total[0], max(spread, 0.02), total[1], int(strong.sum()))
+
+
+def _without_spikes(rates: FloatArray) -> FloatArray:
+    """What jumps of poses would otherwise outweigh."""
+    most = 1.5 * float(np.percentile(np.abs(rates), 98))
+    return np.clip(rates, -most, most)
+
+
+def _peak(cross: FloatArray, energy: FloatArray, shifts: FloatArray, cell: float) -> tuple[float, float] | None:
+    """Shift in s at the top, between cells, and the correlation there."""
+    scale = np.sqrt(energy[0] * energy[1])
+    if (scale <= 0.0).any():
+        return None
+    correlation = cross / scale
+    k = int(np.argmax(correlation))
+    top = float(correlation[k])
+    if k in (0, len(shifts) - 1):
+        return float(shifts[k]) * cell, top
+    before, after = float(correlation[k - 1]), float(correlation[k + 1])
+    bend = before - 2.0 * top + after
+    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return (float(shifts[k]) + part) * cell, top

@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Signs that are decided become causes with evidence, if the drive holds enough of turns and distance."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trackslip_estimation.setup_check import inertial, remedies, signs
+from trackslip_estimation.setup_check.evidence import Drive, direction_log, gather, gyro_turn, unmirrored
+from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.grid import WINDOW, window_sums
+from trackslip_estimation.setup_check.heading import Courses, straight_courses
+from trackslip_estimation.setup_check.log import FloatArray, Gyro
+from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, fit_turns, turns_of
+
+LEAST_LOG = float(np.log(100.0))
+_CLEAR = float(np.log(1e4))  # odds that need no three turns
+_LEAST_TURNED = np.radians(25.0)  # but so much in all
+_TURNING = np.radians(2.0)  # in a window
+_LEAST_WAY = 2.0  # m, times what the tread is over 1 m
+MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
+_TURN = "turn left and right by 90° once each, and drive 10 m straight"
+
+
+@dataclass(frozen=True)
+class Directions:
+    """What undoes the mistakes of signs."""
+
+    assignment: Assignment
+    gyro: float
+    is_mirrored: bool
+    heading: float
+    mirror: int = 0  # 0: x and y swapped, 1: y, 2: x the other way round
+    convention: int = 0  # 0: from north, clockwise; 1: clockwise
+    is_decided: bool = True
+    has_heading: bool = True
+    causes: tuple[Cause, ...] = ()
+    undetermined: tuple[Undetermined, ...] = field(default=())
+
+    def right_places(self, places: FloatArray) -> FloatArray:
+        """(n, 2) of mirrored ones."""
+        if self.mirror == 0:
+            return places[:, ::-1]
+        return places * np.array((1.0, -1.0) if self.mirror == 1 else (-1.0, 1.0))
+
+    def right_headings(self, headings: FloatArray) -> FloatArray:
+        """(n,) of those that count the other way round."""
+        return np.pi / 2.0 - headings if self.convention == 0 else -headings
+
+
+def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Directions:
+    """Of tracks, gyro, map and headings together."""
+    fit = fit_turns(drive.turn, drive.x, WINDOW)
+    evidence = gather(drive, fit)
+    decision = decide(evidence)
+    mirror, convention = _kinds(drive, decision, fit.bias)
+    turn = drive.turn - fit.bias * WINDOW
+    count = turns_of(turn) if drive.has_gyro else turns_of(drive.heading_turns())
+    if not drive.has_gyro and drive.compass is None:
+        count = max(turns_of(0.5 * (drive.x[:, 1] - drive.x[:, 0])), turns_of(0.5 * drive.x.sum(axis=1)))
+    way = float(np.nansum(np.abs(window_sums(drive.grid, drive.grid.tracks.mean(axis=1)))))
+    way = max(way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0)))))
+    needs = []
+    turned = float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING]))) if drive.has_gyro else 0.0
+    is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
+    if count < LEAST_TURNS and not is_clear:
+        needs.append(Undetermined(f"signs of tracks and gyro ({count} turns of 15°)", _TURN))
+    if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
+        needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
+    base = {
+        "assignment": decision.assignment,
+        "gyro": decision.gyro,
+        "is_mirrored": decision.is_mirrored,
+        "heading": decision.heading,
+        "has_heading": drive.compass is not None,
+    }
+    likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
+    if needs:
+        return Directions(**base, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
+    causes = [_cause(name, log, drive, gyro, mirror, convention) for name, log in likely.items()]
+    if is_upside_down and signs.GYRO in likely and gyro is not None:
+        causes = [c for c in causes if c.cause != signs.GYRO]
+        causes.append(inertial.upside_down(gyro, likely[signs.GYRO]))
+    open_ones = []
+    doubtful = decision.any_odds > LEAST_LOG and not likely
+    if doubtful:
+        sets = [_named(decision), *decision.rivals]
+        what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
+        open_ones.append(Undetermined(what, _missing_sensor(evidence)))
+    is_decided = not doubtful and (bool(likely) or decision.any_odds < 0.0)
+    return Directions(**base, mirror=mirror, convention=convention, is_decided=is_decided, causes=tuple(causes), undetermined=tuple(open_ones))
+
+
+def _named(decision: Decision) -> frozenset[str]:
+    others = {signs.GYRO} if decision.gyro < 0.0 else set()
+    others |= {signs.MIRROR} if decision.is_mirrored else set()
+    others |= {signs.HEADING} if decision.heading < 0.0 else set()
+    return decision.assignment.causes | others
+
+
+def _missing_sensor(evidence: Evidence) -> str:
+    if not evidence.has_map:
+        return "record fixes while you drive 10 m and turn left and right by 90°: they say which of the two is wrong"
+    if not evidence.has_gyro:
+        return "record a gyro while you turn left and right by 90°: it says which of the two is wrong"
+    return "drive 20 m forward, hardly in reverse, with turns of 90° to both sides"
+
+
+def _kinds(drive: Drive, decision: Decision, bias: float) -> tuple[int, int]:
+    """Which mirror image, and which other way of counting headings, agrees best with courses."""
+    if drive.fixes is None or drive.compass is None:
+        return 0, 0
+    turn = gyro_turn(drive, bias) if drive.has_gyro else np.zeros(len(drive.grid.tracks))
+    steps = straight_courses(drive.grid, turn, drive.fixes, drive.compass)
+    if not len(steps.courses):
+        return 0, 0
+    ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows.astype(np.int64)]
+    reverse = np.where(ways @ decision.assignment.distance < 0.0, np.pi, 0.0)
+    courses = unmirrored(steps, is_mirrored=decision.is_mirrored)
+    headings = _headings(steps, decision.heading)
+    logs = np.array([[direction_log(c - h - reverse) for h in headings] for c in courses])
+    mirror, convention = np.unravel_index(int(np.argmax(logs)), logs.shape)
+    return int(mirror), int(convention)
+
+
+def _headings(steps: Courses, sense: float) -> list[FloatArray]:
+    return [steps.headings] if sense > 0.0 else [np.pi / 2.0 - steps.headings, -steps.headings]
+
+
+def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, convention: int) -> Cause:
+    topic = {
+        signs.GYRO: gyro.name if gyro else "",
+        signs.MIRROR: drive.fixes.name if drive.fixes else "",
+        signs.HEADING: drive.compass.name if drive.compass else "",
+    }.get(name, "sprockets")
+    third = drive.fixes.name if drive.fixes else (drive.compass.name if drive.compass else "")
+    also = f"; {third} agrees" if third else ""
+    texts = {
+        signs.SWAPPED: (f"the machine turns to the other side than its tracks say{also} with the gyro", remedies.swap_tracks()),
+        signs.BOTH: (f"the machine drives and turns the other way than its tracks say{also} with the gyro", remedies.track_sign("left", "right")),
+        signs.LEFT: ("the machine drives and turns as with the left track counting the other way", remedies.track_sign("left")),
+        signs.RIGHT: ("the machine drives and turns as with the right track counting the other way", remedies.track_sign("right")),
+        signs.GYRO: (f"the gyro turns to the other side than the tracks{also} with the tracks", remedies.gyro_sign(gyro) if gyro else ""),
+    }
+    if name in texts:
+        evidence, remedy = texts[name]
+        return Cause(name, topic, evidence, odds_of(log), remedy)
+    if name == signs.MIRROR:
+        evidence = "the path of the fixes is a mirror image of the path by tracks and gyro"
+        remedy = (
+            "Exchange the columns of x and y (of latitude and longitude) in the mapping",
+            "Turn the sign of y: in the mapping 'scale: -1' at y",
+            "Turn the sign of x: in the mapping 'scale: -1' at x",
+        )[mirror]
+        return Cause(MIRRORS[mirror], topic, evidence, odds_of(log), remedy)
+    evidence = ("the heading counts from north, clockwise", "the heading counts clockwise")[convention]
+    remedy = (
+        "Call the column 'heading' instead of 'yaw' in the mapping",
+        "Turn its sign: in the mapping 'scale: -1' at yaw",
+    )[convention]
+    return Cause(signs.HEADING, topic, f"{evidence}: it turns against tracks, gyro and course", odds_of(log), remedy)

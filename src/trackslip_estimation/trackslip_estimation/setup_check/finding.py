@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the setup check finds: causes with evidence, odds and remedy, and what the log cannot decide."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+LEAST_ODDS = 100.0  # to 1, below which no cause is reported
+MOST_ODDS = 1e9  # that a sentence states
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A mistake of the setup."""
+
+    cause: str  # JSON name
+    source: str  # topic
+    evidence: str  # one sentence with its numbers
+    odds: float  # to 1
+    remedy: str  # what to change: key and new value
+
+    @property
+    def sentence(self) -> str:
+        """Evidence, odds and remedy on one line."""
+        return f"{self.cause} ({self.source}): {self.evidence}; odds {odds_text(self.odds)}. {self.remedy}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        odds = float(min(self.odds, MOST_ODDS))
+        return {
+            "cause": self.cause,
+            "source": self.source,
+            "evidence": self.evidence,
+            "odds": round(odds, 1),
+            "remedy": self.remedy,
+        }
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """What the log cannot decide, and the motion that would."""
+
+    what: str
+    needed: str
+
+    def as_dict(self) -> dict[str, str]:
+        """For JSON."""
+        return {"what": self.what, "needed": self.needed}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number of the machine that the drive shows."""
+
+    name: str  # lever_arm_x, lever_arm_y, yaw_offset, delay
+    source: str
+    value: float
+    half_width: float  # of the 95 % interval
+    unit: str
+    basis: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """Of one check."""
+
+    causes: tuple[Cause, ...] = ()
+    undetermined: tuple[Undetermined, ...] = ()
+    facts: tuple[str, ...] = ()  # distance and turn by each odometer, rates: one line each
+    measured: tuple[Measured, ...] = ()
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether no cause was found."""
+        return not self.causes
+
+    @property
+    def headline(self) -> str:
+        """One sentence for the first line of a command."""
+        if not self.causes:
+            return "setup plausible"
+        return "; ".join(f"{c.cause}: {c.evidence}" for c in self.causes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "plausible": self.is_plausible,
+            "causes": [cause.as_dict() for cause in self.causes],
+            "undetermined": [one.as_dict() for one in self.undetermined],
+        }
+
+
+def odds_text(odds: float) -> str:
+    """``2000 : 1``."""
+    if odds >= MOST_ODDS or not math.isfinite(odds):
+        return "> 1e9 : 1"
+    return f"{odds:.0f} : 1" if odds < 1e5 else f"{odds:.0e} : 1"
+
+
+def odds_of(log_ratio: float) -> float:
+    """Odds of a natural log-likelihood ratio, at most ``MOST_ODDS``."""
+    return math.exp(min(max(log_ratio, -50.0), math.log(MOST_ODDS)))

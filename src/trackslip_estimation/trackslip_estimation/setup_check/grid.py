@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks and gyro on one grid of time: increments of each cell, and sums of them over windows."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log, Tracks
+
+CELL = 0.1  # s
+WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
+LONGEST_GAP = 1.0  # s between readings, beyond which what happened in between is unknown
+MOST_CELLS = 400_000  # eleven hours; of longer logs the cells are longer
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Increments of m cells."""
+
+    edges: FloatArray  # (m + 1,) s
+    tracks: FloatArray  # (m, 2) left, right: radius times turn of the sprocket, m
+    turns: FloatArray  # (m, 3) of the gyro about x, y, z, rad; nan where it was not recorded
+    is_driven: BoolArray  # (m,) whether the tracks were recorded
+
+    @property
+    def cell(self) -> float:
+        """Length of a cell, s."""
+        return float(self.edges[1] - self.edges[0])
+
+    def with_tracks(self, matrix: FloatArray) -> "Grid":
+        """The same with (2, 2) ``matrix`` applied to the tracks."""
+        return replace(self, tracks=self.tracks @ matrix.T)
+
+    def with_turns(self, turns: FloatArray) -> "Grid":
+        """The same with other turns (m, 3)."""
+        return replace(self, turns=turns)
+
+
+def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0, 0.0)) -> Grid | None:
+    """From the first to the last reading of the tracks; None where there are hardly any.
+
+    ``delays``: of tracks and gyro, s, which are taken off their stamps.
+    """
+    t = log.tracks.t - delays[0]
+    if len(t) < 3 or t[-1] - t[0] < 2.0 * WINDOW:
+        return None
+    cells = max(int((t[-1] - t[0]) / CELL), 1)
+    cell = CELL * max(1.0, cells / MOST_CELLS)
+    edges = t[0] + cell * np.arange(int((t[-1] - t[0]) / cell) + 1)
+    tracks = log.machine.radius * increments(t, log.tracks.angles, edges)
+    turns = np.full((len(edges) - 1, 3), np.nan)
+    if gyro is not None and len(gyro.t) > 2:
+        at = gyro.t - delays[1]
+        turns = increments(at, integral(at, gyro.rates), edges)
+        turns[~covered(at, edges)] = np.nan
+        if gyro.is_above and log.swing is not None and len(log.swing[0]) > 2:
+            turns[:, 2] -= increments(log.swing[0], np.unwrap(log.swing[1])[:, np.newaxis], edges)[:, 0]
+    return Grid(edges, tracks, turns, covered(t, edges))
+
+
+def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
+    """(n, k) from the first of n readings on, by trapezoids; what happened in a gap counts as nothing."""
+    steps = np.where(np.diff(t) <= LONGEST_GAP, np.diff(t), 0.0)[:, np.newaxis]
+    means = (rates[1:] + rates[:-1]) / 2.0
+    return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(means * steps, axis=0)))
+
+
+def angles_of(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
+    """(n, 2) continuous angles: positions (n, 2) where all are numbers, else the integral of the speeds."""
+    if len(t) and np.isfinite(positions).all():
+        return positions - positions[0]
+    return integral(t, speeds)
+
+
+def increments(t: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+    """(m, k) of n values between m + 1 edges, linear between readings."""
+    return np.diff(np.column_stack([np.interp(edges, t, column) for column in values.T]), axis=0)
+
+
+def covered(t: FloatArray, edges: FloatArray) -> BoolArray:
+    """(m,) whether readings reach over each cell without a gap."""
+    after = np.clip(np.searchsorted(t, edges[1:]), 1, len(t) - 1)
+    before = np.clip(np.searchsorted(t, edges[:-1], side="right") - 1, 0, len(t) - 2)
+    found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (edges[:-1] >= t[0] - 1e-9)
+    return found & (edges[1:] <= t[-1] + 1e-9)
+
+
+def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> FloatArray:
+    """(w, …) sums of (m, …) values over windows of ``length`` s."""
+    size = max(int(round(length / grid.cell)), 1)
+    count = len(values) // size
+    shaped = values[: count * size].reshape(count, size, *values.shape[1:])
+    return np.asarray(shaped.sum(axis=1))
+
+
+def window_edges(grid: Grid, length: float = WINDOW) -> FloatArray:
+    """(w + 1,) s."""
+    size = max(int(round(length / grid.cell)), 1)
+    return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]
+
+
+def speeds_of(tracks: Tracks) -> FloatArray:
+    """(n, 2) rad/s; by differences of the angles where there are no speeds."""
+    if np.isfinite(tracks.speeds).all():
+        return tracks.speeds
+    return np.gradient(tracks.angles, tracks.t, axis=0)
+
+
+def all_finite(values: FloatArray) -> NDArray[np.bool_]:
+    """(n,) of rows."""
+    return np.isfinite(values.reshape(len(values), -1)).all(axis=1)

@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stated headings against the turn of the gyro or tracks, and against the course of the fixes.
+
+    Δψ = s Δψ_g + e         s = 1, or −1 for a heading that counts the other way round
+    γ = course − ψ − π [reverse]      0 for a heading of the machine, forward
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
+from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray
+from trackslip_estimation.setup_check.turning import mixture
+
+_NOISE = 0.05  # rad, of a difference of headings in a window
+_SHARE = 0.1  # of a turn
+_COURSE = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
+_LEAST_STEP = 0.3  # m in a window
+_STRAIGHT = 0.35  # rad in a window
+_DEGREES = float(np.degrees(1.0))
+_STEP_NOISE = 0.03  # rad, of a difference of neighbouring headings
+_LEAST_STEP_TURN, _MOST_STEP_TURN = 0.02, 0.5  # rad from one heading to the next
+_LEAST_STEPS = 8
+_LEAST_NOISES = 6.0  # standard deviations of a fix in a step
+
+
+class Courses(NamedTuple):
+    """Straight steps with a heading."""
+
+    courses: FloatArray  # (n,) rad, direction in which the fixes move
+    headings: FloatArray  # (n,) rad, stated
+    windows: FloatArray  # (n,) int: which of the grid's
+    stddevs: FloatArray  # (n,) rad, of the course
+
+
+def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
+    """(n,) rad; nan where no heading is near."""
+    sound = np.isfinite(compass.headings)
+    known, headings = compass.t[sound], np.unwrap(compass.headings[sound])
+    if len(known) < 2:
+        return np.full(len(t), np.nan)
+    after = np.clip(np.searchsorted(known, t), 1, len(known) - 1)
+    near = (known[after] - known[after - 1] <= 2.0 * LONGEST_GAP) & (t >= known[0]) & (t <= known[-1])
+    return np.where(near, np.interp(t, known, headings), np.nan)
+
+
+def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
+    """(n, 2) m; nan where no fix is near."""
+    if len(fixes.t) < 2:
+        return np.full((len(t), 2), np.nan)
+    after = np.clip(np.searchsorted(fixes.t, t), 1, len(fixes.t) - 1)
+    near = (fixes.t[after] - fixes.t[after - 1] <= 2.0 * LONGEST_GAP + 1e-3) & (t >= fixes.t[0])
+    near &= t <= fixes.t[-1]
+    found = np.column_stack([np.interp(t, fixes.t, column) for column in fixes.places.T])
+    return np.where(near[:, np.newaxis], found, np.nan)
+
+
+def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
+    """(2,) ln likelihood that a heading turns with the machine, or against it; (w,) rad in windows."""
+    usable = np.isfinite(of_heading) & np.isfinite(of_machine)
+    y, x = of_heading[usable], of_machine[usable]
+    if not len(y):
+        return np.zeros(2)
+    variance = _NOISE**2 + (_SHARE * x) ** 2
+    width = 2.0 * max(float(np.abs(y).max()), 1.0)
+    logs = np.array([mixture(y - sign * x, variance, width).sum() for sign in (1.0, -1.0)])
+    return np.asarray(logs - logs.min())
+
+
+def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
+    """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
+    edges = window_edges(grid)
+    places = place_at(fixes, edges)
+    turns = np.abs(window_sums(grid, turn))
+    steps = np.diff(places, axis=0)
+    way = np.hypot(*steps.T)
+    noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
+    middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
+    with np.errstate(invalid="ignore"):
+        usable = (way > max(_LEAST_STEP, _LEAST_NOISES * noise)) & (turns < _STRAIGHT) & np.isfinite(middle)
+    index = np.flatnonzero(usable)
+    courses = np.arctan2(steps[index, 1], steps[index, 0])
+    return Courses(courses, middle[index], index.astype(np.float64), np.sqrt(2.0) * noise / way[index])
+
+
+def course_logs(differences: FloatArray) -> FloatArray:
+    """(2,) ln likelihood that directions (n,) lie around 0, or around π; rad."""
+    if not len(differences):
+        return np.zeros(2)
+    width = 2.0 * np.pi
+    logs = []
+    for middle in (0.0, np.pi):
+        rest = wrapped(differences - middle)
+        logs.append(float(mixture(rest, np.full(len(rest), _COURSE**2), width).sum()))
+    return np.array(logs)
+
+
+def around_any(differences: FloatArray) -> float:
+    """Ln likelihood that directions lie around some direction, that one being as likely as any other."""
+    if not len(differences):
+        return 0.0
+    middle = mean_direction(differences)
+    rest = wrapped(differences - middle)
+    fitted = float(mixture(rest, np.full(len(rest), _COURSE**2), 2.0 * np.pi).sum())
+    return fitted - float(np.log(2.0 * np.pi * np.sqrt(len(rest)) / _COURSE / np.sqrt(2.0 * np.pi)))
+
+
+def mean_direction(angles: FloatArray) -> float:
+    """Robust mean of directions, rad: that around which most lie."""
+    middle = float(np.angle(np.mean(np.exp(1j * angles))))
+    for _ in range(5):
+        rest = wrapped(angles - middle)
+        usual = np.abs(rest) < 1.0
+        middle += float(np.median(rest[usual])) if usual.any() else 0.0
+    return float(wrapped(np.array((middle,)))[0])
+
+
+def wrapped(angles: FloatArray) -> FloatArray:
+    """To [−π, π)."""
+    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+
+
+def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
+    """Factor 57.3 or 1/57.3 of headings whose unit is another, and its ln likelihood over the right one.
+
+    From one heading to the next, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
+    """
+    sound = np.isfinite(compass.headings)
+    known, headings = compass.t[sound], compass.headings[sound]
+    steps = wrapped(np.diff(headings))
+    own = np.diff(np.interp(known, t, turned))
+    fine = (np.diff(known) < LONGEST_GAP) & (np.abs(own) > _LEAST_STEP_TURN) & (np.abs(own) < _MOST_STEP_TURN)
+    fine &= (known[1:] <= t[-1]) & (known[:-1] >= t[0])
+    if fine.sum() < _LEAST_STEPS:
+        return 1.0, 0.0
+    logs = {}
+    for factor in (1.0, -1.0, _DEGREES, -_DEGREES, 1.0 / _DEGREES, -1.0 / _DEGREES):
+        variance = _STEP_NOISE**2 + (factor * (0.002 + 0.05 * own[fine])) ** 2
+        logs[factor] = float(mixture(wrapped(steps[fine] - factor * own[fine]), variance, 2.0 * np.pi).sum())
+    best = max(logs, key=lambda factor: logs[factor])
+    return abs(best), logs[best] - max(logs[1.0], logs[-1.0])

@@ -1,0 +1,381 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The inertial unit alone and against the tracks: frozen, biased, of another unit, or turned in its mounting."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.faults import frozen_share, frozen_span
+from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
+from trackslip_estimation.setup_check.log import Fixes, FloatArray, Gyro, Log
+from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
+from trackslip_estimation.setup_check.signs import DISTANCES
+from trackslip_estimation.setup_check.turning import (
+    LEAST_TURNS,
+    PATTERNS,
+    bias_of,
+    fit_turns,
+    mixture,
+    scale_of,
+    standing,
+    turns_of,
+)
+
+UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one declared
+    "deg/s, declared rad/s": np.degrees(1.0),
+    "rad/s, declared deg/s": np.radians(1.0),
+    "mrad/s, declared rad/s": 1e3,
+    "rad/s, declared mrad/s": 1e-3,
+    "deg/h, declared deg/s": 3600.0,
+    "deg/s, declared deg/h": 1.0 / 3600.0,
+    "deg/h, declared rad/s": 3600.0 * np.degrees(1.0),
+    "rad/s, declared deg/h": np.radians(1.0) / 3600.0,
+    "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
+    "rad/s, declared rpm": 2.0 * np.pi / 60.0,
+    "mdeg/s, declared deg/s": 1e3,
+}
+EFFICIENCY = (0.08, 1.5)  # of turns by the gyro over turns by the tracks, of any machine on any ground
+_CENTRE = 0.6
+_LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; beyond it the unit is another
+_LEAST_STANDING = 2  # windows
+_LEAST_COMPARED = 10  # windows
+_FROZEN_TURN = np.radians(40.0)  # of the machine, while it shows the same
+_LEAST_EFFICIENCY = 0.25  # of tracks, of which not all stand still on ice
+_HEADING_NOISE = np.radians(5.0)  # in a window
+_LEAST_GAIN = 5.0  # ln likelihood over no relation
+_TRACK_GAIN = 3.0  # of turns by the tracks, where there are witnesses
+_UNIT_ERROR = 0.35  # of the logarithm of a scale by headings
+_AXIS_GAIN = 8.0  # of another axis, over that of z
+_GRAVITY = (7.5, 12.0)  # m/s²
+_FOLLOWS = 0.85  # correlation of turns of one machine
+_MOST_TURN = 3.0  # of the gyro over the tracks, of any machine
+_AXES = "xyz"
+_MOSTLY = 0.5  # of all readings
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """The unit as it is to be used further on."""
+
+    log: Log
+    gyro: Gyro | None  # None: it shows nothing of the turns
+    grid: Grid
+    factor: float = 1.0  # what it shows of 1 rad/s, already undone
+    causes: tuple[Cause, ...] = ()
+    gravity: FloatArray | None = None  # (3,) unit vector, in the axes as stated
+    is_upside_down: bool = False
+    undetermined: tuple[Undetermined, ...] = ()
+
+
+def examine(
+    log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None, fixes: Fixes | None
+) -> Inertial | None:
+    """Everything but its sign; ``track_scale``: true distance over that by tracks, ``turned``: see ``_frozen``."""
+    grid = make_grid(log, gyro)
+    if grid is None:
+        return None
+    x = window_sums(grid, grid.tracks) / log.machine.tread
+    gravity = gravity_of(gyro, grid, x)
+    cause = _frozen(gyro, grid, log.machine.tread, turned)
+    if cause is not None:
+        return Inertial(log, None, grid, causes=(cause,), gravity=gravity)
+    causes: list[Cause] = []
+    of_heading = None if turned is None else np.diff(turned[:: max(int(round(WINDOW / grid.cell)), 1)])
+    gyro, axis_cause = _axis(gyro, grid, x, gravity, of_heading)
+    causes += [axis_cause] if axis_cause else []
+    grid = make_grid(log, gyro) or grid
+    factor, unit_cause, open_ones = _unit(gyro, grid, x * track_scale, of_heading, fixes)
+    if unit_cause is not None:
+        causes.append(unit_cause)
+        gyro = replace(gyro, rates=gyro.rates / factor)
+        grid = make_grid(log, gyro) or grid
+    turn = window_sums(grid, grid.turns)[:, 2]
+    scale = scale_of(turn, x * track_scale, WINDOW)
+    share = turned_share(turn, x * track_scale)
+    if scale > EFFICIENCY[1] or share > _MOST_TURN:
+        what = f"gyro that turns {max(np.nan_to_num(scale), share):.3g} times as much as the tracks"
+        open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
+        return Inertial(log, None, grid, causes=tuple(causes), gravity=gravity, undetermined=tuple(open_ones))
+    if _is_known(turn, x * track_scale, of_heading) and frozen_share(gyro) < _MOSTLY:
+        bias_cause = _bias(gyro, turn, x * track_scale, of_heading)
+        causes += [bias_cause] if bias_cause else []
+    down = gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
+    return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down, tuple(open_ones))
+
+
+def gravity_of(gyro: Gyro, grid: Grid, x: FloatArray) -> FloatArray | None:
+    """(3,) unit vector of the specific force while the tracks stand, or of the whole; None: there is none."""
+    sound = np.isfinite(gyro.accelerations).all(axis=1)
+    if sound.sum() < 10:
+        return None
+    still = standing(x)
+    edges = window_edges(grid)
+    window = np.searchsorted(edges, gyro.t, side="right") - 1
+    inside = sound & (window >= 0) & (window < len(still))
+    at_rest = inside.copy()
+    at_rest[inside] = still[window[inside]]
+    chosen = at_rest if at_rest.sum() >= 10 else sound
+    force = np.median(gyro.accelerations[chosen], axis=0)
+    size = float(np.linalg.norm(force))
+    return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
+
+
+def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> Cause | None:
+    """Bit for bit the same, while tracks, or headings, turn; ``turned`` (m + 1,) rad of these."""
+    span = frozen_span(gyro)
+    if span is None:
+        return None
+    inside = (grid.edges[:-1] >= span[0]) & (grid.edges[1:] <= span[1])
+    differences = np.abs(window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0)))
+    by_tracks = float(np.nansum(differences)) / tread
+    by_heading = 0.0
+    if turned is not None:
+        own = np.abs(window_sums(grid, np.where(inside, np.diff(turned), 0.0)))
+        by_heading = float(np.nansum(own[own > _HEADING_NOISE]))
+    if by_heading < _FROZEN_TURN and by_tracks * _LEAST_EFFICIENCY < _FROZEN_TURN:
+        return None
+    value = float(gyro.rates[np.searchsorted(gyro.t, span[0]), 2])
+    also = f", the heading {np.degrees(by_heading):.0f}°" if by_heading >= _FROZEN_TURN else ""
+    return Cause(
+        "gyro_frozen",
+        gyro.name,
+        f"the gyro shows {value:.4g} rad/s without change for {span[1] - span[0]:.0f} s, while the tracks turn "
+        f"{np.degrees(by_tracks):.0f}°{also}",
+        odds_of(20.0),
+        f"Check supply and cable of the unit, or leave it out: {remedies.parameter('yaw_rate_sources', '[]')}",
+    )
+
+
+def _axis(
+    gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None, of_heading: FloatArray | None
+) -> tuple[Gyro, Cause | None]:
+    """The gyro with the axis that turns as z, where that is another one."""
+    turns = window_sums(grid, grid.turns)
+    gains, scales = np.full(3, -np.inf), np.full(3, np.nan)
+    for axis in range(3):
+        if np.isfinite(turns[:, axis]).sum() < 5:
+            continue
+        scales[axis] = scale_of(turns[:, axis], x, WINDOW)
+        if np.isfinite(scales[axis]) and scales[axis] > 0.0:
+            unit = _unit_of(float(scales[axis]))[1]
+            gains[axis] = float(fit_turns(turns[:, axis], x, WINDOW, unit).logs.max())
+            if of_heading is not None:
+                gains[axis] += _heading_gain(turns[:, axis] / unit, of_heading)
+    best = int(np.argmax(gains))
+    if best == 2 or gains[best] < max(gains[2], 0.0) + _AXIS_GAIN or gains[2] > _LEAST_GAIN:
+        return gyro, None
+    if turns_of(turns[:, best] / _unit_of(float(scales[best]))[1]) < LEAST_TURNS:
+        return gyro, None
+    log_ratio = float(gains[best] - max(gains[2], 0.0))
+    sign = 1.0
+    if gravity is not None and abs(gravity[best]) > 0.7:
+        sign = float(np.sign(gravity[best]))
+    fix = to_vertical(best, sign)
+    turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
+    by_gravity = gravity is not None and abs(gravity[best]) > 0.7
+    name = "imu_mounting" if by_gravity else "gyro_axis"
+    force = f", and gravity lies along its {_AXES[best]} axis too" if by_gravity else ""
+    evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z{force}"
+    return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
+
+
+def turned_share(turn: FloatArray, x: FloatArray) -> float:
+    """Turn of the gyro over the most that tracks of any signs explain; 0 for some turns that anything may do."""
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y, x = turn[usable], x[usable]
+    y = np.abs(y - bias_of(y, x, WINDOW) * WINDOW)
+    most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
+    total = float(y.sum())
+    return total / (float(most.sum()) + 0.5) if total > np.pi else 0.0
+
+
+def _heading_gain(turn: FloatArray, of_heading: FloatArray) -> float:
+    """Ln likelihood of the turns of headings, if these are the axis' own, or opposite, over none at all."""
+    count = min(len(turn), len(of_heading))
+    y, h = turn[:count], of_heading[:count]
+    usable = np.isfinite(y) & np.isfinite(h)
+    if usable.sum() < 3:
+        return 0.0
+    y, h = y[usable], h[usable]
+    width = 2.0 * max(float(np.abs(h).max()), 1.0)
+    variance = _HEADING_NOISE**2 + (0.1 * y) ** 2
+    with_it = max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0))
+    without = float(mixture(h, np.full(len(h), _HEADING_NOISE**2 + float(np.mean(h**2))), width).sum())
+    return max(with_it - without, 0.0)
+
+
+def to_vertical(axis: int, sign: float) -> FloatArray:
+    """(3, 3) rotation that turns an axis of the unit, times ``sign``, upward."""
+    if axis == 0:
+        return remedies.rotation(0.0, -sign * np.pi / 2.0, 0.0)
+    if axis == 1:
+        return remedies.rotation(sign * np.pi / 2.0, 0.0, 0.0)
+    return remedies.rotation(0.0 if sign > 0.0 else np.pi, 0.0, 0.0)
+
+
+def _unit_of(scale: float) -> tuple[str, float]:
+    """The unit that brings a scale nearest to what turning efficiencies are; '', 1 where it is one already."""
+    if EFFICIENCY[0] <= scale <= EFFICIENCY[1]:
+        return "", 1.0
+    fitting = {n: f for n, f in UNITS.items() if EFFICIENCY[0] <= scale / f <= EFFICIENCY[1]}
+    if not fitting:
+        return "", 1.0
+    name = min(fitting, key=lambda n: abs(np.log(scale / fitting[n] / _CENTRE)))
+    return name, float(fitting[name])
+
+
+def _unit(
+    gyro: Gyro, grid: Grid, x: FloatArray, of_heading: FloatArray | None, fixes: Fixes | None
+) -> tuple[float, Cause | None, list[Undetermined]]:
+    """Factor of a unit that headings, or the path of the fixes, ask for as well as the tracks do.
+
+    A gyro that turns more than its tracks needs no witness; tracks that turn more than the gyro may slip.
+    """
+    turn = window_sums(grid, grid.turns)[:, 2]
+    scale = scale_of(turn, x, WINDOW)
+    name, factor = _unit_of(scale) if np.isfinite(scale) else ("", 1.0)
+    if factor == 1.0:
+        return 1.0, None, []
+    by_heading = None if of_heading is None else _scale_of_heading(turn, of_heading)
+    if by_heading is not None:  # which does not slip
+        name, factor = min(UNITS.items(), key=lambda item: abs(np.log(by_heading / item[1])))
+        if abs(np.log(by_heading / factor)) > _UNIT_ERROR:
+            return 1.0, None, []
+    gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
+    if turns_of(turn / factor) < LEAST_TURNS:
+        return 1.0, None, []
+    witness = _witness(turn, grid, of_heading, fixes, factor)
+    if witness is None and factor < 1.0:
+        what = f"gyro that shows {scale:.3g} of what the tracks turn: tracks that slip, or {name}"
+        return 1.0, None, [Undetermined(what, "record fixes while you turn left and right by 90° once each")]
+    total = gain if witness is None else max(gain, 0.0) + witness
+    if gain < _TRACK_GAIN or (witness is not None and witness < _LEAST_GAIN) or total < _LEAST_GAIN:
+        return 1.0, None, []
+    evidence = f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
+    cause = Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedies.gyro_scale(gyro, factor))
+    return factor, cause, []
+
+
+def _witness(
+    turn: FloatArray, grid: Grid, of_heading: FloatArray | None, fixes: Fixes | None, factor: float
+) -> float | None:
+    """Ln likelihood that headings or the path of the fixes give a unit over none; None: there is no witness."""
+    if of_heading is not None and _scale_of_heading(turn, of_heading) is not None:
+        count = min(len(turn), len(of_heading))
+        y, h = turn[:count], of_heading[:count]
+        return _over(h, y / factor, y)
+    if fixes is None:
+        return None
+    paths = [
+        dead_reckoning(grid, grid.tracks @ distance / 2.0, sign * grid.turns[:, 2] / f)
+        for f in (factor, 1.0)
+        for distance in DISTANCES
+        for sign in (1.0, -1.0)
+    ]
+    shapes = compare(paths, thinned(fixes, 0.5))
+    if shapes.segments < 3:
+        return None
+    return float(shapes.logs[:4].max() - shapes.logs[4:].max())
+
+
+def _over(h: FloatArray, scaled: FloatArray, raw: FloatArray) -> float:
+    """Ln likelihood of turns h of headings by scaled turns of the gyro, of either sign, over raw ones."""
+    usable = np.isfinite(h) & np.isfinite(scaled)
+    h, both = h[usable], (scaled[usable], raw[usable])
+    width = 2.0 * max(float(np.abs(h).max(initial=0.0)), 1.0)
+    logs = []
+    for y in both:
+        variance = _HEADING_NOISE**2 + (0.1 * np.clip(y, -3.0, 3.0)) ** 2
+        logs.append(max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0)))
+    return logs[0] - logs[1]
+
+
+def _scale_of_heading(turn: FloatArray, of_heading: FloatArray) -> float | None:
+    """What the gyro shows of a turn of the headings; None where these do not turn."""
+    count = min(len(turn), len(of_heading))
+    y, h = turn[:count], of_heading[:count]
+    usable = np.isfinite(y) & np.isfinite(h)
+    y, h = y[usable], h[usable]
+    if (np.abs(h) > 2.0 * _HEADING_NOISE).sum() < 3:
+        return None
+    y, h = y - np.median(y), h - np.median(h)
+    correlation = float(np.sum(y * h) / np.sqrt(np.sum(y**2) * np.sum(h**2) + 1e-12))
+    return abs(float(np.sum(y * h) / np.sum(h**2))) if abs(correlation) > _FOLLOWS else None
+
+
+def _is_known(turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> bool:
+    """Whether turns of tracks or headings show that its unit is right."""
+    if of_heading is not None:
+        of_it = _scale_of_heading(turn, of_heading)
+        if of_it is not None and 0.6 < of_it < 1.6:
+            return True
+    scale = scale_of(turn, x, WINDOW)
+    return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and turns_of(turn) >= LEAST_TURNS
+
+
+def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> Cause | None:
+    """What it shows while nothing moves, and also while the machine drives; or more than the headings turn."""
+    if gyro.is_above:
+        return None
+    found = _at_standstill(turn, x)
+    if found is None and of_heading is not None:
+        found = _against_heading(turn, of_heading)
+    if found is None:
+        return None
+    bias, log_ratio, evidence = found
+    remedy = (
+        f"Let the unit find its bias at standstill, or subtract it: in the mapping 'origin: {bias:.5g}' (rad/s) at "
+        "angular_velocity_z"
+    )
+    evidence = f"the gyro shows {np.degrees(bias):.1f} °/s {evidence}"
+    return Cause("gyro_bias", gyro.name, evidence, odds_of(log_ratio), remedy)
+
+
+def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] | None:
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y, x = turn[usable], x[usable]
+    still = standing(x)
+    if still.sum() < _LEAST_STANDING or (~still).sum() < 3:
+        return None
+    bias = bias_of(y, x, WINDOW)
+    spread = 1.4826 * float(np.median(np.abs(y[still] / WINDOW - bias)))
+    if not _LARGE_BIAS <= abs(bias) <= _LARGEST_BIAS or spread > 0.5 * abs(bias):
+        return None
+    fit = fit_turns(y, x, WINDOW)
+    best = int(np.argmax(fit.logs))
+    rest = y[~still] - float(fit.efficiencies[best]) * (x[~still] @ PATTERNS[best])
+    variance = 0.05**2 + 0.02 * np.sum(x[~still] ** 2, axis=1)
+    logs = [float(mixture(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
+    if logs[0] < logs[1]:
+        return None
+    evidence = f"while the tracks stand ({still.sum() * WINDOW:.0f} s), and so much more than they turn while they drive"
+    return bias, logs[0] - logs[1] + 2.0 * float(still.sum()), evidence
+
+
+def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, float, str] | None:
+    count = min(len(turn), len(of_heading))
+    y, h = turn[:count], of_heading[:count]
+    usable = np.isfinite(y) & np.isfinite(h)
+    if usable.sum() < _LEAST_COMPARED:
+        return None
+    more = (y[usable] - h[usable]) / WINDOW
+    bias = float(np.median(more))
+    stddev = 1.25 * 1.4826 * float(np.median(np.abs(more - bias))) / float(np.sqrt(len(more))) + 1e-4
+    if abs(bias) - 3.0 * stddev < _LARGE_BIAS or abs(bias) > _LARGEST_BIAS or (np.sign(more) == np.sign(bias)).mean() < 0.8:
+        return None
+    return bias, 0.5 * (bias / stddev) ** 2, f"more than the headings turn, in {len(more)} pieces of {WINDOW:g} s"
+
+
+def upside_down(gyro: Gyro, log_odds: float) -> Cause:
+    """Turns and gravity are both the other way round."""
+    evidence = "turns about z and gravity along z are both the other way round: the unit hangs upside down"
+    return Cause("imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0)))
+
+
+def other_gyros(log: Log, first: Gyro | None) -> Sequence[Gyro]:
+    """All but the one that is used first."""
+    return [g for g in log.gyros if first is None or g.name != first.name]

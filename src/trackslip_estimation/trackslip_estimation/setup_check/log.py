@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the setup check is given: columns of each sensor, with what the parameters state of it already applied.
+
+Times are s on one clock. A gyro is in axes of base_link as its mounting, sign and scale state; the places of fixes
+are those of the sensor, whose stated lever arm stands beside them.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class Machine(NamedTuple):
+    """Geometry that the parameters state."""
+
+    radius: float  # rolling radius, m
+    tread: float  # m
+    contact_length: float  # m
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Sprockets."""
+
+    t: FloatArray  # (n,) s, ascending
+    speeds: FloatArray  # (n, 2) left, right, rad/s
+    angles: FloatArray  # (n, 2) rad, continuous: positions, or the integral of the speeds
+
+
+@dataclass(frozen=True)
+class Gyro:
+    """An inertial unit."""
+
+    name: str  # topic
+    t: FloatArray  # (n,) s, ascending
+    rates: FloatArray  # (n, 3) rad/s; nan where an axis is unknown
+    accelerations: FloatArray  # (n, 3) m/s²; nan where there are none
+    is_above: bool = False  # on the upper structure, which swings
+    sign: float = 1.0  # stated, and applied
+    scale: float = 1.0  # the same
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad; the same
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """A source of positions."""
+
+    name: str
+    t: FloatArray  # (n,) s, ascending
+    places: FloatArray  # (n, 2) m, of the sensor
+    stddevs: FloatArray  # (n,) m, of one axis
+    lever: tuple[float, float] = (0.0, 0.0)  # m, forward and left, stated
+    is_above: bool = False
+
+
+@dataclass(frozen=True)
+class Compass:
+    """A source of headings: of a pose source, or a pair of antennas."""
+
+    name: str
+    t: FloatArray  # (n,) s, ascending
+    headings: FloatArray  # (n,) rad
+    is_used: bool = True  # by the estimator; else it is evidence only
+    of_poses: bool = True  # else of a topic of its own, whose offset is stated, and applied
+    offset: float = 0.0  # rad
+    is_above: bool = False
+
+
+@dataclass(frozen=True)
+class Log:
+    """All columns of a drive."""
+
+    machine: Machine
+    tracks: Tracks
+    gyros: tuple[Gyro, ...] = ()
+    fixes: tuple[Fixes, ...] = ()
+    compasses: tuple[Compass, ...] = ()
+    swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
+    left_out: dict[str, int] = field(default_factory=dict)  # topic → readings that are no numbers
+
+    def with_tracks(self, matrix: FloatArray) -> "Log":
+        """The same with (2, 2) ``matrix`` applied to left and right."""
+        own = self.tracks
+        return replace(self, tracks=Tracks(own.t, own.speeds @ matrix.T, own.angles @ matrix.T))
+
+    def with_gyro(self, gyro: Gyro) -> "Log":
+        """The same with another version of one gyro."""
+        return replace(self, gyros=tuple(gyro if g.name == gyro.name else g for g in self.gyros))
+
+    def with_fixes(self, fixes: Fixes) -> "Log":
+        """The same with another version of one source of places."""
+        return replace(self, fixes=tuple(fixes if f.name == fixes.name else f for f in self.fixes))
+
+    def with_compass(self, compass: Compass) -> "Log":
+        """The same with another version of one source of headings."""
+        same = [compass if c.name == compass.name else c for c in self.compasses]
+        return replace(self, compasses=tuple(same))
+
+
+def group_of(topic: str) -> str:
+    """Its group of parameters: ``sources.imu_data_raw``."""
+    return f"sources.{topic.replace('/', '_')}"

@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where fixes and headings are: lever arms, an offset of the heading, kilometres from the map or from each other."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.finding import Cause, Measured, Undetermined, odds_of
+from trackslip_estimation.setup_check.fit import Lever, fit_lever
+from trackslip_estimation.setup_check.grid import Grid, window_sums
+from trackslip_estimation.setup_check.heading import (
+    mean_direction,
+    place_at,
+    straight_courses,
+    wrapped,
+)
+from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Log, group_of
+from trackslip_estimation.setup_check.path import Path, thinned
+
+_LENGTHS = (5.0, 10.0, 20.0)  # s
+_ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
+_LEAST_LEVER = 0.08  # m
+_SURE = 4.0  # standard deviations
+_LEAST_TURN = np.radians(120.0)
+_LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
+_LEAST_COURSES = 5
+_FAR = 5e3  # m from the origin of the map, beyond any site
+_GRID = 1e5  # m: coordinates of a national grid
+_APART = 20.0  # m between sources, all the time
+
+
+def lever_of(path: Path, fixes: Fixes) -> Lever | None:
+    """Δl by the length of segments that shows it best."""
+    thin = thinned(fixes, 0.2)
+    found = [lever for length in _LENGTHS if (lever := fit_lever(path, thin, length)) is not None]
+    return min(found, key=lambda lever: sum(lever.stddevs), default=None)
+
+
+def judge_lever(
+    path: Path, fixes: Fixes, log: Log, rival: float
+) -> tuple[list[Cause], list[Undetermined]]:
+    """Of a source on the undercarriage; ``rival``: ln likelihood of a delay that it must exceed."""
+    if fixes.is_above:
+        return [], []
+    lever = lever_of(path, fixes)
+    machine = log.machine
+    if lever is None or lever.turned < _LEAST_TURN or max(lever.stddevs) > 0.5 * machine.tread + 0.3:
+        needed = "turn on the spot by 180° to the left and to the right"
+        return [], [Undetermined(f"lever arm of {fixes.name}", needed)]
+    off = np.array((lever.value.real, lever.value.imag))
+    sure = np.array(lever.stddevs)
+    allowed = np.array((_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER))
+    is_off = np.abs(off) > np.maximum(allowed, 0.0) + _SURE * sure
+    if not is_off.any() or lever.log_ratio < np.log(100.0):
+        return [], []
+    if lever.log_ratio < rival:
+        what = f"lever arm of {fixes.name}, or a delay of its stamps"
+        return [], [Undetermined(what, "turn on the spot, and stop and start on straights")]
+    value = np.array(fixes.lever) + off
+    group = group_of(fixes.name)
+    evidence = (
+        f"in turns the fixes are those of a sensor at x {value[0]:.2f} ± {2.0 * sure[0]:.2f}, y {value[1]:.2f} ± "
+        f"{2.0 * sure[1]:.2f} m; stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
+    )
+    values = [remedies.parameter(f"{group}.lever_arm_{axis}", round(float(v), 2)) for axis, v in zip("xy", value, strict=True)]
+    return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
+
+
+def judge_offset(
+    grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass
+) -> tuple[list[Cause], list[Undetermined], Measured | None]:
+    """Of headings against courses; also what it is, where there are courses."""
+    steps = straight_courses(grid, turn, fixes, compass)
+    if len(steps.courses) < _LEAST_COURSES:
+        needed = "drive 10 m straight ahead with fixes and headings"
+        return [], [Undetermined(f"offset of the heading of {compass.name}", needed)], None
+    ways = window_sums(grid, grid.tracks.mean(axis=1))[steps.windows.astype(np.int64)]
+    differences = wrapped(steps.courses - steps.headings - np.where(ways < 0.0, np.pi, 0.0))
+    middle = mean_direction(differences)
+    rest = wrapped(differences - middle)
+    scatter = 1.4826 * float(np.median(np.abs(rest)))
+    stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(rest)), 0.01))
+    basis = f"{len(rest)} straight pieces, course less heading"
+    measured = Measured("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
+    usual = np.abs(rest) < 0.5
+    if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or usual.mean() < 0.7:
+        return [], [], measured
+    log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(rest)), 0.02)) ** 2
+    if log_ratio < np.log(100.0):
+        return [], [], measured
+    if compass.of_poses:
+        remedy = (
+            f"Add {middle:.3f} rad to the headings of {compass.name} where they are made (box_localizer: heading of the box; "
+            f"mapping: origin {-middle:.3f} rad at yaw), or {remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
+        )
+    else:
+        offset = float(wrapped(np.array((compass.offset - middle,)))[0])
+        remedy = f"Set {remedies.parameter(f'{group_of(compass.name)}.offset', round(offset, 3))}"
+    evidence = (
+        f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the stated heading in {len(rest)} straight pieces"
+    )
+    return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
+
+
+def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
+    """Kilometres from the origin of the map, from one fix to the next, or metres between two sources."""
+    causes = []
+    for one in fixes:
+        sound = np.isfinite(one.places).all(axis=1)
+        places = one.places[sound]
+        if len(places) < 5:
+            continue
+        middle = np.median(places, axis=0)
+        size = np.abs(middle)
+        is_grid = (size > _GRID).all() and size[0] < 3.5e7 and size[1] < 1.1e7
+        far = float(np.hypot(*middle))
+        steps = np.hypot(*np.diff(places, axis=0).T)
+        leaps = np.flatnonzero(steps > 1e3)
+        if 1 <= len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
+            evidence = f"fixes leap by {steps[leaps[0]] / 1e3:.1f} km from one to the next, and stay there"
+            remedy = "Give all fixes one datum: in the mapping datum: {latitude: …, longitude: …}; of gnss_localizer its datum"
+            causes.append(Cause("datum", one.name, evidence, odds_of(15.0), remedy))
+        elif far > _FAR and not is_grid:
+            evidence = f"fixes are {far / 1e3:.1f} km from the origin of the map"
+            remedy = "Set the datum to the site: in the mapping datum: first; of gnss_localizer datum_latitude and datum_longitude"
+            causes.append(Cause("datum", one.name, evidence, odds_of(12.0), remedy))
+    return causes + _apart(fixes)
+
+
+def _apart(fixes: Sequence[Fixes]) -> list[Cause]:
+    if len(fixes) < 2:
+        return []
+    first, second = fixes[0], fixes[1]
+    difference = place_at(second, first.t) - first.places
+    sound = np.isfinite(difference).all(axis=1)
+    if sound.sum() < 10:
+        return []
+    gaps = np.hypot(*difference[sound].T)
+    middle = float(np.median(gaps))
+    noise = float(np.median(first.stddevs) + np.median(second.stddevs))
+    if middle < max(_APART, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:
+        return []
+    evidence = f"places of {first.name} and {second.name} are {middle:.0f} m apart, all the time"
+    remedy = f"Give both one map: the same datum and frame; or leave one out of {remedies.parameter('pose_sources', f'[{first.name}]')}"
+    return [Cause("frame", second.name, evidence, odds_of(12.0), remedy)]
+
+

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What undoes each mistake: a line of the roles, mapping or parameter file, with its new value."""
+
+import math
+
+import numpy as np
+
+from trackslip_estimation.setup_check.log import FloatArray, Gyro, group_of
+
+
+def parameter(name: str, value: float | str | bool) -> str:
+    """A line for the parameters of the slip estimator; its names are dotted."""
+    text = value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
+    return f"slip_estimator.{name}={text}"
+
+
+def swap_tracks() -> str:
+    """Both ways in which sides are named."""
+    return (
+        "Exchange left and right: in the mapping the columns of left_velocity and right_velocity (left_position and "
+        "right_position; of a bag the joints left and right), in the roles file left_… and right_…"
+    )
+
+
+def track_sign(*sides: str) -> str:
+    """Of one side or both."""
+    names = " and ".join(f"{side}_velocity" for side in sides)
+    roles = ", ".join(f"{side}_position" for side in sides)
+    return f"Turn the sign: in the mapping 'scale: -1' at {names} (of a joint 'sign: -1'), in the roles file {roles}: sign: -1"
+
+
+def gyro_sign(gyro: Gyro) -> str:
+    """The other sign than now."""
+    return f"Set {parameter(f'{group_of(gyro.name)}.sign', -gyro.sign)}"
+
+
+def gyro_scale(gyro: Gyro, factor: float) -> str:
+    """``factor``: what the gyro shows of what it should."""
+    return (
+        f"State the gyro's own unit in the mapping (angular_velocity_z: unit), or set "
+        f"{parameter(f'{group_of(gyro.name)}.scale', gyro.scale * factor)}"
+    )
+
+
+def mounting(gyro: Gyro, fix: FloatArray) -> str:
+    """``fix`` (3, 3) turns vectors from the stated axes of base_link to its true ones."""
+    roll, pitch, yaw = angles_of(fix @ rotation(*gyro.mounting))
+    group = group_of(gyro.name)
+    names = (("roll", roll), ("pitch", pitch), ("yaw", yaw))
+    return "Set " + " ".join(parameter(f"{group}.mounting_{name}", round(value, 4)) for name, value in names)
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """(3, 3) R_z(yaw) R_y(pitch) R_x(roll)."""
+    cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
+    sr, sp, sy = math.sin(roll), math.sin(pitch), math.sin(yaw)
+    return np.array(
+        (
+            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+            (-sp, cp * sr, cp * cr),
+        )
+    )
+
+
+def angles_of(R: FloatArray) -> tuple[float, float, float]:
+    """Roll, pitch, yaw of a rotation (3, 3), rad."""
+    pitch = math.asin(float(np.clip(-R[2, 0], -1.0, 1.0)))
+    if abs(abs(pitch) - math.pi / 2.0) < 1e-6:
+        return math.atan2(-float(R[0, 1]) * -math.copysign(1.0, pitch), float(R[1, 1])), pitch, 0.0
+    roll = math.atan2(float(R[2, 1]), float(R[2, 2]))
+    return roll, pitch, math.atan2(float(R[1, 0]), float(R[0, 0]))

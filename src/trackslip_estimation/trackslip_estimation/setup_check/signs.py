@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Signs and swaps, decided together: which few of them explain what all sensors show of each other.
+
+A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a mirrored map, and
+headings that count the other way. Its likelihood is that of turns of gyro and tracks, of the shape of the
+path, and of headings; each mistake has a prior of 1 : 300. Of each mistake the odds are those of all hypotheses with
+it against all without it: what two mistakes explain equally well is not decided.
+"""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trackslip_estimation.setup_check.log import FloatArray
+
+SWAPPED = "tracks_swapped"
+LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
+GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
+_PRIOR = float(np.log(300.0))  # of each mistake
+_NEAR = float(np.log(100.0))
+_FORWARD = 2.0  # ln odds for each e-fold of more forward than reverse
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """What undoes mistakes of the tracks: recorded (left, right) times ``matrix``ᵀ is true (left, right)."""
+
+    causes: frozenset[str]
+    matrix: FloatArray  # (2, 2)
+
+    @property
+    def distance(self) -> FloatArray:
+        """(2,) what distance is of the recorded: half of the sum of the true."""
+        return np.asarray(self.matrix.sum(axis=0))
+
+    @property
+    def turn(self) -> FloatArray:
+        """(2,) what turn is of the recorded: true right less true left."""
+        return np.asarray(self.matrix[1] - self.matrix[0])
+
+
+def _assignments() -> tuple[Assignment, ...]:
+    found = []
+    for swap, (left, right) in itertools.product((False, True), itertools.product((1.0, -1.0), repeat=2)):
+        signs = {(1.0, 1.0): set(), (-1.0, 1.0): {LEFT}, (1.0, -1.0): {RIGHT}, (-1.0, -1.0): {BOTH}}
+        matrix = np.diag((left, right))
+        causes = signs[left, right] | ({SWAPPED} if swap else set())
+        found.append(Assignment(frozenset(causes), matrix[::-1].copy() if swap else matrix))
+    return tuple(found)
+
+
+ASSIGNMENTS = _assignments()
+DISTANCES = (np.array((1.0, 1.0)), np.array((1.0, -1.0)))  # of recorded tracks, but for a sign
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Ln likelihoods of the relations; zeros where a sensor is missing."""
+
+    turns: FloatArray  # (4,) of gyro and tracks: ``turning.PATTERNS``, with the gyro as it is
+    shapes: FloatArray  # (2, 2) of the path by gyro: ``DISTANCES``, gyro and map turn alike or not
+    track_shapes: FloatArray  # (2, 2) of the path by tracks: ``DISTANCES``, their turns as recorded or not
+    headings: FloatArray  # (2,) heading against gyro: alike or not
+    track_headings: FloatArray  # (4,) heading against tracks: ``turning.PATTERNS``
+    courses: FloatArray  # (8, 2, 2) of each assignment, map mirrored or not, heading alike or not
+    forward: FloatArray  # (8,) share of the distance that is forward
+    has_gyro: bool
+    has_map: bool
+    has_heading: bool
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The most probable hypothesis, and how probable each mistake is."""
+
+    assignment: Assignment
+    gyro: float  # 1 or −1: what undoes it
+    is_mirrored: bool
+    heading: float  # 1 or −1
+    log_odds: Mapping[str, float]  # by cause, that it is there
+    any_odds: float = 0.0  # ln, that there is some mistake
+    rivals: tuple[frozenset[str], ...] = field(default=())  # other sets of mistakes within 1 : 100
+
+
+def decide(e: Evidence) -> Decision:
+    """Over all hypotheses."""
+    hypotheses = list(
+        itertools.product(
+            range(len(ASSIGNMENTS)),
+            (0, 1) if e.has_gyro else (0,),
+            (0, 1) if e.has_map else (0,),
+            (0, 1) if e.has_heading else (0,),
+        )
+    )
+    scores = np.array([_score(e, *h) for h in hypotheses])
+    sets = [_causes(*h) for h in hypotheses]
+    best = int(np.argmax(scores))
+    weights = np.exp(scores - scores[best])
+    names = sorted(set().union(*sets))
+    odds = {name: _log_odds(weights, np.array([name in one for one in sets])) for name in names}
+    some = _log_odds(weights, np.array([bool(one) for one in sets]))
+    near = [k for k in np.argsort(-scores) if scores[best] - scores[k] < _NEAR]
+    rivals = tuple(dict.fromkeys(sets[k] for k in near if sets[k] != sets[best]))
+    a, g, p, h = hypotheses[best]
+    return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, some, rivals)
+
+
+def _causes(a: int, g: int, p: int, h: int) -> frozenset[str]:
+    others = {name for name, there in ((GYRO, g), (MIRROR, p), (HEADING, h)) if there}
+    return ASSIGNMENTS[a].causes | others
+
+
+def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
+    assignment = ASSIGNMENTS[a]
+    pattern = turn_pattern(assignment.turn)
+    of_distance = 0 if assignment.distance[0] == assignment.distance[1] else 1
+    score = -_PRIOR * len(_causes(a, g, p, h))
+    if e.has_gyro:
+        score += float(e.turns[opposite(pattern) if g else pattern] + e.shapes[of_distance, g ^ p])
+        score += float(e.headings[g ^ h])
+    else:
+        turned = assignment.turn * (-1.0 if p else 1.0)
+        score += float(e.track_shapes[of_distance, track_sense(of_distance, turned)])
+        score += float(e.track_headings[opposite(pattern) if h else pattern])
+    score += float(e.courses[a, p, h])
+    return score + _FORWARD * float(np.log(max(e.forward[a], 1e-3)))
+
+
+def turn_pattern(turn: FloatArray) -> int:
+    """Which of ``turning.PATTERNS`` the turn (2,) of an assignment is."""
+    return {(-1.0, 1.0): 0, (1.0, -1.0): 1, (1.0, 1.0): 2, (-1.0, -1.0): 3}[float(turn[0]), float(turn[1])]
+
+
+def opposite(pattern: int) -> int:
+    """The pattern of opposite turns."""
+    return (1, 0, 3, 2)[pattern]
+
+
+def track_sense(of_distance: int, turn: FloatArray) -> int:
+    """0 where the turn (2,) is right less left, or of a half-flipped pair their sum; 1: the opposite."""
+    return 0 if turn[1] > 0.0 else 1
+
+
+def _log_odds(weights: FloatArray, there: FloatArray) -> float:
+    with_it, without = float(weights[there].sum()), float(weights[~there].sum())
+    return float(np.log(max(with_it, 1e-300)) - np.log(max(without, 1e-300)))

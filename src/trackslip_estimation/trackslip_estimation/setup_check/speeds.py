@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Distance by the tracks against distance by the fixes: units of speed, rolling radius, a gear of the travel drive.
+
+    ρ = distance by fixes / distance by tracks = (1 − i) / f       i slip, f factor of the mistake
+
+Slip has one side: tracks run ahead of the machine, seldom by more than half on a whole drive, and behind it
+only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 holds on the best ground of the log too.
+"""
+
+import numpy as np
+
+from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.fit import Scales
+from trackslip_estimation.setup_check.grid import Grid, window_edges, window_sums
+from trackslip_estimation.setup_check.heading import place_at
+from trackslip_estimation.setup_check.log import BoolArray, Fixes, FloatArray, Machine
+
+UNITS = {  # speed by the tracks over what it should be
+    "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
+    "rad/s, declared rpm": 2.0 * np.pi / 60.0,
+    "rev/s, declared rad/s": 1.0 / (2.0 * np.pi),
+    "rad/s, declared rev/s": 2.0 * np.pi,
+    "deg/s, declared rad/s": np.degrees(1.0),
+    "rad/s, declared deg/s": np.radians(1.0),
+    "rpm, declared rev/s": 60.0,
+    "km/h, declared m/s": 3.6,
+    "m/s, declared km/h": 1.0 / 3.6,
+    "the diameter instead of the radius": 2.0,
+    "half of the radius": 0.5,
+    "mm/s, declared m/s": 1e3,
+    "m/s, declared mm/s": 1e-3,
+    "cm/s, declared m/s": 1e2,
+    "m/s, declared cm/s": 1e-2,
+}
+_LEAST_WINDOWS = 5
+_STRAIGHT = 0.9  # chord over path
+_ENOUGH = 20  # straight pieces
+_RADIUS_RANGE = (1.10, 1.55)  # of ρ: the stated radius is too small
+_SLIP = 0.08  # mean slip of a drive, of an exponential prior
+_AHEAD = 0.04  # standard deviation of how much a machine goes ahead of its tracks
+_LEAST_DISTANCE = 5.0  # m
+_WORST_BEST = 0.56  # ρ on the best ground of a drive, if slip leaves so little
+_HOLDS = 1.05  # ρ on the worst ground where the unit makes it larger than 1
+_GEAR = (1.25, 3.0)  # ratio of displacements
+_LEAST_IN_GEAR = 4  # pieces
+_BEST = 80.0  # percentile of ρ: the best ground of the drive
+
+
+def rough_scale(grid: Grid, fixes: Fixes) -> float:
+    """ρ on the fastest straights, whatever the signs of the tracks are; nan where there is too little motion."""
+    length = 2.0
+    steps = np.diff(place_at(fixes, window_edges(grid, length)), axis=0)
+    way = np.hypot(*steps.T)
+    tracks = window_sums(grid, grid.tracks, length)
+    noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
+    sound = np.isfinite(way) & np.isfinite(tracks).all(axis=1)
+    if sound.sum() < _LEAST_WINDOWS:
+        return float("nan")
+    way, tracks = way[sound], tracks[sound]
+    own = np.maximum(np.abs(tracks.sum(axis=1)), np.abs(tracks[:, 1] - tracks[:, 0])) / 2.0
+    fast = own > 0.6 * np.percentile(own, 95)
+    fast &= own > 0.0
+    if fast.sum() < 3 or float(np.median(way[fast])) < max(3.0 * noise, 0.05):
+        return float("nan")
+    return float(np.percentile(way[fast] / own[fast], 70))
+
+
+def unit_of(rho: float) -> float:
+    """Factor that a rough ρ asks for; 1 where slip or a radius may explain it."""
+    if not np.isfinite(rho) or 0.3 <= rho <= 1.75:
+        return 1.0
+    return min(UNITS.values(), key=lambda f: abs(np.log(rho * f)))
+
+
+def slip_log(rho: float) -> float:
+    """Ln density of ln ρ for right units: slip, or some per cent of going ahead."""
+    slip = 1.0 - rho
+    if slip >= 0.0:
+        return -min(slip, 1.0) / _SLIP
+    return -0.5 * (slip / _AHEAD) ** 2
+
+
+def worth(found: Scales) -> tuple[int, int]:
+    """How many pieces are straight, and how many there are."""
+    return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH), len(found.ratios)
+
+
+class Ratios:
+    """ρ of the pieces of a drive that are straight, or else the widest."""
+
+    def __init__(self, found: Scales) -> None:
+        use = found.straight > _STRAIGHT
+        if use.sum() < _LEAST_WINDOWS:
+            use = found.extents >= np.median(found.extents)
+        self.values, self.times = found.ratios[use], found.times[use]
+
+    @property
+    def worst(self) -> float:
+        """On the worst ground but a tenth."""
+        return float(np.percentile(self.values, 10))
+
+    @property
+    def best(self) -> float:
+        """On the best ground."""
+        return float(np.percentile(self.values, _BEST))
+
+    @property
+    def middle(self) -> float:
+        """Median."""
+        return float(np.median(self.values))
+
+    @property
+    def spread(self) -> float:
+        """Half width of the 95 % interval of the median."""
+        scatter = 1.4826 * float(np.median(np.abs(self.values - self.middle)))
+        return 2.0 * 1.25 * scatter / float(np.sqrt(len(self.values))) + 0.01
+
+
+def judge(
+    found: Scales | None, machine: Machine, factor: float, distance: float
+) -> tuple[list[Cause], list[Undetermined]]:
+    """``factor``: of the unit, undone in ``found`` already; ``distance``: by the fixes, m."""
+    if found is None or len(found.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
+        needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
+        return [], [Undetermined("unit of the speeds and rolling radius", needed)]
+    ratios = Ratios(found)
+    whole = ratios.best / factor  # of what was recorded
+    names = {name: slip_log(whole * f) for name, f in UNITS.items()}
+    best = max(names, key=lambda name: names[name])
+    gain = names[best] - max(slip_log(whole), -60.0) - 1.0
+    if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # no ground of the drive is a better one
+        middle = ratios.middle / factor
+        gain = max(gain, slip_log(middle * UNITS[best]) - slip_log(middle) - 1.0)
+    gear = _gear(ratios, factor)
+    if gear is not None:
+        return [gear], []
+    middle = ratios.middle / factor
+    if _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
+        return [_radius(ratios, machine, factor)], []
+    holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
+    if gain > np.log(100.0) and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
+        value = UNITS[best]
+        evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
+        remedy = (
+            "State the unit in which the speeds are (mapping: left_velocity and right_velocity: unit; roles file: "
+            f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
+        )
+        return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
+    if ratios.best < 0.9 and ratios.best > 0.55:
+        needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
+        return [], [Undetermined(f"slip of {1.0 - ratios.best:.0%}, or a rolling radius that is too large", needed)]
+    return [], []
+
+
+def _radius(ratios: Ratios, machine: Machine, factor: float) -> Cause:
+    rho, spread = ratios.middle / factor, ratios.spread / factor
+    low, high = (machine.radius * (rho + sign * spread) for sign in (-1.0, 1.0))
+    evidence = f"the machine goes {rho:.3f} ± {spread:.3f} times as far as its tracks: no slip does that"
+    remedy = f"Set vehicle.kinematics.rolling_radius: {machine.radius * rho:.3g} (m, {low:.3g} to {high:.3g})"
+    log_ratio = 0.5 * ((rho - 1.0) / _AHEAD) ** 2
+    return Cause("rolling_radius", "sprockets", evidence, odds_of(log_ratio), remedy)
+
+
+def _gear(ratios: Ratios, factor: float) -> Cause | None:
+    """Two levels of ρ over times in a row, the upper of which no slip explains."""
+    order = np.argsort(ratios.times)
+    values = np.log(np.maximum(ratios.values[order] / factor, 1e-3))
+    count = len(values)
+    if count < 2 * _LEAST_IN_GEAR:
+        return None
+    is_high, rest = _two_levels(values)
+    low, high = values[~is_high], values[is_high]
+    if min(len(low), len(high)) < _LEAST_IN_GEAR or (np.diff(is_high.astype(np.int64)) != 0).sum() > 3:
+        return None
+    low_ratio, high_ratio = float(np.exp(np.median(low))), float(np.exp(np.median(high)))
+    ratio = high_ratio / low_ratio
+    usual = not 0.55 < low_ratio < 1.1
+    if not _GEAR[0] < ratio < _GEAR[1] or high_ratio < 1.2 or usual or rest > 0.25 * np.log(ratio):
+        return None
+    evidence = (
+        f"the machine goes {low_ratio:.2f} times as far as its tracks in {len(low)} pieces of the drive, and "
+        f"{high_ratio:.2f} times in {len(high)}: a travel motor of another displacement"
+    )
+    remedy = (
+        f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use left_position and "
+        "right_position of the sprockets in the roles file, or record each gear by itself"
+    )
+    return Cause("travel_gear", "sprockets", evidence, odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2), remedy)
+
+
+def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
+    """(n,) which of the values in order of time lie high, runs of one smoothed away; how far from a level most are."""
+    low, high = float(np.percentile(values, 20)), float(np.percentile(values, 80))
+    is_high = values > (low + high) / 2.0
+    for _ in range(5):
+        smooth = median_of_three(is_high)
+        if smooth.all() or not smooth.any():
+            break
+        low, high = float(np.median(values[~smooth])), float(np.median(values[smooth]))
+        is_high = values > (low + high) / 2.0
+    smooth = median_of_three(is_high)
+    rest = np.abs(values - np.where(smooth, high, low))
+    return smooth, float(np.percentile(rest, 80))
+
+
+def median_of_three(flags: BoolArray) -> BoolArray:
+    """(n,) each with the majority of itself and its neighbours, twice."""
+    for _ in range(2):
+        padded = np.concatenate((flags[:1], flags, flags[-1:])).astype(np.int64)
+        flags = padded[:-2] + padded[1:-1] + padded[2:] >= 2
+    return flags
+
+
+def distance_of(fixes: Fixes, grid: Grid) -> float:
+    """Metres by the fixes, in steps that stand out of their noise."""
+    steps = np.diff(place_at(fixes, window_edges(grid)), axis=0)
+    way = np.hypot(*steps.T)
+    noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
+    with np.errstate(invalid="ignore"):
+        return float(np.nansum(way[way > 3.0 * noise]))
+
+

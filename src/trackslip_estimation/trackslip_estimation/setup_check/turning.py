@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the turn that a sensor shows follows from both tracks: one likelihood for each assignment of their signs.
+
+Y, T     turn that a gyro or compass shows in a window, length of the window     rad, s
+x_l, x_r track distance in a window over the tread                               rad
+κ, b     turning efficiency, 0.1 … 1.15; bias                                    1, rad/s
+
+    Y = κ (s_l x_l + s_r x_r) + b T + e     healthy: s_l = −1, s_r = +1
+
+Tracks slip, each for itself: σ² = σ₀² + 0.1² (x_l² + x_r²). One window in twenty shows something else
+(a stuck track, a shock), so that no window outweighs all others.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray
+
+PATTERNS = np.array(((-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0)))  # s_l, s_r
+EFFICIENCIES = np.geomspace(0.1, 1.15, 18)
+SLIP = 0.1  # standard deviation of what one track slips more than usual, times κ
+OUTLIERS = 0.05  # share of windows
+_NOISE = 0.03  # rad in a window: delays, quantisation
+_TURNING = np.radians(3.0)  # in a window
+_LEAST_ANGLE = np.radians(15.0)  # of a turn
+LEAST_TURNS = 3
+_STILL = 0.02  # of the greatest motion of a window, below which the tracks stand
+
+
+class TurnFit(NamedTuple):
+    """Likelihoods of one sensor."""
+
+    logs: FloatArray  # (4,) ln likelihood of each of ``PATTERNS``, above that of no relation at all
+    efficiencies: FloatArray  # (4,) κ of each, times the scale
+    bias: float  # rad/s
+    windows: int  # in which something turned
+
+
+def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0) -> TurnFit:
+    """``turn`` (w,) and ``x`` (w, 2) in windows of ``length`` s; ``scale``: what the sensor shows of 1 rad."""
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y, x = turn[usable] / scale, x[usable]
+    if len(y) < 3:
+        return TurnFit(np.zeros(4), np.full(4, np.nan), 0.0, 0)
+    none = _unrelated(y, x, length)
+    candidates = PATTERNS @ x.T  # (4, w)
+    ks = EFFICIENCIES[:, np.newaxis, np.newaxis]
+    rests = y - ks * candidates  # (k, 4, w)
+    if has_standstill(x):
+        biases = np.full(rests.shape[:2], bias_of(y, x, length) * length)
+    else:
+        biases = np.median(rests, axis=2)
+    variance = _NOISE**2 + SLIP**2 * np.sum(x**2, axis=1)
+    logs = mixture(rests - biases[:, :, np.newaxis], variance, _range(y)).sum(axis=2)  # (k, 4)
+    best = np.argmax(logs, axis=0)
+    every = np.arange(4)
+    found = logs[best, every] - none
+    bias = float(biases[best, every][int(np.argmax(found))]) / length
+    moved = int(np.sum(np.abs(y - bias * length) > np.radians(3.0)))
+    return TurnFit(found, EFFICIENCIES[best], bias * scale, moved)
+
+
+def scale_of(turn: FloatArray, x: FloatArray, length: float) -> float:
+    """What the sensor shows of a turn of the tracks, by the pattern that explains it best; nan: nothing."""
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y, x = turn[usable], x[usable]
+    if len(y) < 3:
+        return float("nan")
+    y = y - bias_of(y, x, length) * length
+    best, found = -1.0, float("nan")
+    for pattern in PATTERNS[[0, 2]]:
+        turned = x @ pattern
+        large = np.abs(turned) > max(0.1, 0.3 * float(np.abs(turned).max(initial=0.0)))
+        if large.sum() < 2:
+            continue
+        ratio = y[large] / turned[large]
+        middle = float(np.median(ratio))
+        spread = 1.4826 * float(np.median(np.abs(ratio - middle))) + 1e-12
+        if abs(middle) / spread > best:
+            best, found = abs(middle) / spread, abs(middle)
+    return found
+
+
+def bias_of(y: FloatArray, x: FloatArray, length: float) -> float:
+    """Rate while the tracks stand, rad/s; where they never do, the median: turns to both sides cancel."""
+    still = standing(x)
+    return float(np.median(y[still] if has_standstill(x) else y)) / length if len(y) else 0.0
+
+
+def has_standstill(x: FloatArray) -> bool:
+    """Whether the tracks stand in two windows (w, 2) at least."""
+    return bool(standing(x).sum() >= 2)
+
+
+def standing(x: FloatArray) -> BoolArray:
+    """(w,) windows in which neither track moves; x (w, 2)."""
+    moved = np.abs(x).max(axis=1)
+    found: BoolArray = moved <= max(_STILL * float(np.percentile(moved, 95)), 1e-9) if len(moved) else moved > 0.0
+    return found
+
+
+def mixture(rest: FloatArray, variance: FloatArray, width: float) -> FloatArray:
+    """Ln density of residuals, one in twenty of which may be anything within ``width``."""
+    usual = (1.0 - OUTLIERS) * np.exp(-0.5 * rest**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+    return np.asarray(np.log(usual + OUTLIERS / width))
+
+
+def _range(y: FloatArray) -> float:
+    return 2.0 * max(float(np.abs(y).max(initial=0.0)), 1.0)
+
+
+def _unrelated(y: FloatArray, x: FloatArray, length: float) -> float:
+    """Ln likelihood of turns that have nothing to do with the tracks."""
+    y = y - bias_of(y, x, length) * length
+    variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
+    return float(mixture(y, variance, _range(y)).sum())
+
+
+def turns_of(turn: FloatArray) -> int:
+    """How often (w,) turns add up to 15° in one sense."""
+    count, total = 0, 0.0
+    for own in np.where(np.isfinite(turn), turn, 0.0):
+        if abs(own) < _TURNING or own * total < 0.0:
+            count += abs(total) >= _LEAST_ANGLE
+            total = 0.0
+        if abs(own) >= _TURNING:
+            total += float(own)
+            if abs(total) >= np.radians(180.0):  # a long one counts for each half
+                count, total = count + 1, 0.0
+    return int(count + (abs(total) >= _LEAST_ANGLE))

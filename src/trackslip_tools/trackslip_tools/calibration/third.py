@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the setup check of the same bags adds to a calibration, and which of its numbers it contradicts."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from trackslip_estimation.setup_check.finding import Measured, Result
+from trackslip_tools.calibration.finding import Finding, found, refused
+
+_TURNS = ("turning_efficiency", "effective_tread", "asymmetry")
+_WAYS = ("effective_rolling_radius", "rolling_radius", "common_slip")
+_GYRO = ("gyro_sign", "gyro_scale")
+_TRACKS = (*_GYRO, *_TURNS, *_WAYS, "gyro_delay")
+_CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that rest on what is wrong
+    "tracks_swapped": _TRACKS,
+    "left_track_sign": _TRACKS,
+    "right_track_sign": _TRACKS,
+    "both_tracks_sign": _TRACKS,
+    "position_axes_swapped": (*_GYRO, "pose_delay"),
+    "position_sign": (*_GYRO, "pose_delay"),
+    "heading_convention": (*_GYRO, "pose_delay"),
+    "gyro_axis": (*_GYRO, *_TURNS, "gyro_bias"),
+    "imu_mounting": (*_GYRO, *_TURNS, "gyro_bias"),
+    "gyro_frozen": (*_GYRO, *_TURNS, "gyro_bias", "gyro_delay", "pose_delay"),
+    "gyro_unit": (*_GYRO, *_TURNS),
+    "speed_unit": (*_TURNS, *_WAYS),
+    "travel_gear": (*_TURNS, *_WAYS),
+    "time_unit": (*_TRACKS, "gyro_bias", "pose_delay"),
+    "missing_value": (*_TURNS, *_WAYS),
+}
+
+
+def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> dict[str, Finding]:
+    """The findings, without the values that rest on a mistake of the setup."""
+    kept = dict(findings)
+    for cause in (cause for setup in setups for cause in setup.causes):
+        for name in _CONTRADICTED.get(cause.cause, ()):
+            if name in kept and kept[name].is_found:
+                kept[name] = refused(f"{cause.cause}: undo it first", kept[name].unit)
+    return kept
+
+
+def measured(setups: Sequence[Result]) -> dict[str, Finding]:
+    """Lever arms, yaw offsets and delays by source, of all bags together."""
+    groups: dict[str, list[Measured]] = {}
+    for setup in setups:
+        for one in setup.measured:
+            groups.setdefault(f"{one.name} of {one.source}", []).append(one)
+    return {name: _together(own) for name, own in groups.items()}
+
+
+def _together(own: Sequence[Measured]) -> Finding:
+    weights = [1.0 / max(one.half_width, 1e-9) ** 2 for one in own]
+    total = sum(weights)
+    value = sum(w * one.value for w, one in zip(weights, own, strict=True)) / total
+    scatter = sum(w * (one.value - value) ** 2 for w, one in zip(weights, own, strict=True))
+    spread = math.sqrt(max(1.0, scatter / max(len(own) - 1, 1)) / total)
+    return found(value, spread, own[0].unit, "; ".join(dict.fromkeys(one.basis for one in own)))

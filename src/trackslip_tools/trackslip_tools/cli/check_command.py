@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip check``: which mistake of the setup explains how the sensors of a bag disagree."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import ExitCode, show
+from trackslip_tools.check.bag import check_bag
+from trackslip_tools.check.text import whole
+from trackslip_tools.cli import machine_options, replay_options
+from trackslip_tools.cli.json_file import write_json
+from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.progress import counted
+
+EXAMPLE = "trackslip check out/demo/bag --json check.json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
+    add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
+    add(
+        "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
+    )
+    machine_options.add_vehicle(parser, "the bag's")
+    machine_options.add_namespace(parser)
+    add("--json", metavar="FILE", type=Path, help="write what was found as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check, print what was found; exit code 1 where a cause was.
+
+    Raises:
+        InputError: the bag, a parameter or an option cannot be used.
+    """
+    require_writable(json=args.json)
+    with open_bag(args.bag, args.namespace) as bag:
+        if bag.damage:
+            show(f"note: {bag.damage}", file=sys.stderr)
+        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
+        with counted(bag.duration_s, "checking") as advance:
+            result = check_bag(bag, p, advance=advance)
+    show(whole(result))
+    if args.json is not None:
+        write_json(args.json, result.as_dict())
+    return ExitCode.DONE if result.is_plausible else ExitCode.FAILED
