@@ -1,39 +1,59 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the clock goes on as it should: by stamps and counts alone, so that a replay finds the same.
+"""Whether stamps go on as they did: by stamps and counts alone, so that a replay finds the same.
 
-The samples of one source, the sprockets', are the clock. One of them that steps out of line is a bad stamp;
-many in a row that agree with each other are another time. Other sources carry the clock on only while the
-first is silent: when their stamps, one behind the other, have gone on for its timeout without a sample of it.
+The samples of one source are the clock: the sprockets' of the slip estimator, machine states and pressures of
+the soil estimator, scans of the box localizer. A sample out of line is a bad stamp; many in a row that agree
+with each other are another time. Agreeing stamps are no further apart than the gap, or come at equal steps.
+Once confirmed, samples at a slow pace are in line up to two of their steps apart, until they are faster.
 
-A step back into the history leaves stamps that look like late data. But late data agree with what is there
-already, while samples stamped anew tell of positions that the sprockets had elsewhere in it.
+Other sources carry the clock on only while the first is silent: when their stamps, one behind the other, have
+gone on for its timeout without a sample of it.
+
+A step back into the history leaves stamps that look like late data. Late data agree with the history, while
+samples stamped anew have the positions that the sprockets had elsewhere in it.
 
 ``CLOCK`` is all that is remembered: compiled code keeps it in a record; ``ClockMonitor`` is for Python.
 """
 
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 
-_STREAK = np.dtype([("count", np.int64), ("first_ns", np.int64), ("last_ns", np.int64)], align=True)
-CLOCK = np.dtype(
-    [
-        ("running", np.bool_),  # whether there was a sample
-        ("head_ns", np.int64),  # newest stamp in line
-        ("ahead", _STREAK),
-        ("behind", _STREAK),
-        ("late", _STREAK),
-        ("others", _STREAK),  # of other sources, since the last sample
-    ],
-    align=True,
-)
-CLOCK_LIMITS = np.dtype(
-    [("gap_ns", np.int64), ("confirmations", np.int64), ("silence_ns", np.int64)], align=True
-)
+
+class StampStreak(Record):
+    """Stamps in a row."""
+
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+class Clock(Record):
+    """All that is remembered of a clock."""
+
+    running: bool  # whether there was a sample
+    head_ns: int  # newest stamp in line
+    pace_ns: int  # two steps of samples that come more slowly than the gap; else 0
+    ahead: StampStreak
+    ahead_step_ns: int  # its last step
+    behind: StampStreak
+    late: StampStreak
+    others: StampStreak  # of other sources, since the last sample
+
+
+class ClockLimits(Record):
+    """Of a clock."""
+
+    gap_ns: int
+    confirmations: int
+    silence_ns: int
+
+
+CLOCK, CLOCK_LIMITS = dtype_of(Clock), dtype_of(ClockLimits)
 NEVER_NS = -(2**62)  # before all stamps
 
 
@@ -47,11 +67,12 @@ class StampStatus(IntEnum):
 
 
 _CARRIERS = 3  # measurements in a row that carry the clock on
+_EQUAL = 2  # ratio up to which two steps count as equal
 _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 
 @compiled
-def _add(streak: Any, stamp_ns: int, gap_ns: int, counts: bool) -> int:
+def _add(streak: StampStreak, stamp_ns: int, gap_ns: int, counts: bool) -> int:
     """How many in a row by now; a stamp that does not follow on the last one begins anew."""
     if not 0 < stamp_ns - streak.last_ns <= gap_ns:
         streak.count, streak.first_ns = 0, stamp_ns
@@ -60,33 +81,54 @@ def _add(streak: Any, stamp_ns: int, gap_ns: int, counts: bool) -> int:
 
 
 @compiled
-def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
+def check_sample(clock: Clock, limits: ClockLimits, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
     """Status of a sample of the source that is the clock.
 
     ``oldest_ns``: older ones have no place in the history (``NEVER_NS``: there is none); ``contradicts``:
     its content is not what the history has at its stamp.
     """
     clock.others.count = 0
-    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns)) or stamp_ns < oldest_ns:
-        clock.ahead.count = 0
-        confirmed = _add(clock.behind, stamp_ns, limits.gap_ns, True) >= limits.confirmations
+    if not clock.running:
+        clock.pace_ns = 0
+    gap_ns = max(limits.gap_ns, clock.pace_ns)
+    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - gap_ns)) or stamp_ns < oldest_ns:
+        _end_ahead(clock)
+        confirmed = _add(clock.behind, stamp_ns, gap_ns, True) >= limits.confirmations
         return _BACK if confirmed else _BEHIND
     clock.behind.count = 0
     if not clock.running or stamp_ns > clock.head_ns:
         clock.late.count = 0
-    elif _add(clock.late, stamp_ns, limits.gap_ns, contradicts) >= limits.confirmations:
+    elif _add(clock.late, stamp_ns, gap_ns, contradicts) >= limits.confirmations:
         return _BACK
-    far = clock.running and stamp_ns > clock.head_ns + limits.gap_ns
-    if far and _add(clock.ahead, stamp_ns, limits.gap_ns, True) < limits.confirmations:
-        return _AHEAD
-    clock.ahead.count = 0
+    if clock.running and stamp_ns > clock.head_ns + gap_ns:
+        if _add_ahead(clock, stamp_ns, gap_ns) < limits.confirmations:
+            return _AHEAD
+        clock.pace_ns = _EQUAL * clock.ahead_step_ns if clock.ahead_step_ns > limits.gap_ns else 0
+    elif 0 < stamp_ns - clock.head_ns <= limits.gap_ns:
+        clock.pace_ns = 0
     clock.head_ns = max(clock.head_ns, stamp_ns) if clock.running else stamp_ns
     clock.running = True
+    _end_ahead(clock)
     return _IN_LINE
 
 
 @compiled
-def check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
+def _add_ahead(clock: Clock, stamp_ns: int, gap_ns: int) -> int:
+    """How many in a row are ahead by now: no further apart than the gap, or at equal steps."""
+    step_ns = stamp_ns - clock.ahead.last_ns
+    is_equal = step_ns < _EQUAL * clock.ahead_step_ns and clock.ahead_step_ns < _EQUAL * step_ns
+    clock.ahead_step_ns = step_ns
+    return _add(clock.ahead, stamp_ns, max(gap_ns, step_ns) if is_equal else gap_ns, True)
+
+
+@compiled
+def _end_ahead(clock: Clock) -> None:
+    """The next one ahead is the first, one step from the head."""
+    clock.ahead.count, clock.ahead.last_ns, clock.ahead_step_ns = 0, clock.head_ns, 0
+
+
+@compiled
+def check_other(clock: Clock, limits: ClockLimits, stamp_ns: int) -> int:
     """Status of a measurement of any other source."""
     if not clock.running or stamp_ns <= clock.head_ns:
         return _IN_LINE
@@ -102,12 +144,14 @@ def check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
 
 
 @compiled
-def _check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
+def _check_sample(
+    clock: Table[Clock], limits: Table[ClockLimits], stamp_ns: int, oldest_ns: int, contradicts: bool
+) -> int:
     return check_sample(clock[0], limits[0], stamp_ns, oldest_ns, contradicts)
 
 
 @compiled
-def _check_other(clock: Any, limits: Any, stamp_ns: int) -> int:
+def _check_other(clock: Table[Clock], limits: Table[ClockLimits], stamp_ns: int) -> int:
     return check_other(clock[0], limits[0], stamp_ns)
 
 
@@ -115,8 +159,9 @@ class ClockMonitor:
     """Checks stamps as they come."""
 
     def __init__(self, gap_ns: int, confirmations: int, silence_ns: int = 500_000_000) -> None:
-        self._clock = np.zeros(1, CLOCK)
-        self._limits = np.array([(gap_ns, confirmations, silence_ns)], CLOCK_LIMITS)
+        self._clock = make_table(Clock, CLOCK, 1)
+        self._limits = make_table(ClockLimits, CLOCK_LIMITS, 1)
+        self._limits[:] = np.array((gap_ns, confirmations, silence_ns), CLOCK_LIMITS)
 
     @property
     def head_ns(self) -> int | None:
@@ -129,6 +174,10 @@ class ClockMonitor:
         """A sample of the source that is the clock; see ``check_sample``."""
         horizon_ns = NEVER_NS if oldest_ns is None else oldest_ns
         return StampStatus(_check_sample(self._clock, self._limits, stamp_ns, horizon_ns, contradicts))
+
+    def later_sample(self, stamp_ns: int) -> StampStatus:
+        """The same of a source whose samples are each later than the one before."""
+        return self.sample(stamp_ns, None if self.head_ns is None else self.head_ns + 1)
 
     def other(self, stamp_ns: int) -> StampStatus:
         """A measurement of any other source; see ``check_other``."""

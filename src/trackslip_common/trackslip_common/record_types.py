@@ -76,8 +76,6 @@ def _field(name: str, hint: Any) -> tuple[Any, ...]:
     shape: Any = ()
     if hasattr(hint, "__metadata__"):
         (shape,) = hint.__metadata__
-        if isinstance(shape, np.dtype):
-            return (name, shape)
         hint = get_args(hint)[0]
     if get_origin(hint) is Table:
         (hint,) = get_args(hint)

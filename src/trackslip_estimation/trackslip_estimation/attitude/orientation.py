@@ -27,7 +27,8 @@ from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wr
 from trackslip_estimation.kalman.update import correct, observe_alone
 
 if TYPE_CHECKING:
-    from trackslip_estimation.attitude.records import Attitude, AttitudeConstants
+    from trackslip_estimation.attitude.parameters import AttitudeConstants
+    from trackslip_estimation.attitude.records import Attitude
 
 _NONE, _NO_COVARIANCE = int(AttitudeRefusal.NO_ORIENTATION), int(AttitudeRefusal.NO_COVARIANCE)
 _NO_ROTATION, _GATED = int(AttitudeRefusal.NO_ROTATION), int(AttitudeRefusal.ORIENTATION_GATED)

@@ -120,19 +120,3 @@ class Attitude(Record):
 
 
 ATTITUDE = dtype_of(Attitude)
-
-
-class AttitudeConstants(Record):
-    """Its parameters."""
-
-    initial: Annotated[FloatArray, SIZE]  # standard deviations
-    walk: Annotated[FloatArray, SIZE]  # variance per s
-    rate_scale: float  # standard deviation of the gyro's scale about p and q
-    noise_time: float  # s
-    correlation_time: float  # s
-    orientation_time: float  # s, for which an error of an orientation lasts
-    gate: float  # χ² of two, of orientations
-    unknown_rate: float  # rad/s, of ground whose tilt changes while no gyro sees it
-
-
-CONSTANTS = dtype_of(AttitudeConstants)

@@ -19,7 +19,8 @@ from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, PITCH, ROLL, SIZE
 
 if TYPE_CHECKING:
-    from trackslip_estimation.attitude.records import Attitude, AttitudeConstants
+    from trackslip_estimation.attitude.parameters import AttitudeConstants
+    from trackslip_estimation.attitude.records import Attitude
 
 _FIRST_NOISE = 1.0  # (m/s²)², of the accelerometers, before a sample tells
 

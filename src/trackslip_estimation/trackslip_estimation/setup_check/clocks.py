@@ -187,8 +187,6 @@ def undelayed(log: Log, cause: Cause, value: float) -> Log:
     return replace(log, gyros=gyros, fixes=fixes, compasses=compasses)
 
 
-
-
 def value_of(cause: Cause, lates: list[Late], names: dict[str, str]) -> Late:
     """The pair that shows a late source best, with the delay of that source."""
     party = {topic: name for name, topic in names.items() if topic}.get(cause.source, "")

@@ -68,7 +68,9 @@ def _without_spikes(rates: FloatArray) -> FloatArray:
     return np.clip(rates, -most, most)
 
 
-def _peak(cross: FloatArray, energy: FloatArray, shifts: FloatArray, cell: float) -> tuple[float, float] | None:
+def _peak(
+    cross: FloatArray, energy: FloatArray, shifts: FloatArray, cell: float
+) -> tuple[float, float] | None:
     """Shift in s at the top, between cells, and the correlation there."""
     scale = np.sqrt(energy[0] * energy[1])
     if (scale <= 0.0).any():

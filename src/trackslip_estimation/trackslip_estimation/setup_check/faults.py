@@ -86,7 +86,9 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     for gyro in log.gyros:
         lost = _note(found, gyro.name, "rate about z", gyro.rates[:, 2])
         kept = ~lost
-        gyros.append(replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept]))
+        gyros.append(
+            replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept])
+        )
     for one in log.fixes:
         lost = _missing_fixes(found, one.name, one.places)
         kept = ~lost

@@ -83,7 +83,9 @@ def covered(t: FloatArray, edges: FloatArray) -> BoolArray:
     """(m,) whether readings reach over each cell without a gap."""
     after = np.clip(np.searchsorted(t, edges[1:]), 1, len(t) - 1)
     before = np.clip(np.searchsorted(t, edges[:-1], side="right") - 1, 0, len(t) - 2)
-    found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (edges[:-1] >= t[0] - 1e-9)
+    found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (
+        edges[:-1] >= t[0] - 1e-9
+    )
     return found & (edges[1:] <= t[-1] + 1e-9)
 
 

@@ -103,7 +103,9 @@ def examine(
     if _is_known(turn, x * track_scale, of_heading) and frozen_share(gyro) < _MOSTLY:
         bias_cause = _bias(gyro, turn, x * track_scale, of_heading)
         causes += [bias_cause] if bias_cause else []
-    down = gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
+    down = (
+        gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
+    )
     return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down, tuple(open_ones))
 
 
@@ -255,7 +257,9 @@ def _unit(
     total = gain if witness is None else max(gain, 0.0) + witness
     if gain < _TRACK_GAIN or (witness is not None and witness < _LEAST_GAIN) or total < _LEAST_GAIN:
         return 1.0, None, []
-    evidence = f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
+    evidence = (
+        f"the gyro turns {scale:.3g} times as much as the tracks; as {name}, it is {scale / factor:.2f} times"
+    )
     cause = Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedies.gyro_scale(gyro, factor))
     return factor, cause, []
 
@@ -365,15 +369,25 @@ def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, f
     more = (y[usable] - h[usable]) / WINDOW
     bias = float(np.median(more))
     stddev = 1.25 * 1.4826 * float(np.median(np.abs(more - bias))) / float(np.sqrt(len(more))) + 1e-4
-    if abs(bias) - 3.0 * stddev < _LARGE_BIAS or abs(bias) > _LARGEST_BIAS or (np.sign(more) == np.sign(bias)).mean() < 0.8:
+    if (
+        abs(bias) - 3.0 * stddev < _LARGE_BIAS
+        or abs(bias) > _LARGEST_BIAS
+        or (np.sign(more) == np.sign(bias)).mean() < 0.8
+    ):
         return None
-    return bias, 0.5 * (bias / stddev) ** 2, f"more than the headings turn, in {len(more)} pieces of {WINDOW:g} s"
+    return (
+        bias,
+        0.5 * (bias / stddev) ** 2,
+        f"more than the headings turn, in {len(more)} pieces of {WINDOW:g} s",
+    )
 
 
 def upside_down(gyro: Gyro, log_odds: float) -> Cause:
     """Turns and gravity are both the other way round."""
     evidence = "turns about z and gravity along z are both the other way round: the unit hangs upside down"
-    return Cause("imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0)))
+    return Cause(
+        "imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0))
+    )
 
 
 def other_gyros(log: Log, first: Gyro | None) -> Sequence[Gyro]:

@@ -38,9 +38,7 @@ def lever_of(path: Path, fixes: Fixes) -> Lever | None:
     return min(found, key=lambda lever: sum(lever.stddevs), default=None)
 
 
-def judge_lever(
-    path: Path, fixes: Fixes, log: Log, rival: float
-) -> tuple[list[Cause], list[Undetermined]]:
+def judge_lever(path: Path, fixes: Fixes, log: Log, rival: float) -> tuple[list[Cause], list[Undetermined]]:
     """Of a source on the undercarriage; ``rival``: ln likelihood of a delay that it must exceed."""
     if fixes.is_above:
         return [], []
@@ -51,7 +49,9 @@ def judge_lever(
         return [], [Undetermined(f"lever arm of {fixes.name}", needed)]
     off = np.array((lever.value.real, lever.value.imag))
     sure = np.array(lever.stddevs)
-    allowed = np.array((_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER))
+    allowed = np.array(
+        (_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER)
+    )
     is_off = np.abs(off) > np.maximum(allowed, 0.0) + _SURE * sure
     if not is_off.any() or lever.log_ratio < np.log(100.0):
         return [], []
@@ -64,7 +64,10 @@ def judge_lever(
         f"in turns the fixes are those of a sensor at x {value[0]:.2f} ± {2.0 * sure[0]:.2f}, y {value[1]:.2f} ± "
         f"{2.0 * sure[1]:.2f} m; stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
     )
-    values = [remedies.parameter(f"{group}.lever_arm_{axis}", round(float(v), 2)) for axis, v in zip("xy", value, strict=True)]
+    values = [
+        remedies.parameter(f"{group}.lever_arm_{axis}", round(float(v), 2))
+        for axis, v in zip("xy", value, strict=True)
+    ]
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
@@ -98,9 +101,7 @@ def judge_offset(
     else:
         offset = float(wrapped(np.array((compass.offset - middle,)))[0])
         remedy = f"Set {remedies.parameter(f'{group_of(compass.name)}.offset', round(offset, 3))}"
-    evidence = (
-        f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the stated heading in {len(rest)} straight pieces"
-    )
+    evidence = f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the stated heading in {len(rest)} straight pieces"
     return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
 
 
@@ -145,5 +146,3 @@ def _apart(fixes: Sequence[Fixes]) -> list[Cause]:
     evidence = f"places of {first.name} and {second.name} are {middle:.0f} m apart, all the time"
     remedy = f"Give both one map: the same datum and frame; or leave one out of {remedies.parameter('pose_sources', f'[{first.name}]')}"
     return [Cause("frame", second.name, evidence, odds_of(12.0), remedy)]
-
-

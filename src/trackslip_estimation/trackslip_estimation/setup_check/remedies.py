@@ -11,7 +11,9 @@ from trackslip_estimation.setup_check.log import FloatArray, Gyro, group_of
 
 def parameter(name: str, value: float | str | bool) -> str:
     """A line for the parameters of the slip estimator; its names are dotted."""
-    text = value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
+    text = (
+        value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
+    )
     return f"slip_estimator.{name}={text}"
 
 

@@ -149,7 +149,9 @@ def judge(
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     if ratios.best < 0.9 and ratios.best > 0.55:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
-        return [], [Undetermined(f"slip of {1.0 - ratios.best:.0%}, or a rolling radius that is too large", needed)]
+        return [], [
+            Undetermined(f"slip of {1.0 - ratios.best:.0%}, or a rolling radius that is too large", needed)
+        ]
     return [], []
 
 
@@ -186,7 +188,13 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
         f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use left_position and "
         "right_position of the sprockets in the roles file, or record each gear by itself"
     )
-    return Cause("travel_gear", "sprockets", evidence, odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2), remedy)
+    return Cause(
+        "travel_gear",
+        "sprockets",
+        evidence,
+        odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2),
+        remedy,
+    )
 
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
@@ -219,5 +227,3 @@ def distance_of(fixes: Fixes, grid: Grid) -> float:
     noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
     with np.errstate(invalid="ignore"):
         return float(np.nansum(way[way > 3.0 * noise]))
-
-

@@ -97,7 +97,9 @@ def has_standstill(x: FloatArray) -> bool:
 def standing(x: FloatArray) -> BoolArray:
     """(w,) windows in which neither track moves; x (w, 2)."""
     moved = np.abs(x).max(axis=1)
-    found: BoolArray = moved <= max(_STILL * float(np.percentile(moved, 95)), 1e-9) if len(moved) else moved > 0.0
+    found: BoolArray = (
+        moved <= max(_STILL * float(np.percentile(moved, 95)), 1e-9) if len(moved) else moved > 0.0
+    )
     return found
 
 

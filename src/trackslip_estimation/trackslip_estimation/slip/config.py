@@ -3,16 +3,16 @@
 """All numbers of the compiled estimator in one record, made from its parameters."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import CLOCK_LIMITS
+from trackslip_common.clock_monitor import ClockLimits
 from trackslip_common.record_types import FloatArray, IntArray, Record, dtype_of
 from trackslip_common.units import GRAVITY
+from trackslip_estimation.attitude.parameters import AttitudeConstants
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
-from trackslip_estimation.attitude.records import AttitudeConstants
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip import adaptation, events
 from trackslip_estimation.slip.adaptation import AdaptationConstants
@@ -69,7 +69,7 @@ class Config(Record):
     unseen_yaw_rate: float  # standard deviation of a yaw rate that no state holds, rad/s
     max_gap: float  # s
     window_ns: int
-    clock: Annotated[Any, CLOCK_LIMITS]
+    clock: ClockLimits
     gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite where all are used
     gate_relaxation: float
     gate_confirmations: int

@@ -11,12 +11,12 @@ where the estimate started, or the last state that was settled.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import CLOCK, NEVER_NS
+from trackslip_common.clock_monitor import NEVER_NS, Clock
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_estimation.slip.correlated_errors import MASSES, MOST_RECEIVERS, RECEIVER, Masses, Receiver
@@ -61,7 +61,7 @@ class Status(Record):
     begun: int  # of these up to the first entry
     pooled: int  # entries of the pool in use, while children are made
     steps_left: int  # that further children may make
-    clock: Annotated[Any, CLOCK]
+    clock: Clock
 
 
 WINDOW = dtype_of(Status)

@@ -29,7 +29,7 @@ from trackslip_estimation.kalman.linear_algebra import (
     wrap,
 )
 from trackslip_estimation.kalman.propagate import propagate_covariance
-from trackslip_estimation.kalman.update import correct
+from trackslip_estimation.kalman.update import correct, observe_alone
 from trackslip_estimation.slip.models.dispatch import COUPLED, body_jacobian, body_twist, linearize, slips
 from trackslip_estimation.slip.models.model import POSE, SWING, YAW
 from trackslip_estimation.slip.models.swing import shear
@@ -98,7 +98,8 @@ def bound(
         if measurement.kind != SPROCKETS:
             room[0] = drive
             room[0].mean[:], room[0].covariance[:] = before, P
-            correct(before.copy(), P, observe(room[0], measurement, c))
+            o = observe(room[0], measurement, c)
+            correct(before.copy(), P, observe_alone(o.innovation, o.jacobian, o.noise))
         bounds[k] = P
     return bounds
 
