@@ -15,7 +15,18 @@ field. At run time it gets a record of an array of ``LEVEL``. Python reads the s
 fields.
 """
 
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints, overload
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +79,8 @@ def dtype_of(declared: type[Record]) -> np.dtype[np.void]:
         TypeError: a field is neither a number, nor an array of numbers, nor a record, nor a table of records.
     """
     hints = get_type_hints(declared, include_extras=True)
-    return np.dtype([_field(name, hint) for name, hint in hints.items()], align=True)
+    fields = [_field(name, hint) for name, hint in hints.items() if get_origin(hint) is not ClassVar]
+    return np.dtype(fields, align=True)
 
 
 def _field(name: str, hint: Any) -> tuple[Any, ...]:
