@@ -88,7 +88,7 @@ SPAN = dtype_of(Span)
 
 
 class Climb(Record):
-    """See ``slip.altitude``."""
+    """See ``slip.observations.altitude``."""
 
     used_ns: int  # stamp of the altitude used last
     refused: int  # altitudes outside the gate since, in a row, that agree
