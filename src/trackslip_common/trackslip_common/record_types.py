@@ -31,6 +31,8 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.parameters import Parameters
+
 RecordT = TypeVar("RecordT")
 
 FloatArray = NDArray[np.float64]
@@ -72,8 +74,8 @@ else:
         """An array of records, of one or more dimensions."""
 
 
-def dtype_of(declared: type[Record]) -> np.dtype[np.void]:
-    """The aligned dtype of a declaration, its fields in their order.
+def dtype_of(declared: type[Record] | type[Parameters]) -> np.dtype[np.void]:
+    """The aligned dtype of a declaration, or of a group of parameters that are numbers, in their order.
 
     Raises:
         TypeError: a field is neither a number, nor an array of numbers, nor a record, nor a table of records.
@@ -95,7 +97,7 @@ def _field(name: str, hint: Any) -> tuple[Any, ...]:
         kind: Any = _NUMBERS[hint]
     elif hint in _ARRAYS:
         kind = _ARRAYS[hint]
-    elif isinstance(hint, type) and issubclass(hint, Record):
+    elif isinstance(hint, type) and issubclass(hint, Record | Parameters):
         kind = dtype_of(hint)
     else:
         raise TypeError(f"{name}: {hint} is no number, array, record or table")

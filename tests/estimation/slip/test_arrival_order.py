@@ -12,7 +12,6 @@ from fixtures.records import assert_same_bits, rubbish
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackslip_estimation.slip.bank.rows import LOOK_BACK_NS
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
@@ -306,4 +305,4 @@ def test_settled_states_go_but_for_the_one_that_the_window_stands_on(drive: Call
     assert len(estimator.window.best) <= 4 * capacity
     assert (np.diff(stamps) >= 0).all()
     assert stamps[0] < horizon
-    assert stamps[1] > horizon - LOOK_BACK_NS
+    assert stamps[1] > horizon - 5_000 * MS

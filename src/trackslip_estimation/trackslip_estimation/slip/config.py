@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import ClockLimits
+from trackslip_common.parameter_record import fill_record
 from trackslip_common.record_types import FloatArray, IntArray, Record, dtype_of
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.parameters import AttitudeConstants
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
 from trackslip_estimation.kalman import chi_square
-from trackslip_estimation.slip import adaptation, events
+from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.adaptation import AdaptationConstants
+from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
 from trackslip_estimation.slip.coasting import motion_limits
-from trackslip_estimation.slip.events import EventConstants
+from trackslip_estimation.slip.events import EventParameters
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.free_slips import FreeSlipsConstants
 from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
@@ -87,7 +89,9 @@ class Config(Record):
     compass: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether it is a source of headings
     repeat_times: Annotated[FloatArray, MOST_SOURCES]  # s, for which fixes err alike by where they are
     standing_share: Annotated[FloatArray, MOST_SOURCES]
-    events: EventConstants
+    events: EventParameters
+    bank: BankParameters
+    receivers: ReceiverParameters
     fault_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     jump_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     poses: int  # how many sources of poses there are
@@ -130,7 +134,8 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
     c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
-    c["events"] = events.constants(p.events)
+    for name in ("events", "bank", "receivers"):
+        fill_record(c[name], getattr(p, name))
     c["max_gap"] = p.max_gap
     c["window_ns"] = round(p.history_window * 1e9) if window_ns is None else window_ns
     c["clock"] = (round(p.max_gap * 1e9), p.jump_confirmations, c["sprocket_timeout_ns"])

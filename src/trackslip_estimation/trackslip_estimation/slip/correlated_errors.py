@@ -15,14 +15,16 @@ innovations under Student's t; fixes that are correlated are explained best by t
 masses have g = 0: the errors are white. One record belongs to a source, not to a branch of the bank: the way
 is that of the most probable branch.
 
-Fixes that state no more than ``PRECISE`` do not weigh the masses: a sudden offset of theirs is an event, and
+Fixes that state no more than ``precise`` do not weigh the masses: a sudden offset of theirs is an event, and
 what lasts of them is seen by their jitter (``own_errors``).
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -30,11 +32,11 @@ from trackslip_common.compiled import compiled
 from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 
-PRECISE = 0.2  # m, standard deviation that a fix states, below which its error is white
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+
 MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
 QUALITIES = 2  # of coarse fixes: ambiguities float, or code alone
-_FLOATING = 0.6  # m, standard deviation of the worse of those that float
-_OTHER_QUALITY = 2.0  # ratio of two standard deviations that are not of one quality
 
 _WHITE_F = np.exp(0.35 * (np.arange(13) - 2 + np.maximum(np.arange(13) - 8, 0)))
 _F, _G, _TIMES = (0.01, 0.1, 0.4, 1.0, 3.0), (0.3, 1.0, 3.0, 10.0, 30.0), (10.0, 30.0, 100.0)
@@ -52,15 +54,8 @@ LOG_PRIOR = np.concatenate(
 )
 
 _LEAST_G = 1e-3
-_LONGEST = 30.0  # s: τ in the filter is no longer; what errs for longer is a part of the place
 _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
-_MEMORY = 0.998  # of w, from one fix to the next
-_INTERVAL = 2.0  # s between fixes that masses learn from, once errors are correlated
 _UNKNOWN_WAY = 1e4  # variance of c at first, over R
-_WAY_ERROR, _WAY_RATE = 0.02, 0.005  # of the way driven, √s; m/s: by which c walks
-_DIRECTION = 0.02  # rad, by which the way errs beyond heading and slip
-_DIRECTION_TIME = 30.0  # s, for which it does
-MOST_SPREAD = 0.5  # variance of the heading, rad², beyond which no way is known
 _NEGLIGIBLE = -6.0  # w below the best
 
 
@@ -98,36 +93,36 @@ MASSES = dtype_of(Masses)
 
 
 @compiled
-def is_coarse(R: FloatArray) -> bool:
+def is_coarse(R: FloatArray, c: Config) -> bool:
     """Whether a fix of covariance R states so much that its error may last."""
-    return bool((R[0, 0] + R[1, 1]) / 2.0 > PRECISE * PRECISE)
+    return bool((R[0, 0] + R[1, 1]) / 2.0 > c.receivers.precise**2)
 
 
 @compiled
-def same_quality(stddev: float, other: float) -> bool:
+def same_quality(stddev: float, other: float, c: Config) -> bool:
     """Whether two standard deviations are those of one solution of a receiver."""
-    return max(stddev, other) <= _OTHER_QUALITY * min(stddev, other)
+    return max(stddev, other) <= c.receivers.other_quality * min(stddev, other)
 
 
 @compiled
-def reset_receiver(s: Receiver) -> None:
+def reset_receiver(s: Receiver, c: Config) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
     s.known, s.quality, s.stddev, s.elapsed, s.driven = 0, 0, 0.0, 0.0, 0.0
     s.way[:] = s.beyond[:] = s.last[:] = 0.0
     s.last_ns, s.observed = 0, 0.0
-    _set_means(s, LOG_PRIOR)
+    _set_means(s, LOG_PRIOR, c)
 
 
 @compiled
 def add_fix(
-    s: Receiver, masses: Masses, shown: FloatArray, stddev: float, spread: float, stamp_ns: int
+    s: Receiver, masses: Masses, shown: FloatArray, stddev: float, spread: float, stamp_ns: int, c: Config
 ) -> None:
     """One more coarse fix weighs the masses of its source.
 
     ``shown``: place that it shows (2,), m; ``spread``: variance of the way's direction and length.
     """
-    quality = 0 if stddev < _FLOATING else 1
-    begins, other = s.known != 1, not same_quality(stddev, s.stddev) if s.known > 0 else False
+    quality = 0 if stddev < c.receivers.floating else 1
+    begins, other = s.known != 1, not same_quality(stddev, s.stddev, c) if s.known > 0 else False
     if s.known == 0:
         for q in range(QUALITIES):
             masses.weights[q] = LOG_PRIOR
@@ -139,7 +134,7 @@ def add_fix(
             s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
         elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
         s.elapsed += elapsed
-        s.observed += min(elapsed, _LONGEST)
+        s.observed += min(elapsed, c.receivers.longest_time)
     s.known, s.quality, s.stddev, s.last_ns = 1, quality, stddev, stamp_ns
     s.way[:] = 0.0
     for axis in range(2):
@@ -147,9 +142,9 @@ def add_fix(
     if other:
         _renew_offsets(masses, stddev * stddev)
     if begins:
-        _set_means(s, masses.weights[quality])
-    elif s.elapsed >= (_INTERVAL if s.white < 0.5 else 0.0):
-        _learn(s, masses, stddev * stddev, spread)
+        _set_means(s, masses.weights[quality], c)
+    elif s.elapsed >= (c.receivers.interval if s.white < 0.5 else 0.0):
+        _learn(s, masses, stddev * stddev, spread, c)
         s.elapsed = s.driven = 0.0
 
 
@@ -172,11 +167,11 @@ def _renew_offsets(masses: Masses, R: float) -> None:
 
 
 @compiled
-def _learn(s: Receiver, masses: Masses, R: float, spread: float) -> None:
+def _learn(s: Receiver, masses: Masses, R: float, spread: float, c: Config) -> None:
     """All masses predict r, are weighed by it and corrected."""
-    dt, squared = s.elapsed, (s.driven / s.elapsed) ** 2
-    walk = dt * (squared * _WAY_ERROR**2 + _WAY_RATE**2)
-    kept, turned = math.exp(-dt / _DIRECTION_TIME), squared * (spread + _DIRECTION**2)
+    n, dt, squared = c.receivers, s.elapsed, (s.driven / s.elapsed) ** 2
+    walk = dt * (squared * n.way_error**2 + n.way_rate**2)
+    kept, turned = math.exp(-dt / n.direction_time), squared * (spread + n.direction_error**2)
     w = masses.weights[s.quality]
     for k in range(COUNT):
         x, P, rho = masses.means[k], masses.covariances[k], 0.0
@@ -193,7 +188,7 @@ def _learn(s: Receiver, masses: Masses, R: float, spread: float) -> None:
             squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
         nis = squares / S
         likelihood = -math.log(S) - (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis / _HEAVY)
-        w[k] = _MEMORY * w[k] + (1.0 - _MEMORY) * LOG_PRIOR[k] + likelihood
+        w[k] = n.memory * w[k] + (1.0 - n.memory) * LOG_PRIOR[k] + likelihood
         if nis > 2.0:
             more = surprise(nis, 2) * S
             S += more
@@ -207,7 +202,7 @@ def _learn(s: Receiver, masses: Masses, R: float, spread: float) -> None:
         P[0], P[1], P[2] = bb - hb * hb / S, bc - hb * hc / S, bd - hb * hd / S
         P[3], P[4], P[5] = cc - hc * hc / S, cd - hc * hd / S, dd - hd * hd / S
     w -= w.max()
-    _set_means(s, w)
+    _set_means(s, w, c)
 
 
 @compiled
@@ -217,7 +212,7 @@ def surprise(nis: float, m: int) -> float:
 
 
 @compiled
-def _set_means(s: Receiver, w: FloatArray) -> None:
+def _set_means(s: Receiver, w: FloatArray, c: Config) -> None:
     """f, g and τ as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
     best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):
@@ -227,4 +222,5 @@ def _set_means(s: Receiver, w: FloatArray) -> None:
             driving += mass * G[k] / TIMES[k]
             white += mass if k < _WHITES else 0.0
     s.f, s.g, s.white = f / total, max(g / total, _LEAST_G), white / total
-    s.time = min(g / driving, _LONGEST) if driving > 0.0 else _LONGEST
+    longest = c.receivers.longest_time
+    s.time = min(g / driving, longest) if driving > 0.0 else longest

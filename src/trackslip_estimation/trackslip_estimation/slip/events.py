@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.levers import to_sensor
@@ -120,25 +120,6 @@ _SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
-class EventConstants(Record):
-    """Parameters of the events."""
-
-    fault_time: float
-    repeat_share: float
-    scatter_share: float
-    heading_rate: float
-    slip_rate: float
-    slide_rate: float
-    skid_rate: float
-    skid_share: float
-    skid_stddev: float
-    noise_rate: float
-    slip_stddev: float
-
-
-CONSTANTS = dtype_of(EventConstants)
-
-
 @dataclass(frozen=True, kw_only=True)
 class EventParameters(Parameters):
     """Prior rates of events."""
@@ -156,11 +137,6 @@ class EventParameters(Parameters):
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
-
-
-def constants(p: EventParameters) -> tuple[float, ...]:
-    """The fields of ``CONSTANTS``, in their order."""
-    return tuple(getattr(p, name) for name in CONSTANTS.names or ())
 
 
 @compiled

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state, decay_state, replace_state
-from trackslip_estimation.slip.correlated_errors import PRECISE, is_coarse, same_quality
+from trackslip_estimation.slip.correlated_errors import is_coarse, same_quality
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 if TYPE_CHECKING:
@@ -29,13 +29,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import Offset, State, Update
 
 FloatArray = NDArray[np.float64]
-
-OBSERVED = 3.0  # times τ, after which fixes of a coarse receiver may correct the bias of a gyro
-CLOSE = 0.3  # s between fixes that show what they jitter by
-JITTERS = 25.0  # of them, after which it is known
-LEAST_LASTING, MOST_LASTING, MOST_JITTER = 0.25, 0.9, 9.0
-LASTS = 10.0  # s, for which an error of precise fixes does
-SURPRISED = 4.0  # variance of an offset at the most by fixes that surprise, over its prior
 
 
 @compiled
@@ -52,14 +45,14 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
     if number < 0:
         return False
     offset = state.offsets[number]
-    return bool(offset.variance > 0.0 and offset.stddev > PRECISE and offset.g > offset.f)
+    return bool(offset.variance > 0.0 and offset.stddev > c.receivers.precise and offset.g > offset.f)
 
 
 @compiled
 def is_new(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err to one side, and were not observed for several times that long."""
     offset = state.offsets[number_of(source, c)]
-    return is_correlated(state, source, c) and bool(offset.observed < OBSERVED * offset.time)
+    return is_correlated(state, source, c) and bool(offset.observed < c.receivers.observed * offset.time)
 
 
 @compiled
@@ -75,10 +68,10 @@ def prepare_offset(
     if is_open:
         offset.stddev = stddev
         return
-    other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev)
+    other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev, c)
     if other:
         offset.count = 0.0
-    wanted = (offset.g if is_coarse(R) else lasting_share(offset)) * stddev * stddev
+    wanted = (offset.g if is_coarse(R, c) else lasting_share(offset, c)) * stddev * stddev
     if other or (wanted > 0.0) != (offset.variance > 0.0):
         update.renewed |= 3 << own
         begins = wanted > 0.0 and not other and offset.stddev > 0.0
@@ -91,26 +84,29 @@ def prepare_offset(
         for i in (own, own + 1):
             _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
     offset.variance, offset.stddev = wanted, stddev
-    if not is_coarse(R):
-        offset.time = LASTS
+    if not is_coarse(R, c):
+        offset.time = c.receivers.precise_time
 
 
 @compiled
-def lasting_share(offset: Offset) -> float:
+def lasting_share(offset: Offset, c: Config) -> float:
     """Share of the variance of precise fixes by which they do not jitter, although they state it."""
     share = 1.0 - offset.jitter
-    return min(share, MOST_LASTING) if offset.count >= JITTERS and share > LEAST_LASTING else 0.0
+    known = offset.count >= c.receivers.jitters and share > c.receivers.least_lasting
+    return float(min(share, c.receivers.most_lasting) if known else 0.0)
 
 
 @compiled
-def learn_jitter(offset: Offset, shown: FloatArray, way: FloatArray, elapsed: float, variance: float) -> None:
+def learn_jitter(
+    offset: Offset, shown: FloatArray, way: FloatArray, elapsed: float, variance: float, c: Config
+) -> None:
     """How far a fix is from the one before, but for the way between both; ``variance`` is what it states."""
-    if 0.0 < elapsed <= CLOSE:
+    if 0.0 < elapsed <= c.receivers.close:
         squared = 0.0
         for axis in (X, Y):
             squared += (shown[axis] - offset.shown[axis] - way[axis] + offset.way[axis]) ** 2
-        offset.count = min(offset.count + 1.0, 2.0 * JITTERS)
-        found = min(squared / (4.0 * variance), MOST_JITTER)
+        offset.count = min(offset.count + 1.0, 2.0 * c.receivers.jitters)
+        found = min(squared / (4.0 * variance), c.receivers.most_jitter)
         offset.jitter += (found - offset.jitter) / offset.count
     for axis in (X, Y):
         offset.shown[axis], offset.way[axis] = shown[axis], way[axis]
@@ -178,7 +174,7 @@ def fade_offsets(F: FloatArray, state: State, dt: float, c: Config) -> None:
 @compiled
 def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c: Config) -> None:
     """P, where the offset of a source is by ``more`` (2,), m², more uncertain."""
-    own, most = c.offsets[source], SURPRISED * state.offsets[number_of(source, c)].variance
+    own, most = c.offsets[source], c.receivers.surprised * state.offsets[number_of(source, c)].variance
     for axis in (X, Y):
         k = own + axis
         P[k, k] += max(min(more[axis], most - P[k, k]), 0.0)
@@ -197,7 +193,7 @@ def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Config) -> None
 def usual_variance(state: State, source: int, c: Config) -> float:
     """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
     offset = state.offsets[number_of(source, c)]
-    return float(offset.g * offset.stddev**2) if offset.stddev > PRECISE else 0.0
+    return float(offset.g * offset.stddev**2) if offset.stddev > c.receivers.precise else 0.0
 
 
 @compiled
@@ -205,7 +201,7 @@ def begin_offset(state: State, source: int, c: Config) -> None:
     """The state at the start, whose place is that of a coarse fix: its error is in both."""
     x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
-    if not is_coarse(R):
+    if not is_coarse(R, c):
         return
     offset.stddev = spread_of(R)
     offset.variance = offset.g * offset.stddev**2

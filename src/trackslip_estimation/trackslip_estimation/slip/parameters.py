@@ -17,6 +17,7 @@ from trackslip_common.parameters import Group, checked, from_flat, parameter, to
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
+from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
 from trackslip_estimation.slip.events import EventParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
@@ -65,6 +66,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     motion: MotionParameters
     adaptation: AdaptationParameters
     events: EventParameters
+    bank: BankParameters
+    receivers: ReceiverParameters
     attitude: AttitudeParameters
     swing: SwingParameters
     use_attitude: bool = parameter("whether roll and pitch are estimated; else the ground counts as flat")

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-_OUTLIER_SHARE = 0.01  # of measurements of a source that nothing is known of
 _LEAN = 0.2  # rad, standard deviation of the tilt of ground that nobody has seen
 
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
@@ -114,7 +113,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     state.ran = state.down = state.way[:] = 0.0
     state.is_sector, state.rests_on = False, -1
     state.fault_ns[:] = stamp_ns
-    state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, _OUTLIER_SHARE, 0.0
+    state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, c.bank.initial_outlier_share, 0.0
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_fix[measurement.source] = measurement.value[:2]
         state.rests_on = measurement.source

@@ -68,20 +68,13 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
-_LONGEST_WAY = 5.0  # s between fixes that show what tracks err by
 _LOG_TURN = math.log(2.0 * math.pi)
-_SIZES = (
-    7.0  # ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm
-)
-_SHARE_MEMORY = 0.05  # of a measurement in the share of outliers
-_OUTLIER_SHARE, _SOUND_SHARE = 0.5, 0.002  # that one measurement shows
-_SAME = 1e-3  # m, standard deviation of a fix that repeats the one before
 
 
 @compiled
-def log_density_of_any_size(squared: float) -> float:
+def log_density_of_any_size(squared: float, c: Config) -> float:
     """ln of the density of a place (2,) that errs by ``squared`` m², any logarithm of which is as likely."""
-    return -math.log(2.0 * math.pi * _SIZES * squared)
+    return -math.log(2.0 * math.pi * c.bank.outlier_sizes * squared)
 
 
 @inlined
@@ -93,7 +86,7 @@ def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update:
     if kind == POSE:
         stated = stated_noise(measurement, state, c)
         prepare_offset(state, update, source, stated, fault == IS_OFFSET, c)
-        update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated) else 0
+        update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated, c) else 0
         again = _compare_with_last(state, measurement, update)
     o = _observe(state, measurement, c)
     if kind == POSE:
@@ -101,7 +94,7 @@ def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update:
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
-    outside = _density_of_outlier(kind, o, predicted)
+    outside = _density_of_outlier(kind, o, predicted, c)
     if fault == IS_REPEATING:
         _weigh_repeat(again, m, c, update)
         return
@@ -169,7 +162,7 @@ def _show_place(state: State, source: int, o: Observation, elapsed: float, updat
             update.shown[axis] += state.mean[c.offsets[source] + axis]
     if update.coarse == 0 and c.standing_share[source] == 0.0:
         offset = state.offsets[number_of(source, c)]
-        learn_jitter(offset, update.shown, state.way, elapsed, update.stated * update.stated)
+        learn_jitter(offset, update.shown, state.way, elapsed, update.stated * update.stated, c)
 
 
 @compiled
@@ -177,9 +170,9 @@ def _learn_track_error(
     state: State, innovation: FloatArray, S: FloatArray, elapsed: float, c: Config
 ) -> None:
     """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
-    if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= _LONGEST_WAY:
+    if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= c.bank.longest_way:
         return
-    if state.adaptation.elapsed <= _LONGEST_WAY:  # a gyro does
+    if state.adaptation.elapsed <= c.bank.longest_way:  # a gyro does
         return
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
@@ -220,8 +213,8 @@ def _weigh(
         density = density_of_fix(a, source, o.innovation, predicted, o.noise, c)
     evidence, outlier = math.log(1.0 - share) + density, math.log(share) + outside
     is_outlier = fault == IS_IGNORED or (outlier > evidence and not np.isinf(limit))
-    shown = _OUTLIER_SHARE if is_outlier else _SOUND_SHARE
-    state.outlier_share[source] += _SHARE_MEMORY * (shown - share)
+    shown = c.bank.outlier_share if is_outlier else c.bank.sound_share
+    state.outlier_share[source] += c.bank.share_memory * (shown - share)
     if is_outlier:
         update.evidence, update.outcome = outlier, _GATED
         return R, False, alone
@@ -250,7 +243,7 @@ def _compare_with_last(state: State, measurement: MeasurementRecord, update: Upd
 
 
 @compiled
-def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray) -> float:
+def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray, c: Config) -> float:
     """ln of the density of an outlier: an angle of any, a place off by any size not smaller than expected."""
     if kind != POSE:
         return -_LOG_TURN
@@ -258,7 +251,8 @@ def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray) -> flo
     for axis in (X, Y):
         squared += o.innovation[axis] ** 2
         expected += predicted[axis, axis] + o.noise[axis, axis]
-    return log_density_of_any_size(max(squared, expected)) - (_LOG_TURN if o.innovation.size > YAW else 0.0)
+    heading = _LOG_TURN if o.innovation.size > YAW else 0.0
+    return log_density_of_any_size(max(squared, expected), c) - heading
 
 
 @compiled
@@ -273,10 +267,10 @@ def _density_of_scatter(kind: int, m: int) -> float:
 def _weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
     """Evidence of a source that repeats itself, by the squared distance to its fix before."""
     limit = c.gate_limits[YAW]
-    update.dof, update.gate, update.nis = YAW, limit, again / _SAME**2
+    update.dof, update.gate, update.nis = YAW, limit, again / c.bank.repeat_stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
     heading = _LOG_TURN if m > YAW else 0.0
-    update.evidence = -(squared + 4.0 * math.log(_SAME)) / 2.0 - _LOG_TURN - heading
+    update.evidence = -(squared + 4.0 * math.log(c.bank.repeat_stddev)) / 2.0 - _LOG_TURN - heading
     update.outcome = _GATED
 
 

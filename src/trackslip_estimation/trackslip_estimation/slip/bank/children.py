@@ -55,17 +55,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-_SPAWNS = 4.0  # w below the best of a branch that has no children
-_DRIFT, _LIMIT = 0.5, 5.0  # of the CUSUM, in standard deviations
-_LARGEST = 3.0  # standard deviations of one innovation in the CUSUM
-_STEPS = 2000  # that children may make at one measurement: 10 ms
-_SLIP_RANGE = -0.5, 1.0  # of i₀: tracks do not drive a machine backwards
-_SLIP_EXCESS = 0.1  # standard deviation by which i₀ may leave it
-_DRIVEN = 0.05  # m of the tracks, with which heading and slip show in the place
-_OFTEN = 0.012  # share of outliers of a source that has had some recently
-_SHORTEST = 0.01  # s, in which an event may have happened
-_OF_CORRELATED = 6.0  # by which w of events of the machine is less where fixes err to one side
-_SMALLEST = 1e-4  # m², squared size of a jump or an offset
 _ANY_SHARE = math.log(HEADINGS)
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
@@ -88,9 +77,9 @@ def propose(window: Window, k: int, c: Config) -> int:
         branch.weight = 0.0
         return 1
     status = window.status[0]
-    status.pooled, status.steps_left = to_pool(window, k), _STEPS
+    status.pooled, status.steps_left = to_pool(window, k), c.bank.steps
     for p in range(count):
-        if window.branches[p, k - 1].weight >= -_SPAWNS and _wants_children(window, p, k, c):
+        if window.branches[p, k - 1].weight >= -c.bank.spawns and _wants_children(window, p, k, c):
             _have_children(window, p, k, c)
             window.pool_branches[p].cusum[:] = 0.0
     return int(status.pooled)
@@ -110,7 +99,7 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
     if follows and not is_correlated(state, source, c):
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
-            branch.cusum[i] = max(branch.cusum[i] + min(e, _LARGEST) - _DRIFT, 0.0)
+            branch.cusum[i] = max(branch.cusum[i] + min(e, c.bank.cusum_largest) - c.bank.cusum_drift, 0.0)
     branch.weight -= outside_range(state, c)
 
 
@@ -119,9 +108,9 @@ def outside_range(state: State, c: Config) -> float:
     """By how much less likely a branch is whose i₀ no track can have."""
     if not has_velocity_errors(c):
         return 0.0
-    low, high = _SLIP_RANGE
+    low, high = c.bank.least_slip, c.bank.most_slip
     excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
-    variance = _SLIP_EXCESS**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
+    variance = c.bank.slip_excess**2 + state.covariance[COMMON_SLIP, COMMON_SLIP]
     return float(excess * excess / (2.0 * variance))
 
 
@@ -146,7 +135,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if measurement.kind == POSE and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
-        return bool((update.repeated == 1 and moves) or branch.cusum.max() > _LIMIT)
+        return bool((update.repeated == 1 and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
 
@@ -169,7 +158,7 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
 def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at measurement k."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k)
+    source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k, c)
     contradicts = _contradicts(window, p, k, c)
     if fault == IS_SCATTERING:
         _child(window, p, k, SOUND, 0, False, now + log_rate(SOUND, source, c), c)
@@ -187,7 +176,7 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
         _child(window, p, k, REPEATS, 0, False, now + log_rate(REPEATS, source, c), c)
     implausible = outside_range(before, c) > 0.0
-    shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > _LIMIT
+    shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if contradicts:
         _jump(window, p, k, c)
     if contradicts or implausible or shows:
@@ -195,25 +184,27 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
 
 
 @compiled
-def _log_time(window: Window, p: int, k: int) -> float:
+def _log_time(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the source's measurement before."""
     m = window.measurements[k]
-    return math.log(max((m.stamp_ns - window.states[p, k - 1].last_ns[m.source]) * 1e-9, _SHORTEST))
+    elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
+    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
 
 
 @compiled
 def _correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
     """By which w of events of the machine is less, where fixes of the source err to one side."""
-    return _OF_CORRELATED if is_correlated(window.states[p, k - 1], window.measurements[k].source, c) else 0.0
+    errs_aside = is_correlated(window.states[p, k - 1], window.measurements[k].source, c)
+    return float(c.bank.correlated_doubt if errs_aside else 0.0)
 
 
 @compiled
 def _jump(window: Window, p: int, k: int, c: Config) -> None:
     """Children in which the source, or the machine, jumped just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, now = m.source, _log_time(window, p, k)
+    source, now = m.source, _log_time(window, p, k, c)
     squared = (m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2
-    size = math.log(AREA) + log_density_of_any_size(max(squared, _SMALLEST))
+    size = math.log(AREA) + log_density_of_any_size(max(squared, c.bank.least_jump**2), c)
     if before.fault[source] == IS_SOUND:
         if update.outcome != _GATED:
             _child(window, p, k, OUTLIER, 0, False, 0.0, c)
@@ -223,7 +214,7 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
     if before.rests_on == source:  # that fix may have been an outlier
         moved = max(moved, math.log(before.outlier_share[source]))
     _child(window, p, k, MOVED, 0, False, size + moved, c)
-    if _driven_since(window, p, k) > _DRIVEN and update.stated <= c.events.skid_stddev:
+    if _driven_since(window, p, k) > c.bank.least_driven and update.stated <= c.events.skid_stddev:
         prior = now + log_rate(SKIDDED, source, c) - _correlated_penalty(window, p, k, c)
         _child(window, p, k, SKIDDED, 0, False, prior, c)
 
@@ -234,13 +225,14 @@ def _have_earlier_children(
 ) -> None:
     """Children in which an event happened since the snapshot, and shows in a fix now."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    e, source, drove = window.branches[p, k], m.source, _driven_since(window, p, k) > _DRIVEN
-    since = math.log(max((m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns) * 1e-9, _SHORTEST))
+    e, source, drove = window.branches[p, k], m.source, _driven_since(window, p, k) > c.bank.least_driven
+    elapsed_ns = m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns
+    since = math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
     penalty = _correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
         _child(window, p, k, SLIPPED, 0, True, since + log_rate(SLIPPED, source, c) - penalty, c)
-    is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= _LIMIT
-    if is_first and not implausible and before.outlier_share[source] > _OFTEN:
+    is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
+    if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
         return  # as a rule it is an outlier; what began earlier shows in the next one too
     if contradicts and may_swing(before, source, c):
         for part in range(HEADINGS):
@@ -267,7 +259,7 @@ def _driven_since(window: Window, p: int, k: int) -> float:
 def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at a heading or an angle of the upper structure that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, now = m.source, _log_time(window, p, k)
+    source, now = m.source, _log_time(window, p, k, c)
     if before.fault[source] == IS_SOUND:
         if update.outcome != _GATED:
             _child(window, p, k, OUTLIER, 0, False, 0.0, c)

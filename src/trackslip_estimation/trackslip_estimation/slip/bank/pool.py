@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State, Update
 
-_PRUNED = 10.0  # w below the best that is pruned
-_LEAST_SOUND = 9.0  # w below the best that the last branch without a fault has at the least
-_ALIKE = 0.05  # mean squared distance of two branches that are one
-
 
 @compiled
 def update_of(window: Window, s: int, k: int) -> Update:
@@ -42,7 +38,7 @@ def to_pool(window: Window, k: int) -> int:
 
 
 @compiled
-def from_pool(window: Window, k: int, count: int) -> None:
+def from_pool(window: Window, k: int, count: int, c: Config) -> None:
     """Row k: the most probable branches of the pool in their order, the first one's weight 0."""
     best, kept, sound = (
         window.pool_branches[_heaviest(window, count)].weight,
@@ -54,10 +50,10 @@ def from_pool(window: Window, k: int, count: int) -> None:
         if kept == MOST_BRANCHES - 1 and sound >= 0:
             h = sound
         if h == sound:
-            window.pool_branches[h].weight = max(window.pool_branches[h].weight, best - _LEAST_SOUND)
+            window.pool_branches[h].weight = max(window.pool_branches[h].weight, best - c.bank.least_sound)
             sound = -1
         weight = window.pool_branches[h].weight
-        if weight < best - _PRUNED or weight == -math.inf:
+        if weight < best - c.bank.pruned or weight == -math.inf:
             break
         branch = window.branches[kept, k]
         window.states[kept, k], window.branches[kept, k] = window.pool_states[h], window.pool_branches[h]
@@ -70,17 +66,18 @@ def from_pool(window: Window, k: int, count: int) -> None:
         kept += 1
     window.counts[k] = kept
     if sound >= 0:  # it is far behind, and stays
-        _keep_sound(window, k, sound, best)
+        _keep_sound(window, k, sound, best, c)
 
 
 @compiled
-def _keep_sound(window: Window, k: int, h: int, best: float) -> None:
+def _keep_sound(window: Window, k: int, h: int, best: float, c: Config) -> None:
     """Append branch h of the pool to row k, whatever its weight: in it no source is at fault."""
     s = min(window.counts[k], MOST_BRANCHES - 1)
     branch = window.branches[s, k]
     window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
     window.trials[s] = window.pool_updates[h]
-    branch.weight, branch.snapshot_weight = -_LEAST_SOUND, max(branch.snapshot_weight - best, -_LEAST_SOUND)
+    least = -c.bank.least_sound
+    branch.weight, branch.snapshot_weight = least, max(branch.snapshot_weight - best, least)
     window.counts[k] = s + 1
 
 
@@ -137,7 +134,7 @@ def _are_alike(a: State, b: State, c: Config) -> bool:
         if i == SWING and not c.swings:
             continue
         total, n = total + _distance(a, b, i), n + 1
-    return total < _ALIKE * n
+    return total < c.bank.alike * n
 
 
 @compiled

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.correlated_errors import MOST_SPREAD, add_fix
+from trackslip_estimation.slip.correlated_errors import add_fix
 from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -24,8 +24,6 @@ from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
-
-_DRIVEN = 0.05  # m of the tracks, with which a heading shows in the place
 
 
 @compiled
@@ -56,11 +54,13 @@ def follow_receivers(window: Window, k: int, c: Config) -> None:
         if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
             continue
         P, spread = update.prior_covariance, heading_variance(window, k - 1)
-        if update.coarse == 1 and (spread < MOST_SPREAD or math.hypot(of.way[X], of.way[Y]) < _DRIVEN):
+        if update.coarse == 1 and (
+            spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
+        ):
             if has_velocity_errors(c):
                 spread += P[COMMON_SLIP, COMMON_SLIP]
-            add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns)
-            if spread >= MOST_SPREAD:
+            add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns, c)
+            if spread >= c.receivers.most_spread:
                 of.observed = 0.0
         elif of.known > 0:
             of.known, of.way[:], of.driven = 2, 0.0, 0.0
@@ -86,5 +86,11 @@ def add_first_fix(window: Window, c: Config) -> None:
     if number >= 0 and state.offsets[number].variance > 0.0:
         stddev = state.offsets[number].stddev
         add_fix(
-            window.receivers[0, number], window.masses[0, number], state.mean[:YAW], stddev, 0.0, m.stamp_ns
+            window.receivers[0, number],
+            window.masses[0, number],
+            state.mean[:YAW],
+            stddev,
+            0.0,
+            m.stamp_ns,
+            c,
         )

@@ -47,10 +47,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-_CALM = 1.5  # standard deviations: a CUSUM below it agrees
-_LOOK_BACK = 8  # measurements, of which one began whatever shows now
-LOOK_BACK_NS = 5_000_000_000
-
 
 @inlined
 def make_row(window: Window, k: int, closing: int, c: Config) -> None:
@@ -92,7 +88,7 @@ def make_row(window: Window, k: int, closing: int, c: Config) -> None:
         return
     if weighs:
         settle_row(window, k, jobs, c)
-    keep_snapshots(window, k)
+    keep_snapshots(window, k, c)
     split_unknown_heading(window, k, c)
 
 
@@ -101,7 +97,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
     """One branch at entry k, where the estimate begins."""
     window.counts[k] = 1
     for n in range(c.poses):
-        reset_receiver(window.receivers[k, n])
+        reset_receiver(window.receivers[k, n], c)
     take_errors(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
     branch.weight = branch.snapshot_weight = 0.0
@@ -130,7 +126,7 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
         _take_sector(window, count, part, k, c)
         count += 1
     _take_sector(window, 0, 0, k, c)
-    from_pool(window, k, count)
+    from_pool(window, k, count, c)
     for s in range(window.counts[k]):
         if window.branches[s, k].fresh == 1:
             _keep_snapshot(window, s, k)
@@ -168,7 +164,7 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
             if state.fault[measurement.source] == IS_IGNORED:  # that one measurement
                 state.fault[measurement.source], branch.fresh = IS_SOUND, 0
         merge(window, jobs, c)
-        from_pool(window, k, jobs)
+        from_pool(window, k, jobs, c)
     _move_snapshots(window, k, c)
 
 
@@ -180,9 +176,9 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
         branch, state = window.branches[s, k], window.states[s, k]
         update = update_of(window, s, k)
         branch.weighed += 1
-        agrees = branch.cusum.max() < _CALM and update.nis <= c.gate_limits[update.dof] / 2.0
+        agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and state.fault[measurement.source] == IS_SOUND and measurement.kind == POSE
-        if branch.fresh == 1 or agrees or branch.weighed >= _LOOK_BACK:
+        if branch.fresh == 1 or agrees or branch.weighed >= c.bank.look_back:
             _keep_snapshot(window, s, k)
 
 
@@ -194,12 +190,12 @@ def _keep_snapshot(window: Window, s: int, k: int) -> None:
 
 
 @compiled
-def keep_snapshots(window: Window, k: int) -> None:
-    """No branch looks back further than ``LOOK_BACK_NS``."""
+def keep_snapshots(window: Window, k: int, c: Config) -> None:
+    """No branch looks back for longer than it may."""
     stamp_ns = window.measurements[k].stamp_ns
     for s in range(window.counts[k]):
         branch = window.branches[s, k]
-        if stamp_ns - window.measurements[branch.snapshot].stamp_ns > LOOK_BACK_NS:
+        if stamp_ns - window.measurements[branch.snapshot].stamp_ns > c.bank.look_back_time * 1e9:
             _keep_snapshot(window, s, k)
 
 

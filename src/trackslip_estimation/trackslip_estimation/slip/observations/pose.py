@@ -103,7 +103,7 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
             nu[axis] -= x[own + axis]
     if m > YAW:
         nu[YAW] = wrap(nu[YAW])
-    coarse = is_coarse(R)
+    coarse = is_coarse(R, c)
     take_new(state, source, coarse, R, c)
     considered = 1 << GYRO_BIAS if coarse and is_new(state, source, c) else 0
     return Observation(nu, H, R, considered | delay_considered(state, c), 0, np.zeros((0, x.size)))
@@ -118,7 +118,7 @@ def take_new(state: State, source: int, coarse: bool, R: FloatArray, c: Config) 
     offset = state.offsets[number]
     if offset.variance == 0.0 and not (coarse and state.fault[source] == IS_OFFSET):
         return
-    share = math.sqrt(offset.f if coarse else 1.0 - lasting_share(offset))
+    share = math.sqrt(offset.f if coarse else 1.0 - lasting_share(offset, c))
     R[:YAW] *= share
     R[:, :YAW] *= share
 
