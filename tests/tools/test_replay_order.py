@@ -178,3 +178,12 @@ def test_memory_is_bounded_where_nothing_is_ever_named() -> None:
         rows = rows_of([arrival("a", now + i, now + i) for i in range(10)], SOURCES)
         assert not len(known.push(rows, journal(), now + HORIZON_NS))
     assert len(known._rows) <= 30
+
+
+def test_memory_is_bounded_where_all_lines_have_one_log_time() -> None:
+    known = LiveOrder(SOURCES, {0}, [], 4)
+    for k in range(50):
+        lines = journal(*((0, "a", i) for i in range(1000)))
+        lines["sequence"] += 1000 * k
+        known.push(rows_of([], SOURCES), lines, 1)
+    assert len(known._recent) <= 10_000

@@ -28,6 +28,7 @@ BoolArray = NDArray[np.bool_]
 
 HORIZON_NS = 60_000_000_000  # of log time between an input and its line; a repair by DDS takes 5 s at most
 _COPY_NS = 5_000_000_000  # of log time between a line and its copy in another recording of the same run
+_MOST_RECENT = 10_000  # lines of which copies are known: ten times what a machine logs in that time
 _LATE_NS = 5_000_000_000  # by which the parameters of a run may be logged after its first line
 _END_NS, _NONE = np.iinfo(np.int64).max, np.iinfo(np.int64).max
 _NO_PARAMETERS = "the bag lacks the parameters of the estimator that was started again"
@@ -115,7 +116,8 @@ class LiveOrder:
             is_copy[order[1:]] = (steps[0] <= _COPY_NS) & ~np.any(steps[1:], axis=0)
             lines, known = lines[~is_copy[len(self._recent) :]], known[~is_copy]
         if len(known):
-            self._recent = known[known["log_time_ns"] >= known["log_time_ns"].max() - _COPY_NS]
+            oldest_ns = int(known["log_time_ns"].max()) - _COPY_NS
+            self._recent = known[known["log_time_ns"] >= oldest_ns][-_MOST_RECENT:]
         return lines
 
     def _follow(self, limit_ns: int) -> Rows:
@@ -159,21 +161,22 @@ class LiveOrder:
         The first run of all has the parameters of the bag.
         """
         found = []
+        reloads = np.flatnonzero(self._rows["kind"] == IS_RELOAD)
         before = np.append(self._followed, lines["sequence"])[:-1]
         for k in np.flatnonzero(lines["sequence"] <= before).tolist():
             after_ns = int(lines["log_time_ns"][k - 1]) if k else self._followed_ns
             is_first = k == 0 and self._followed == _NONE
-            row = self._parameters(lines[k], after_ns, is_first=is_first)
+            row = self._parameters(reloads, lines[k], after_ns, is_first=is_first)
             if row >= 0:
                 found.append(_Start(k, row, self._unknown[self._rows["start"][row]], again=True))
             elif is_first or before[k] > 0 == lines["sequence"][k]:  # lines without numbers are no runs
                 found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, again=not is_first))
         return found
 
-    def _parameters(self, line: np.void, after_ns: int, *, is_first: bool) -> int:
-        """The row of those with which a run begins that has this line; −1 where there is none."""
+    def _parameters(self, reloads: IntArray, line: np.void, after_ns: int, *, is_first: bool) -> int:
+        """Of these rows of parameters that with which the run of this line begins; −1: none."""
         logged_ns, at_ns = self._rows["log_time_ns"], line["log_time_ns"]
-        own = np.flatnonzero((self._rows["kind"] == IS_RELOAD) & (logged_ns > after_ns))
+        own = reloads[logged_ns[reloads] > after_ns]
         earlier, later = own[logged_ns[own] <= at_ns], own[logged_ns[own] > at_ns]
         if self._sources[line["source"]] == RELOAD:
             earlier = earlier[:-1]  # that one is what the line names
