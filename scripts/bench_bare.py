@@ -29,7 +29,7 @@ from trackslip_common.nodes.run import Executor
 from trackslip_common.topics import TOPICS
 
 Ends = dict[str, dict[str, bool]]  # "takes" and "publishes": topic → whether reliably
-_ESTIMATE = ("odometry", "odometry/local", "attitude", "swing/estimate", "track_slip")
+_ESTIMATE = ("odometry", "odometry/local", "attitude", "swing/estimate", "track_slip", "machine_state")
 _BECAUSE_OF = {
     **dict.fromkeys(_ESTIMATE, ("sprockets",)),
     "box_pose": ("scan",),

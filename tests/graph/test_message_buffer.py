@@ -76,6 +76,10 @@ FILLED: dict[str, tuple[Blank, Fill]] = {
         lambda make: of_estimates.blank_swing(make, "base_link"),
         lambda message: of_estimates.fill_swing(message, ESTIMATE, SWING),
     ),
+    "machine state": (
+        lambda make: of_estimates.blank_machine_state(make, "map", "base_link"),
+        lambda message: of_estimates.fill_machine_state(message, ESTIMATE),
+    ),
     "report": (
         lambda make: of_estimates.blank_measurement_report(make, "box_pose"),
         lambda message: of_estimates.fill_measurement_report(message, REPORT, 2**40),

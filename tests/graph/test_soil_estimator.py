@@ -3,18 +3,16 @@
 """The soil estimator as a node: what it publishes, what it says is wrong, and that nothing ends it."""
 
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
-from trackslip_msgs.msg import TrackHydraulics, TrackSlip
+from trackslip_msgs.msg import MachineState, TrackHydraulics
 
-from trackslip_common.nodes.messages import make
-from trackslip_estimation.slip.conversions import in_six, planar_pose_message
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import records
 from trackslip_estimation.soil.records import Hydraulics, PoseWithCovariance
@@ -24,7 +22,7 @@ from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
-INPUTS = ("odometry", "track_slip", "hydraulics")
+INPUTS = ("machine_state", "hydraulics")
 _BURST = 20  # inputs sent at a time; the kernel keeps some 100 for a node that the system does not run
 PRESSURES = ("left_pressure", "right_pressure", "left_spool", "right_spool")
 
@@ -33,19 +31,18 @@ def message_of(given):
     """The message that carries an input."""
     if isinstance(given, Hydraulics):
         message = TrackHydraulics(**{name: getattr(given, name) for name in PRESSURES})
-    elif isinstance(given, records.Odometry):
-        message = Odometry()
-        v, rate = message.twist.twist.linear, message.twist.twist.angular
-        v.x, v.y, rate.z = map(float, given.twist)
-        message.twist.covariance = in_six(given.twist_covariance)
-        message.pose.pose = planar_pose_message(make, given.pose.mean)
-        message.pose.covariance = in_six(given.pose.covariance)
-    elif isinstance(given, records.Swing):
-        message = JointState(name=["swing", "swing_stddev"], position=[given.angle, given.stddev])
     else:
-        left, right, angle = map(float, given.mean)
-        message = TrackSlip(left_slip=left, right_slip=right, slip_angle=angle)
-        message.motion_state = int(given.motion)
+        message = MachineState(motion_state=int(given.motion))
+        message.v_x, message.v_y, message.yaw_rate = map(float, given.twist)
+        message.twist_covariance = given.twist_covariance.ravel()
+        message.x, message.y, message.heading = map(float, given.pose.mean)
+        message.pose_covariance = given.pose.covariance.ravel()
+        message.left_slip, message.right_slip, message.slip_angle = map(float, given.slips)
+        message.attitude_covariance = np.full(9, -1.0)
+        message.swing = given.swing
+        message.swing_covariance = np.full(
+            4, given.swing_variance if np.isfinite(given.swing_variance) else -1.0
+        )
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(given.stamp_ns, 1_000_000_000)
     return message
 
@@ -53,13 +50,13 @@ def message_of(given):
 class Machine:
     """The node, driven by this test."""
 
-    def __init__(self, programs, observer, inputs=INPUTS, **parameters):
+    def __init__(self, programs, observer, **parameters):
         self._observer = observer
-        self._topics = {topic: observer.publisher(topic) for topic in inputs}
+        self._topics = {topic: observer.publisher(topic) for topic in INPUTS}
         self.forces, self.soils = observer.subscribe("track_forces"), observer.subscribe("soil")
         self.healths = observer.healths()
         self.program = programs.node("soil_estimator", **parameters)
-        for topic in (*inputs, "track_forces", "soil"):
+        for topic in (*INPUTS, "track_forces", "soil"):
             observer.wait_for_ends(topic, "soil_estimator")
         observer.wait(lambda: observer.state("soil_estimator") == "active", "the node to be active")
 
@@ -110,10 +107,12 @@ def test_the_node_gives_what_the_estimator_gives(real_time, programs, observer, 
 
 
 def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, observer, inputs):
-    """The same resistances as the estimator that gets the swing, and others than without it."""
-    machine = Machine(programs, observer, (*INPUTS, records.SWING), vehicle="pc05_cab")
-    angles = (records.Swing(i.stamp_ns, 1.5, 0.01) for i in inputs if isinstance(i, records.Odometry))
-    swung = [one for i in inputs for one in ((i, next(angles)) if isinstance(i, records.Odometry) else (i,))]
+    """The same resistances as those of the estimator, and others than without the swing."""
+    machine = Machine(programs, observer, vehicle="pc05_cab")
+    swung = [
+        replace(one, swing=1.5, swing_variance=1e-4) if isinstance(one, records.MachineState) else one
+        for one in inputs
+    ]
     outputs = machine.feed(swung, SoilEstimator(load_soil_parameters({"vehicle": "pc05_cab"})))
     assert len(machine.forces) == len(outputs) > 90
     for message in machine.forces:
@@ -125,18 +124,26 @@ def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, o
 
 def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs):
     machine = Machine(programs, observer)
-    machine.until_it_says(DiagnosticStatus.WARN, "waiting for odometry")
+    machine.until_it_says(DiagnosticStatus.WARN, "waiting for machine_state")
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
-        records.Odometry(
-            1, np.full(3, nan), np.full((3, 3), -1.0), PoseWithCovariance(np.full(3, nan), np.eye(3))
+        records.MachineState(
+            *(1, np.full(3, nan), np.full((3, 3), -1.0), PoseWithCovariance(np.full(3, nan), np.eye(3))),
+            *(np.full(3, nan), Motion.UNKNOWN),
         ),
-        records.Odometry(10**15, np.zeros(3), np.zeros((3, 3)), PoseWithCovariance(np.zeros(3), np.eye(3))),
+        records.MachineState(
+            *(10**15, np.zeros(3), np.zeros((3, 3)), PoseWithCovariance(np.zeros(3), np.eye(3))),
+            *(np.zeros(3), Motion.UNKNOWN),
+        ),
     ]
+    without, estimator = (
+        [i for i in inputs if not isinstance(i, Hydraulics)],
+        SoilEstimator(load_soil_parameters()),
+    )
+    machine.feed(without[:100], estimator)
     machine.send(bad)
-    without = [one for one in inputs if not isinstance(one, Hydraulics)]
-    machine.feed(without, SoilEstimator(load_soil_parameters()))
+    machine.feed(without[100:], estimator)
     machine.until_it_says(DiagnosticStatus.ERROR, "hydraulics silent", "held")
     machine.until_it_says(DiagnosticStatus.ERROR, "slip estimator silent")
     code, _ = machine.program.end(signal.SIGINT)

@@ -171,6 +171,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
                 "odometry",
                 "odometry/local",
                 "track_slip",
+                "machine_state",
                 "measurement_reports",
                 "slip_estimator/parameters",
                 "vehicle",

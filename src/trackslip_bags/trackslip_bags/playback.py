@@ -16,6 +16,9 @@ OWN_OUTPUTS = frozenset(
     {
         "odometry",
         "odometry/local",
+        "attitude",
+        "swing/estimate",
+        "machine_state",
         "track_slip",
         "track_forces",
         "soil",

@@ -14,15 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.message_reading import At, Filled, Joint, RecordClass, Stamp, Text
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT, SWING_STDDEV_JOINT
+from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 
 FloatArray = NDArray[np.float64]
 
 PLANE_IN_6 = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw among x y z roll pitch yaw
 _PLANE_IN_36 = tuple(np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel().tolist())
 _DIAGONAL_IN_36 = tuple(range(0, 36, 7))
+_ALL_OF_9 = tuple(range(9))
 _SLIPS_IN_9 = (0, 1, 3, 4)  # left and right among left, right, slip angle
-ABSENT = -1.0  # first element of a covariance in sensor_msgs/Imu: there is no such vector (REP-145)
+ABSENT = -1.0  # first element of a covariance in Imu and MachineState: no such vector (REP-145)
 
 StampNs = Annotated[int, Stamp()]
 Plane = Annotated[FloatArray, At("pose.covariance", _PLANE_IN_36, (3, 3))]
@@ -50,14 +51,6 @@ class SwingFields(NamedTuple):
 
     stamp_ns: StampNs
     angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
-
-
-class SwingEstimateFields(NamedTuple):
-    """Of sensor_msgs/JointState: angle of the upper structure as it is estimated."""
-
-    stamp_ns: StampNs
-    angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
-    stddev: Annotated[float, Joint("position", SWING_STDDEV_JOINT)]
 
 
 class ImuFields(NamedTuple):
@@ -172,6 +165,32 @@ class QuaternionFields(NamedTuple):
     qw: Annotated[float, At("quaternion.w")]
 
 
+class MachineStateFields(NamedTuple):
+    """Of trackslip_msgs/MachineState; a covariance begins with −1 where its values are unknown."""
+
+    stamp_ns: StampNs
+    x: Annotated[float, At("x")]  # m
+    y: Annotated[float, At("y")]
+    heading: Annotated[float, At("heading")]  # rad
+    pose_covariance: Annotated[FloatArray, At("pose_covariance", _ALL_OF_9, (3, 3))]
+    v_x: Annotated[float, At("v_x")]  # m/s
+    v_y: Annotated[float, At("v_y")]
+    yaw_rate: Annotated[float, At("yaw_rate")]  # rad/s
+    twist_covariance: Annotated[FloatArray, At("twist_covariance", _ALL_OF_9, (3, 3))]
+    left_slip: Annotated[float, At("left_slip")]  # 1
+    right_slip: Annotated[float, At("right_slip")]
+    slip_angle: Annotated[float, At("slip_angle")]  # rad
+    slip_covariance: Annotated[FloatArray, At("slip_covariance", _ALL_OF_9, (3, 3))]
+    motion_state: Annotated[int, At("motion_state")]
+    roll: Annotated[float, At("roll")]  # rad
+    pitch: Annotated[float, At("pitch")]  # nose down > 0
+    height: Annotated[float, At("height")]  # m
+    attitude_covariance: Annotated[FloatArray, At("attitude_covariance", _ALL_OF_9, (3, 3))]
+    swing: Annotated[float, At("swing")]  # rad
+    swing_rate: Annotated[float, At("swing_rate")]  # rad/s
+    swing_covariance: Annotated[FloatArray, At("swing_covariance", (0, 1, 2, 3), (2, 2))]
+
+
 class SlipFields(NamedTuple):
     """Of trackslip_msgs/TrackSlip."""
 
@@ -179,7 +198,7 @@ class SlipFields(NamedTuple):
     left_slip: Annotated[float, At("left_slip")]  # 1
     right_slip: Annotated[float, At("right_slip")]
     slip_angle: Annotated[float, At("slip_angle")]  # rad
-    covariance: Annotated[FloatArray, At("covariance", tuple(range(9)), (3, 3))]
+    covariance: Annotated[FloatArray, At("covariance", _ALL_OF_9, (3, 3))]
     slips_covariance: Annotated[FloatArray, At("covariance", _SLIPS_IN_9, (2, 2))]  # of the slips alone
     motion_state: Annotated[int, At("motion_state")]
 
@@ -243,6 +262,7 @@ RECORDS: dict[str, RecordClass] = {
     "nav_msgs/msg/Odometry": OdometryFields,
     "sensor_msgs/msg/NavSatFix": NavSatFields,
     "geometry_msgs/msg/QuaternionStamped": QuaternionFields,
+    "trackslip_msgs/msg/MachineState": MachineStateFields,
     "trackslip_msgs/msg/TrackSlip": SlipFields,
     "trackslip_msgs/msg/TrackHydraulics": HydraulicsFields,
     "trackslip_msgs/msg/TrackForces": ForceFields,

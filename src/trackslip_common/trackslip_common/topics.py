@@ -39,6 +39,7 @@ TOPICS = {
     "odometry/local": Topic("nav_msgs/msg/Odometry", Flow.RELIABLE),
     "attitude": Topic("sensor_msgs/msg/Imu", Flow.RELIABLE),
     "swing/estimate": Topic("sensor_msgs/msg/JointState", Flow.RELIABLE),
+    "machine_state": Topic("trackslip_msgs/msg/MachineState", Flow.RELIABLE),
     "track_slip": Topic("trackslip_msgs/msg/TrackSlip", Flow.RELIABLE),
     "track_forces": Topic("trackslip_msgs/msg/TrackForces", Flow.RELIABLE),
     "soil": Topic("trackslip_msgs/msg/SoilEstimate", Flow.RELIABLE),
@@ -62,7 +63,7 @@ TOPICS = {
 
 ODOMETRY, LOCAL_ODOMETRY, ATTITUDE = "odometry", "odometry/local", "attitude"
 TRACK_SLIP, FORCES, SOIL = "track_slip", "track_forces", "soil"
-SWING_ESTIMATE, DIAGNOSTICS = "swing/estimate", "diagnostics"
+MACHINE_STATE, SWING_ESTIMATE, DIAGNOSTICS = "machine_state", "swing/estimate", "diagnostics"
 TRUE_ODOMETRY, TRUE_SLIP, TRUE_SWING = "truth/odometry", "truth/track_slip", "truth/swing"
 TRUE_FORCES, TRUE_SOIL = "truth/track_forces", "truth/soil"
 

@@ -198,11 +198,6 @@ class VehicleParameters(Parameters):
         return 0.0 if upper is None or mass is None else upper.mass * upper.centre_x / mass.mass
 
     @property
-    def shows_balance(self) -> bool:
-        """Whether the weight moves with the upper structure, and a sensor on that shows where it looks."""
-        return self.swing_balance != 0.0 and any(self.mount_of(part.name) == UPPER for part in fields(Mounts))
-
-    @property
     def lacks(self) -> str:
         """What of a whole machine is not given, in words; empty if nothing."""
         missing = [name for name in ("mass", "hydraulics") if getattr(self, name) is None]

@@ -29,8 +29,6 @@ from trackslip_estimation.slip.models.model import (
     YAW,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
-from trackslip_estimation.soil.conversions import swing as soil_swing
-from trackslip_estimation.soil.records import inputs_of
 
 FloatArray = NDArray[np.float64]
 WITH, WITHOUT = {"vehicle": "pc05_cab"}, {"vehicle": "pc05_cab", "swing_sources": [""]}
@@ -268,7 +266,6 @@ def test_messages_carry_the_swing() -> None:
     assert list(message.position) == [swing.angle, math.sqrt(swing.covariance[0, 0])]
     assert list(message.velocity) == [swing.rate, math.sqrt(swing.covariance[1, 1])]
     assert swing_angle(message, ENCODER, 1e-4).angle == swing.angle
-    assert soil_swing(message) == inputs_of(end)[-1]
     nameless = make(
         "sensor_msgs/msg/JointState", header=header(make, 10**9, ""), name=["boom"], position=[1.0]
     )

@@ -21,10 +21,10 @@ from trackslip_estimation.soil.ground_load import (
     follow_burden,
     set_load,
 )
+from trackslip_estimation.soil.interpolation import SAMPLE
 from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, element_places, shares
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-from trackslip_estimation.soil.time_synchronizer import SAMPLE
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.burden import Burden
 from trackslip_sim.truth.settings import load_settings
@@ -52,7 +52,7 @@ def load_swung(
     """Of a PC05 with a cab, unless a centre is given."""
     sample, load = np.zeros(1, SAMPLE)[0], np.zeros(1, GROUND_LOAD)[0]
     sample["tilt"], sample["tilt_variance"] = tilt
-    sample["swing"], sample["swing_stddev"] = swing, stddev
+    sample["swing"], sample["swing_variance"] = swing, stddev**2
     set_load(load, (centre_of(CAB.vehicle) if centre is None else centre)[0], sample, p)
     return load
 

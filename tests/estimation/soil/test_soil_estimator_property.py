@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import (
     Hydraulics,
-    Odometry,
+    MachineState,
     PoseWithCovariance,
-    Slips,
     SoilInput,
     TrackForces,
 )
@@ -34,10 +33,12 @@ variances = st.one_of(st.floats(0.0, 1e-2), st.floats(-1.0, 1e6))
 triples = st.tuples(numbers, numbers, numbers).map(np.array)
 covariances = st.tuples(variances, variances, variances).map(np.diag)
 poses = st.builds(PoseWithCovariance, triples, covariances)
+pairs, motions = st.tuples(numbers, numbers), st.sampled_from(Motion)
+variance_pairs = st.tuples(variances, variances)
+contents = (triples, covariances, poses, triples, motions, pairs, variance_pairs, numbers, variances)
 inputs = st.one_of(
     st.builds(Hydraulics, stamps, numbers, numbers, numbers, numbers),
-    st.builds(Odometry, stamps, triples, covariances, poses),
-    st.builds(Slips, stamps, triples, st.sampled_from(Motion)),
+    st.builds(MachineState, stamps, *contents),
 )
 
 
@@ -49,8 +50,7 @@ def drives(draw: st.DrawFn) -> list[SoilInput]:
         stamp_ns = 1_000_000_000 + 10 * k * MS
         chosen += [
             Hydraulics(stamp_ns - 3 * MS, *(draw(numbers) for _ in range(4))),
-            Odometry(stamp_ns, draw(triples), draw(covariances), draw(poses)),
-            Slips(stamp_ns, draw(triples), draw(st.sampled_from(Motion))),
+            MachineState(stamp_ns, *map(draw, contents)),
             *draw(st.lists(inputs, max_size=1)),
         ]
     return chosen

@@ -1,17 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of an estimate: odometry, slips, and what a machine's sensors give beside them."""
+"""The topics of an estimate: odometry, slips, machine state, and what a machine's sensors give besides."""
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import make
 from trackslip_common.nodes.outputs import PackedOutput
+from trackslip_common.topics import LOCAL_ODOMETRY, MACHINE_STATE, SWING_ESTIMATE
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.transforms import blank_transforms, fill_transforms
-
-LOCAL, SWING = "odometry/local", "swing/estimate"
 
 
 class EstimateOutputs:
@@ -21,12 +20,14 @@ class EstimateOutputs:
         p, advertise, frames = node.settings, node.advertise_packed, conversions.Frames(*node.settings.frames)
         base, self._local = frames.base, LocalOdometry()
         self._odometry = advertise("odometry", conversions.blank_odometry(make, frames.map, base))
-        self._local_odometry = advertise(LOCAL, conversions.blank_odometry(make, frames.odom, base))
+        self._local_odometry = advertise(LOCAL_ODOMETRY, conversions.blank_odometry(make, frames.odom, base))
         self._attitude = (
             advertise("attitude", conversions.blank_attitude(make, base)) if p.tilt_source else None
         )
-        self._swing = advertise(SWING, conversions.blank_swing(make, base)) if p.swings else None
+        self._swing = advertise(SWING_ESTIMATE, conversions.blank_swing(make, base)) if p.swings else None
         self._track_slip = advertise("track_slip", conversions.blank_track_slip(make, base))
+        blank_state = conversions.blank_machine_state(make, frames.map, base)
+        self._machine_state = advertise(MACHINE_STATE, blank_state)
         self._tf = _advertise_tf(node, frames) if p.publish_tf else None
 
     def publish(self, estimate: Estimate) -> None:
@@ -35,6 +36,8 @@ class EstimateOutputs:
         self._odometry.publish()
         conversions.fill_track_slip(self._track_slip.message, estimate)
         self._track_slip.publish()
+        conversions.fill_machine_state(self._machine_state.message, estimate)
+        self._machine_state.publish()
         tilt = estimate.outputs.tilt
         if self._attitude is not None and tilt is not None:
             conversions.fill_attitude(self._attitude.message, estimate, tilt)

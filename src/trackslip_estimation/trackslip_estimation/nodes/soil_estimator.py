@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``soil_estimator``: odometry, slips, swing and hydraulics in; forces of the tracks and the soil out."""
+"""``soil_estimator``: states of the machine and hydraulics in; forces of the tracks and the soil out."""
 
 import sys
 import time
@@ -10,9 +10,10 @@ from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
+from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.nodes.soil_health import soil_health
 from trackslip_estimation.soil import conversions
-from trackslip_estimation.soil.records import HYDRAULICS, ODOMETRY, SLIPS, SWING, SoilInput
+from trackslip_estimation.soil.records import HYDRAULICS, SoilInput
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import (
     DEFAULT_FILES,
@@ -22,7 +23,7 @@ from trackslip_estimation.soil.soil_parameters import (
 )
 
 NOTHING = "no forces and no soil are estimated"
-_NICENESS = 5  # soils change slowly; the odometry that it listens to is waited for by others
+_NICENESS = 5  # soils change slowly; those that wait for odometry come first
 
 
 class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
@@ -45,10 +46,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
             self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NOTHING}")
             return
         self.subscribe_packed(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
-        self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
-        self.subscribe_packed(topic_class(SLIPS), SLIPS, self._on_slips)
-        if self.settings.vehicle.shows_balance:
-            self.subscribe(topic_class(SWING), SWING, self._on_swing)
+        self.subscribe_packed(topic_class(MACHINE_STATE), MACHINE_STATE, self._on_machine_state)
 
     def reload(self, values: dict[str, Any]) -> None:
         """The estimator goes on with other values."""
@@ -68,15 +66,9 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def _on_hydraulics(self, message: Any) -> None:
         self._process(conversions.hydraulics(message))
 
-    def _on_odometry(self, message: Any) -> None:
+    def _on_machine_state(self, message: Any) -> None:
         self._heard = time.monotonic()
-        self._process(conversions.odometry(message))
-
-    def _on_slips(self, message: Any) -> None:
-        self._process(conversions.slips(message))
-
-    def _on_swing(self, message: Any) -> None:
-        self._process(conversions.swing(message))
+        self._process(conversions.machine_state(message))
 
     def _process(self, given: SoilInput) -> None:
         assert self._estimator is not None

@@ -15,7 +15,7 @@ def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[
     """``silent``: seconds since the slip estimator was heard, None before the first time."""
     values = {**counts, "restarts": estimator.restarts, **_findings(estimator)}
     if silent is None:
-        return Health(WARN, "waiting for odometry and track_slip", values)
+        return Health(WARN, "waiting for machine_state", values)
     if silent > _PATIENCE:
         return Health(ERROR, f"slip estimator silent for {silent:.1f} s", values)
     if estimator.faults:

@@ -62,6 +62,7 @@ _PLANE_IN_36 = np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel()
 _TILT_IN_36 = np.arange(36).reshape(6, 6)[np.ix_((3, 4, 2), (3, 4, 2))].ravel()  # roll, pitch, z
 _ALTITUDE_IN_36 = 14
 _RATES_IN_36 = np.array((3, 4)) * 7  # variances about x and y
+_ABSENT_9, _ABSENT_4 = np.full(9, ABSENT), np.full(4, ABSENT)
 _FLAT, _NO_RATES = np.diag(np.full(3, UNOBSERVED)), np.full(2, UNOBSERVED)
 
 
@@ -251,6 +252,38 @@ def fill_track_slip(message: Any, estimate: Estimate) -> None:
     message.left_slip, message.right_slip, message.slip_angle = estimate.outputs.slips.tolist()
     message.covariance = estimate.outputs.slip_covariance.flatten()
     message.motion_state = int(estimate.motion)
+
+
+def machine_state(make: Make, estimate: Estimate, parent_frame: str, base_frame: str) -> Any:
+    """trackslip_msgs/MachineState of an estimate."""
+    message = blank_machine_state(make, parent_frame, base_frame)
+    fill_machine_state(message, estimate)
+    return message
+
+
+def blank_machine_state(make: Make, parent_frame: str, base_frame: str) -> Any:
+    """trackslip_msgs/MachineState for ``fill_machine_state``."""
+    return make(
+        "trackslip_msgs/msg/MachineState", header=header(make, 0, parent_frame), child_frame_id=base_frame
+    )
+
+
+def fill_machine_state(message: Any, estimate: Estimate) -> None:
+    """All of another estimate at its instant."""
+    set_stamp(message, estimate.stamp_ns)
+    of = estimate.outputs
+    message.x, message.y, message.heading = estimate.pose.tolist()
+    message.pose_covariance = estimate.pose_covariance.ravel()
+    message.v_x, message.v_y, message.yaw_rate = of.twist.tolist()
+    message.twist_covariance = of.twist_covariance.ravel()
+    message.left_slip, message.right_slip, message.slip_angle = of.slips.tolist()
+    message.slip_covariance = of.slip_covariance.ravel()
+    message.motion_state = int(estimate.motion)
+    tilt = (0.0, 0.0, 0.0) if of.tilt is None else of.tilt.tilt.tolist()
+    message.roll, message.pitch, message.height = tilt
+    message.attitude_covariance = _ABSENT_9 if of.tilt is None else of.tilt.covariance.ravel()
+    message.swing, message.swing_rate = (0.0, 0.0) if of.swing is None else (of.swing.angle, of.swing.rate)
+    message.swing_covariance = _ABSENT_4 if of.swing is None else of.swing.covariance.ravel()
 
 
 def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:

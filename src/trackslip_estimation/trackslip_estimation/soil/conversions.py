@@ -2,24 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between messages and the records of the soil estimator. Knows both sides; holds no logic."""
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.make import Make, header
-from trackslip_common.message_fields import HydraulicsFields, OdometryFields, SlipFields, SwingEstimateFields
+from trackslip_common.message_fields import ABSENT, HydraulicsFields, MachineStateFields
 from trackslip_common.message_reading import read
-from trackslip_common.orientations import heading_of, tilt_of
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import (
     Hydraulics,
-    Odometry,
+    MachineState,
     PoseWithCovariance,
-    Slips,
     SlipSeed,
-    Swing,
     TrackForces,
 )
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
@@ -33,7 +31,6 @@ _PAIRS = (
     ("thrust_reserve", "reserve"),
 )
 _SIDES = ((0, "left"), (1, "right"))
-_TILT_UNKNOWN = 1.0  # rad²
 _MOTIONS = {int(state): state for state in Motion}
 FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the outputs
 
@@ -43,27 +40,23 @@ def hydraulics(message: Any) -> Hydraulics:
     return Hydraulics(*read(HydraulicsFields, message))
 
 
-def odometry(message: Any) -> Odometry:
-    """From nav_msgs/Odometry: the planar part, and roll and pitch where their variance is that of a tilt."""
-    m = read(OdometryFields, message)
-    pose = PoseWithCovariance(np.array((m.x, m.y, heading_of(m))), m.covariance)
-    twist = np.array((m.v_x, m.v_y, m.yaw_rate))
-    if not max(m.roll_variance, m.pitch_variance) < _TILT_UNKNOWN:
-        return Odometry(m.stamp_ns, twist, m.twist_covariance, pose)
-    variance = m.roll_variance, m.pitch_variance
-    return Odometry(m.stamp_ns, twist, m.twist_covariance, pose, tilt_of(m), variance)
-
-
-def slips(message: Any) -> Slips:
-    """From trackslip_msgs/TrackSlip; a state of motion that is none of its constants is unknown."""
-    m = read(SlipFields, message)
-    motion = _MOTIONS.get(m.motion_state, Motion.UNKNOWN)
-    return Slips(m.stamp_ns, np.array((m.left_slip, m.right_slip, m.slip_angle)), motion)
-
-
-def swing(message: Any) -> Swing:
-    """From sensor_msgs/JointState. A joint that is missing reads nan, and is refused."""
-    return Swing(*read(SwingEstimateFields, message))
+def machine_state(message: Any) -> MachineState:
+    """From trackslip_msgs/MachineState; a state of motion that is none of its constants is unknown."""
+    m = read(MachineStateFields, message)
+    pose = PoseWithCovariance(np.array((m.x, m.y, m.heading)), m.pose_covariance)
+    leans, swings = m.attitude_covariance[0, 0] != ABSENT, m.swing_covariance[0, 0] != ABSENT
+    return MachineState(
+        m.stamp_ns,
+        np.array((m.v_x, m.v_y, m.yaw_rate)),
+        m.twist_covariance,
+        pose,
+        np.array((m.left_slip, m.right_slip, m.slip_angle)),
+        _MOTIONS.get(m.motion_state, Motion.UNKNOWN),
+        (m.roll, m.pitch) if leans else (0.0, 0.0),
+        (float(m.attitude_covariance[0, 0]), float(m.attitude_covariance[1, 1])) if leans else (0.0, 0.0),
+        m.swing if swings else 0.0,
+        float(m.swing_covariance[0, 0]) if swings else math.inf,
+    )
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:

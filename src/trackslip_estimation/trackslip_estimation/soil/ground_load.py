@@ -121,7 +121,7 @@ def burden_variance(burden: Any, needed: float, p: Any) -> float:
 @compiled
 def _swung(centre: Any, sample: Any) -> tuple[float, float, float, float]:
     """x_g and y_g at a SAMPLE, m, and their variances, m²."""
-    g, k = centre.balance, math.exp(-0.5 * sample.swing_stddev**2)
+    g, k = centre.balance, math.exp(-0.5 * sample.swing_variance)
     cos, sin = k * math.cos(sample.swing), k * math.sin(sample.swing)
     half, twofold = 0.5 * g * g * (1.0 - k * k), cos * cos - sin * sin
     return centre.x + g * (cos - 1.0), centre.y + g * sin, half * (1.0 - twofold), half * (1.0 + twofold)

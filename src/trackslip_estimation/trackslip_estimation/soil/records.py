@@ -14,33 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.estimator import Estimate
+from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.slip.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
 # Sources: the topics they come on
-HYDRAULICS, ODOMETRY, SLIPS, SWING = "hydraulics", "odometry", "track_slip", "swing/estimate"
-SOURCES = (HYDRAULICS, ODOMETRY, SLIPS, SWING)
-IS_HYDRAULICS, IS_ODOMETRY, IS_SLIPS, IS_SWING = range(4)  # places in it
+HYDRAULICS = "hydraulics"
+SOURCES = (HYDRAULICS, MACHINE_STATE)
+IS_HYDRAULICS, IS_MACHINE_STATE = range(2)  # places in it
 
 VALUES: list[Any] = [
     ("stamp_ns", "i8"),
     ("pressures", "f8", 2),  # hydraulics: left, right, Pa
     ("spools", "f8", 2),
-    ("twist", "f8", 3),  # odometry: v_x m/s, v_y m/s, yaw rate rad/s
+    ("twist", "f8", 3),  # machine_state: v_x m/s, v_y m/s, yaw rate rad/s
     ("twist_covariance", "f8", (3, 3)),
     ("pose", "f8", 3),  # x m, y m, heading rad
     ("pose_covariance", "f8", (3, 3)),
     ("tilt", "f8", 2),  # roll, pitch (nose down > 0), rad; 0 where the ground counts as level
     ("tilt_variance", "f8", 2),
-    ("slips", "f8", 3),  # track_slip: left, right, slip angle rad
+    ("slips", "f8", 3),  # left, right, slip angle rad
     ("motion", "i8"),
-    ("swing", "f8"),  # swing/estimate: angle of the upper structure, rad
-    ("swing_stddev", "f8"),  # infinite where it is not known
+    ("swing", "f8"),  # angle of the upper structure, rad
+    ("swing_variance", "f8"),  # rad², infinite where it is not known
 ]
 # The source is a place in SOURCES; only the fields of this source are set
 SOIL_INPUT = np.dtype([("source", "i8"), *VALUES])
+_OF_STATE = (
+    *("stamp_ns", "twist", "twist_covariance", "tilt", "tilt_variance", "slips", "motion"),
+    *("swing", "swing_variance"),
+)
 
 _ROUNDING = 1e-9
 _LARGEST = 1e12  # of any unit: beyond it is no number to reckon with
@@ -49,7 +53,8 @@ _FASTEST = 20.0  # m/s; the fastest ones drive 22
 _FASTEST_TURN = 10.0  # rad/s
 _FARTHEST = 1e8  # m, rad; the Earth is 4e7 m round
 _STEEPEST = 1.5  # rad: beyond it nothing stands on its tracks
-_LARGEST_ANGLE = 1e3  # rad, of the swing, and of its standard deviation where nobody knows it
+_LARGEST_ANGLE = 1e3  # rad, of the swing
+_LARGEST_SWING_VARIANCE = 1e6  # rad², where nobody knows it
 _LARGEST_PRESSURE = 1e9  # Pa; what a transducer shows at a broken wire is for ``pressure_watch``
 _LARGEST_SPOOL = 2.0  # of −1 … 1
 _LARGEST_SLIP = 1e9  # of a track that hardly turns while the machine slides
@@ -96,81 +101,63 @@ class PoseWithCovariance(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Odometry:
-    """Velocity and pose of the machine at C, as the slip estimator gives them."""
+class MachineState:
+    """State of the machine at C at one instant, as the slip estimator has it."""
 
     stamp_ns: int
     twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
     twist_covariance: FloatArray  # (3, 3)
     pose: PoseWithCovariance
+    slips: FloatArray  # (3,) left, right, slip angle rad; how certain they are follows from the twist
+    motion: Motion
     tilt: tuple[float, float] = (0.0, 0.0)  # roll, pitch (nose down > 0), rad
     tilt_variance: tuple[float, float] = (0.0, 0.0)
-    source: str = ODOMETRY
+    swing: float = 0.0  # angle of the upper structure against the undercarriage, counter-clockwise, rad
+    swing_variance: float = math.inf  # rad², infinite where it is not known
+    source: str = MACHINE_STATE
 
     def write_to(self, record: Any) -> None:
         """Set the fields of a ``SOIL_INPUT``."""
-        record["source"], record["stamp_ns"] = IS_ODOMETRY, self.stamp_ns
-        record["twist"], record["twist_covariance"] = self.twist, self.twist_covariance
+        record["source"] = IS_MACHINE_STATE
         record["pose"], record["pose_covariance"] = self.pose
-        record["tilt"], record["tilt_variance"] = self.tilt, self.tilt_variance
+        for name in _OF_STATE:
+            record[name] = getattr(self, name)
 
 
-@dataclass(frozen=True, eq=False)
-class Slips:
-    """Slips of the tracks at the same stamp; how certain they are follows from the twist."""
-
-    stamp_ns: int
-    mean: FloatArray  # (3,) left, right, slip angle rad
-    motion: Motion
-    source: str = SLIPS
-
-    def write_to(self, record: Any) -> None:
-        """Set the fields of a ``SOIL_INPUT``."""
-        record["source"], record["stamp_ns"] = IS_SLIPS, self.stamp_ns
-        record["slips"], record["motion"] = self.mean, self.motion
+SoilInput: TypeAlias = Hydraulics | MachineState
 
 
-@dataclass(frozen=True)
-class Swing:
-    """Where the upper structure looks at the same stamp."""
-
-    stamp_ns: int
-    angle: float  # against the undercarriage, counter-clockwise, rad
-    stddev: float
-    source: str = SWING
-
-    def write_to(self, record: Any) -> None:
-        """Set the fields of a ``SOIL_INPUT``."""
-        record["source"], record["stamp_ns"] = IS_SWING, self.stamp_ns
-        record["swing"], record["swing_stddev"] = self.angle, self.stddev
-
-
-SoilInput: TypeAlias = Hydraulics | Odometry | Slips | Swing
-
-
-def inputs_of(estimate: Estimate) -> tuple[SoilInput, ...]:
-    """What the slip estimator publishes of an estimate, as the soil estimator takes it."""
-    of, pose = estimate.outputs, PoseWithCovariance(estimate.pose, estimate.pose_covariance)
-    tilt, variance = (0.0, 0.0), (0.0, 0.0)
-    if of.tilt is not None:
-        (roll, pitch, _), (of_roll, of_pitch, _) = of.tilt.tilt.tolist(), np.diag(of.tilt.covariance).tolist()
-        tilt, variance = (roll, pitch), (of_roll, of_pitch)
-    motion = (
-        Odometry(estimate.stamp_ns, of.twist, of.twist_covariance, pose, tilt, variance),
-        Slips(estimate.stamp_ns, of.slips, estimate.motion),
-    )
-    if of.swing is None:
-        return motion
-    return *motion, Swing(estimate.stamp_ns, of.swing.angle, math.sqrt(of.swing.covariance[0, 0]))
+def inputs_of(estimates: NDArray[Any]) -> NDArray[Any]:
+    """(n,) SOIL_INPUT of (n,) ESTIMATE, as the live estimator has them from messages."""
+    found = np.zeros(len(estimates), SOIL_INPUT)
+    found["source"] = IS_MACHINE_STATE
+    for name in ("stamp_ns", "twist", "twist_covariance", "pose", "pose_covariance", "slips", "motion"):
+        found[name] = estimates[name]
+    tilt, swing = estimates["tilt"], estimates["swing"]
+    leans, swings = tilt["known"] == 1, swing["known"] == 1
+    variances = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
+    found["tilt"] = np.where(leans[:, np.newaxis], tilt["tilt"][:, :2], 0.0)
+    found["tilt_variance"] = np.where(leans[:, np.newaxis], variances, 0.0)
+    found["swing"] = np.where(swings, swing["angle"], 0.0)
+    found["swing_variance"] = np.where(swings, swing["covariance"][:, 0, 0], math.inf)
+    return found
 
 
 @compiled
 def copy_input(source: Any, to: Any) -> None:
     """One ``SOIL_INPUT`` into another; assigned as a whole it would take the compiler seconds."""
-    to.source, to.stamp_ns, to.motion = source.source, source.stamp_ns, source.motion
-    to.swing, to.swing_stddev = source.swing, source.swing_stddev
+    to.source = source.source
     for k in range(2):
         to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
+    copy_state(source, to)
+
+
+@compiled
+def copy_state(source: Any, to: Any) -> None:
+    """All of ``VALUES`` but the hydraulics."""
+    to.stamp_ns, to.motion = source.stamp_ns, source.motion
+    to.swing, to.swing_variance = source.swing, source.swing_variance
+    for k in range(2):
         to.tilt[k], to.tilt_variance[k] = source.tilt[k], source.tilt_variance[k]
     for i in range(3):
         to.twist[i], to.pose[i], to.slips[i] = source.twist[i], source.pose[i], source.slips[i]
@@ -186,14 +173,13 @@ class Rejection(Enum):
     DUPLICATE = "same stamp as one before"
     TOO_LATE = "older than what is done already"
     AHEAD = "far ahead of the others"
-    UNPAIRED = "odometry and track_slip are not both there"
     RESTARTED = "the clock went back: all begins anew"
     OUT_OF_RANGE = "beyond physical limits"
     DIVERGED = "the estimate was not finite any more: all begins anew"
 
 
 # Of compiled code: the place of each in ``Rejection``
-INVALID, DUPLICATE, TOO_LATE, AHEAD, UNPAIRED, RESTARTED, OUT_OF_RANGE, DIVERGED = range(8)
+INVALID, DUPLICATE, TOO_LATE, AHEAD, RESTARTED, OUT_OF_RANGE, DIVERGED = range(7)
 ACCEPTED = -1
 
 
@@ -204,16 +190,14 @@ def fault_of(given: Any) -> int:
         has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # not measured: never closed
         of_spools = ACCEPTED if has_none else _of_numbers(given.spools, _LARGEST_SPOOL)
         return _worse(_of_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
-    if given.source == IS_SLIPS:
-        return _of_numbers(given.slips, _LARGEST_SLIP)
-    if given.source == IS_SWING:
-        return _worse(
-            _of_number(given.swing, _LARGEST_ANGLE), _of_variance(given.swing_stddev, _LARGEST_ANGLE)
-        )
     C, P = given.twist_covariance, given.pose_covariance
     fault = _worse(_of_number(given.twist[0], _FASTEST), _of_number(given.twist[1], _FASTEST))
     fault = _worse(fault, _of_number(given.twist[2], _FASTEST_TURN))
     fault = _worse(fault, _of_numbers(given.pose, _FARTHEST))
+    fault = _worse(fault, _of_numbers(given.slips, _LARGEST_SLIP))
+    if given.swing_variance != math.inf:
+        fault = _worse(fault, _of_number(given.swing, _LARGEST_ANGLE))
+        fault = _worse(fault, _of_variance(given.swing_variance, _LARGEST_SWING_VARIANCE))
     for k in range(3):
         fault = _worse(fault, _of_variance(C[k, k], _LARGEST_TWIST_VARIANCE))
         fault = _worse(fault, _of_variance(P[k, k], _LARGEST_POSE_VARIANCE))

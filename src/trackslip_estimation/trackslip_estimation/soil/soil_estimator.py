@@ -85,7 +85,7 @@ class SoilEstimator:
         tally = Tally()
         faults = zip((*PressureFault, *Doubt), self._state.faults.tolist(), strict=True)
         found = [(HYDRAULICS, fault, count) for fault, count in faults]
-        for source, reason, count in (*self._state.synchronizer.rejected(), *found):
+        for source, reason, count in (*self._state.interpolator.counts(), *found):
             if count:
                 tally.add(source, reason, count)
         return tally

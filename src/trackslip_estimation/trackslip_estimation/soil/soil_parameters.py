@@ -12,12 +12,12 @@ from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
 from trackslip_estimation.soil.ground_load import LoadParameters
+from trackslip_estimation.soil.interpolation import InterpolationParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
 from trackslip_estimation.soil.slip_seed import SeedParameters
 from trackslip_estimation.soil.stall import StallParameters
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustParameters
-from trackslip_estimation.soil.time_synchronizer import SynchronizerParameters
 
 NODE = "soil_estimator"
 PARAMETERS = "soil_estimator/parameters"  # topic that carries them into bags
@@ -28,7 +28,7 @@ DEFAULT_FILES = ("soil_estimator.yaml",)
 class SoilEstimatorParameters(WithVehicle):
     """All parameters of the soil estimator."""
 
-    moments: SynchronizerParameters
+    moments: InterpolationParameters
     thrust: ThrustParameters
     watch: WatchParameters
     stall: StallParameters

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the soil estimator does with every sample, compiled: synchronize, measure thrusts, filter, average.
+"""What the soil estimator does with every sample, compiled: interpolate, measure thrusts, filter, average.
 
 What is done but a few times a second, the strength posterior and the state of the soil, is not: for it the
 loop stops, with the sample open, and goes on when it is called again.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil import dynamics, pressure_watch, time_synchronizer
+from trackslip_estimation.soil import dynamics, interpolation, pressure_watch
 from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
 from trackslip_estimation.soil.ground_load import (
@@ -28,9 +28,10 @@ from trackslip_estimation.soil.ground_load import (
     follow_burden,
     set_load,
 )
+from trackslip_estimation.soil.interpolation import SAMPLE, Interpolator, new_interpolator
 from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, Doubt, PressureFault
 from trackslip_estimation.soil.records import DIVERGED as REJECTED_DIVERGED
-from trackslip_estimation.soil.records import FORCES, IS_ODOMETRY, RESTARTED
+from trackslip_estimation.soil.records import FORCES, IS_MACHINE_STATE, RESTARTED
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
 from trackslip_estimation.soil.slip_seed import SEEDER, is_seed_due
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
@@ -47,7 +48,6 @@ from trackslip_estimation.soil.thrust import (
     unknown_thrust,
     update_offsets,
 )
-from trackslip_estimation.soil.time_synchronizer import SAMPLE, TimeSynchronizer, new_synchronizer
 from trackslip_estimation.soil.tracks import frame_speeds, track_speed
 
 FloatArray = NDArray[np.float64]
@@ -99,7 +99,7 @@ class State(NamedTuple):
 
     known: NDArray[Any]  # (1,) KNOWN
     faults: NDArray[np.int64]  # (n,) samples whose pressures were not used, by PressureFault and Doubt
-    synchronizer: TimeSynchronizer
+    interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
     limit_probabilities: FloatArray  # (l,) of the newest state
     forces: NDArray[Any]  # (n,) FORCES, room for what is published
@@ -117,8 +117,7 @@ def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
     faults = np.zeros(_BRIEF + len(Doubt), np.int64)
     forces = np.zeros(_ROOM, FORCES)
-    synchronizer = new_synchronizer(awaits_swings=p.vehicle.shows_balance)
-    return State(initial(p), faults, synchronizer, limits, np.zeros_like(limits), forces)
+    return State(initial(p), faults, new_interpolator(p.moments), limits, np.zeros_like(limits), forces)
 
 
 def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
@@ -137,17 +136,17 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
 
     ``numbers``: (1,) record of SoilEstimatorParameters.
     """
-    p, known, synchronizer = numbers[0], state.known[0], state.synchronizer
+    p, known, interpolator = numbers[0], state.known[0], state.interpolator
     known.forces = 0
     while True:
-        while known.is_open or time_synchronizer.is_ready(synchronizer, p.moments):
+        while known.is_open or interpolation.is_ready(interpolator, p.moments):
             if known.forces == len(state.forces):
                 return Stop(FULL, first, known.forces)
             if not known.is_open:
-                time_synchronizer.pop_oldest(synchronizer, p.moments, known.sample)
+                interpolation.pop_oldest(interpolator, p.moments, known.sample)
                 _step(known, state.faults, p)
                 if not _is_sound(known):
-                    synchronizer.state[0].rejected[IS_ODOMETRY, REJECTED_DIVERGED] += 1
+                    interpolator.rejected[IS_MACHINE_STATE, REJECTED_DIVERGED] += 1
                     return Stop(DIVERGED, first, known.forces)
                 known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
                 if known.is_open:
@@ -158,7 +157,7 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
         if first == len(inputs):
             return Stop(PROCESSED, first, known.forces)
         first += 1
-        if time_synchronizer.add(synchronizer, inputs[first - 1], p.moments) == RESTARTED:
+        if interpolation.add(interpolator, inputs[first - 1]) == RESTARTED:
             return Stop(RESTART, first, known.forces)
 
 

@@ -17,11 +17,9 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import MotionParameters, MotionState, Speeds, classify
 from trackslip_estimation.soil.records import (
     Hydraulics,
-    Odometry,
+    MachineState,
     PoseWithCovariance,
-    Slips,
     SoilInput,
-    Swing,
 )
 from trackslip_estimation.soil.tracks import frame_speeds
 from trackslip_sim.truth.record import FloatArray, Truth
@@ -68,10 +66,16 @@ def soil_inputs(
         state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
         pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), doubt)
-        yield Odometry(stamp_ns, twist, np.diag(np.square(deviations)), pose)
-        yield Slips(stamp_ns, np.append(_slips(twist, tracks[k], vehicle), 0.0), state.motion)
-        if sensing.swing_stddev is not None:
-            yield Swing(stamp_ns, float(at.swing[k]), sensing.swing_stddev)
+        yield MachineState(
+            stamp_ns,
+            twist,
+            np.diag(np.square(deviations)),
+            pose,
+            np.append(_slips(twist, tracks[k], vehicle), 0.0),
+            state.motion,
+            swing=0.0 if sensing.swing_stddev is None else float(at.swing[k]),
+            swing_variance=math.inf if sensing.swing_stddev is None else sensing.swing_stddev**2,
+        )
         left, right = sensing.pressure_stddev * rng.standard_normal(2) + sensing.offsets
         yield Hydraulics(
             stamp_ns + _HYDRAULICS_DELAY_NS,

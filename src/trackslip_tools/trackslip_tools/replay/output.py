@@ -15,6 +15,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_common.topics import (
     ATTITUDE,
     LOCAL_ODOMETRY,
+    MACHINE_STATE,
     ODOMETRY,
     SWING_ESTIMATE,
     TOPICS,
@@ -77,7 +78,7 @@ class EstimateWriter:
             self._write(REPORTS, message, self._logged_ns or 0)
             self._sequence += 1
             if estimate is not None:
-                for topic in (ODOMETRY, TRACK_SLIP):
+                for topic in (ODOMETRY, TRACK_SLIP, MACHINE_STATE):
                     self._write(topic, message_of(topic, estimate, self._p), estimate.stamp_ns)
                 if estimate.outputs.tilt is not None:
                     self._write(ATTITUDE, message_of(ATTITUDE, estimate, self._p), estimate.stamp_ns)
@@ -122,6 +123,8 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
     if topic in (ODOMETRY, LOCAL_ODOMETRY):
         parent = frames.map if topic == ODOMETRY else frames.odom
         return conversions.odometry(make, estimate, parent, frames.base)
+    if topic == MACHINE_STATE:
+        return conversions.machine_state(make, estimate, frames.map, frames.base)
     if topic == ATTITUDE:
         return conversions.attitude(make, estimate, frames.base)
     if topic == SWING_ESTIMATE:

@@ -13,7 +13,6 @@ from trackslip_bags.messages import make
 from trackslip_bags.tables import TopicTable
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.message_reading import dtype_of, read
-from trackslip_common.orientations import headings_of, tilts_of
 from trackslip_common.tally import Tally
 from trackslip_common.topics import FORCES, SOIL, TRUE_FORCES, TRUE_SOIL
 from trackslip_estimation.soil import conversions
@@ -23,16 +22,13 @@ from trackslip_estimation.soil.records import (
 from trackslip_estimation.soil.records import (
     HYDRAULICS,
     IS_HYDRAULICS,
-    IS_ODOMETRY,
-    IS_SLIPS,
-    IS_SWING,
     SOIL_INPUT,
     SlipSeed,
+    inputs_of,
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.comparable import Comparability
-from trackslip_tools.replay.comparison import carried
 from trackslip_tools.replay.growing import GrowingRows, Rows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.series import Series, SeriesCollector
@@ -146,11 +142,7 @@ class SoilRun:
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
         ready = int(np.searchsorted(before, len(estimates)))
-        of_estimates, first = estimate_inputs(estimates)
-        given = np.zeros(ready + len(of_estimates), SOIL_INPUT)
-        others = np.ones(len(given), np.bool_)
-        others[first[before[:ready]] + np.arange(ready)] = False
-        given[~others], given[others] = self._waiting[:ready], of_estimates
+        given = np.insert(inputs_of(estimates), before[:ready], self._waiting[:ready])
         self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
         self._feed(given)
 
@@ -168,29 +160,6 @@ def _reading_inputs(rows: Rows) -> Rows:
     for k, side in enumerate(("left", "right")):
         found["pressures"][:, k], found["spools"][:, k] = rows[f"{side}_pressure"], rows[f"{side}_spool"]
     return found
-
-
-def estimate_inputs(estimates: Rows) -> tuple[Rows, IntArray]:
-    """(m,) SOIL_INPUT: odometry, slips and known swing of each of (n,) ESTIMATE; (n,) places of the first.
-
-    As the live estimator reads them from messages, which carry an attitude as a quaternion.
-    """
-    found = np.zeros((len(estimates), 3), SOIL_INPUT)
-    found["stamp_ns"] = estimates["stamp_ns"][:, np.newaxis]
-    odometry, slips, swing = found[:, 0], found[:, 1], found[:, 2]
-    odometry["source"], slips["source"], swing["source"] = IS_ODOMETRY, IS_SLIPS, IS_SWING
-    for name in ("twist", "twist_covariance", "pose", "pose_covariance"):
-        odometry[name] = estimates[name]
-    turns, tilt = carried(estimates, estimates["pose"][:, 2]), estimates["tilt"]
-    odometry["pose"][:, 2], odometry["tilt"] = headings_of(turns), tilts_of(turns)
-    odometry["tilt_variance"] = np.diagonal(tilt["covariance"], axis1=1, axis2=2)[:, :2]
-    slips["slips"], slips["motion"] = estimates["slips"], estimates["motion"]
-    swing["swing"] = estimates["swing"]["angle"]
-    swing["swing_stddev"] = np.sqrt(estimates["swing"]["covariance"][:, 0, 0])
-    there = np.ones(found.shape, np.bool_)
-    there[:, 2] = estimates["swing"]["known"] == 1
-    counts = there.sum(axis=1)
-    return found[there], np.cumsum(counts) - counts
 
 
 def _classes(table: TopicTable) -> dict[int, FloatArray]:

@@ -19,6 +19,7 @@ from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.records import Hydraulics, inputs_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
@@ -121,12 +122,15 @@ def estimates(trial: Trial, truth: Truth, setting: Setting | None = None) -> Ite
 def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
     """All that the soil estimator publishes."""
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
-    pressures, steps = iter(readings.pressures), slip_estimator.process_all(readings.arrivals)
-    for measurement, (_, estimate) in zip(readings.arrivals, steps, strict=True):
-        if isinstance(measurement, Sprockets):
-            yield from soil_estimator.advance(next(pressures))
-            for given in () if estimate is None else inputs_of(estimate):
-                yield from soil_estimator.advance(given)
+    results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
+    samples = results[[isinstance(measurement, Sprockets) for measurement in readings.arrivals]]
+    given = np.repeat(inputs_of(samples["estimate"]), 2)  # a reading, and the state at it where there is one
+    for record, reading in zip(given[::2], readings.pressures, strict=True):
+        reading.write_to(record)
+    is_there = np.ones(len(given), np.bool_)
+    is_there[1::2] = samples["published"]
+    for found in soil_estimator.advance_all(given[is_there]):
+        yield from found.in_order()
 
 
 def read(trial: Trial, truth: Truth, setting: Setting) -> Readings:

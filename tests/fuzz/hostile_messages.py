@@ -31,7 +31,14 @@ from trackslip_tools.cli.main import main
 
 TEXT = "std_msgs/msg/String"
 LAST_S = 7.0  # of the good recording: a straight, and turns
-_THINNED = ("/truth/", "/odometry", "/track_slip", "/attitude", "/imu/mag")  # of which a few do as well
+_THINNED = (
+    "/truth/",
+    "/odometry",
+    "/track_slip",
+    "/machine_state",
+    "/attitude",
+    "/imu/mag",
+)  # of which a few do as well
 _S = 1_000_000_000
 _BAG = Path(__file__).resolve().parent.parent / "bags" / "slalom_sand"
 

@@ -21,7 +21,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make, message_class, packed_topic
 from trackslip_common.packed import PackedMessage
-from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT, SWING_STDDEV_JOINT
+from trackslip_common.topics import LEFT_SPROCKET, MACHINE_STATE, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.soil_health import soil_health
 from trackslip_estimation.slip import conversions
@@ -40,7 +40,7 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import Refusal
 from trackslip_estimation.soil import conversions as soil_conversions
-from trackslip_estimation.soil.records import Hydraulics, Odometry, PoseWithCovariance, Slips, Swing
+from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, MachineState, PoseWithCovariance
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
@@ -188,12 +188,9 @@ def slip_topics() -> dict[str, Topic]:
 
 def soil_topics() -> dict[str, Topic]:
     """Those of the soil estimator."""
-    joints = SWING_JOINT, SWING_STDDEV_JOINT
     return {
-        "hydraulics": Topic("trackslip_msgs/msg/TrackHydraulics", soil_conversions.hydraulics),
-        "odometry": Topic("nav_msgs/msg/Odometry", soil_conversions.odometry),
-        "track_slip": Topic("trackslip_msgs/msg/TrackSlip", soil_conversions.slips),
-        "swing/estimate": Topic("sensor_msgs/msg/JointState", soil_conversions.swing, joints, packed=False),
+        HYDRAULICS: Topic("trackslip_msgs/msg/TrackHydraulics", soil_conversions.hydraulics),
+        MACHINE_STATE: Topic("trackslip_msgs/msg/MachineState", soil_conversions.machine_state),
     }
 
 
@@ -254,6 +251,7 @@ def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, fault
         conversions.odometry(make, estimate, "map", "base_link"),
         conversions.odometry(make, local.after(estimate), "odom", "base_link"),
         conversions.track_slip(make, estimate, "base_link"),
+        conversions.machine_state(make, estimate, "map", "base_link"),
         conversions.attitude(make, estimate, "base_link"),
         conversions.swing(make, estimate, "base_link"),
     ):
@@ -279,14 +277,13 @@ def fuzz_soil(count: int, seed: int = 0) -> Findings:
     mutators = [Mutator(topic, rng) for topic in soil_topics().values()]
     counts, faults, published = Counter[str](), list[str](), 0
     twist, C, P = np.array((0.3, 0.0, 0.0)), np.diag((1e-4, 1e-4, 1e-4)), np.diag((1e-2, 1e-2, 1e-3))
+    slips = np.array((0.1, 0.1, 0.0))
     for k in range(1, count + 1):
         now_ns = k * _PERIOD_NS
         pose = PoseWithCovariance(np.array((3e-3 * k, 0.0, 0.0)), P)
         good = [
             Hydraulics(now_ns, 5e6, 5e6, 0.5, 0.5),
-            Odometry(now_ns, twist, C, pose),
-            Slips(now_ns, np.array((0.1, 0.1, 0.0)), Motion.STRAIGHT),
-            Swing(now_ns, 0.0, 0.01),
+            MachineState(now_ns, twist, C, pose, slips, Motion.STRAIGHT, swing=0.0, swing_variance=1e-4),
         ]
         bad = [mutator.measured(now_ns + int(rng.integers(1, _PERIOD_NS))) for mutator in mutators]
         for given in (*good, *bad):

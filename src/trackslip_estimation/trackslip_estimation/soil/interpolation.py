@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pressures at the stamp of each machine state, linear between the readings before and after it, compiled.
+
+A state waits until a reading at or after its stamp is there, or until states are ``patience`` newer. So
+samples depend on the stamps alone, live as in a replay, as long as no reading is later than ``patience``.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.clock_monitor import CLOCK, CLOCK_LIMITS, NEVER_NS, StampStatus, check_sample
+from trackslip_common.compiled import compiled
+from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.soil.records import (
+    ACCEPTED,
+    AHEAD,
+    DUPLICATE,
+    IS_HYDRAULICS,
+    IS_MACHINE_STATE,
+    RESTARTED,
+    SOIL_INPUT,
+    SOURCES,
+    TOO_LATE,
+    VALUES,
+    Rejection,
+    copy_input,
+    copy_state,
+    fault_of,
+)
+
+_CAPACITY = 4096  # readings, and states that wait for them: 40 s at 100 Hz
+_IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
+
+QUEUE = np.dtype(  # a ring
+    [("clock", CLOCK), ("newest_ns", "i8"), ("first", "i8"), ("count", "i8")], align=True
+)
+SAMPLE = np.dtype(
+    [
+        *VALUES,  # pressures and spools are those at the stamp, between two readings …
+        ("has_pressures", "i8"),  # … where there are two
+        ("reading_ns", "i8"),  # stamp of the newer of the two, and its pressures as they came
+        ("reading", "f8", 2),
+        ("dt", "f8"),  # s since the sample before
+        ("tracks", "f8", 2),  # track speeds r ω, m/s; nan where the slip is 1
+    ]
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterpolationParameters(Parameters):
+    """How long a state waits for its pressures, and which stamps are in line."""
+
+    patience: float = parameter(
+        "how much later than the machine state pressures may come", unit="s", gt=0.0, le=10.0
+    )
+    longest_gap: float = parameter("longest time between two readings to interpolate over", unit="s", gt=0.0)
+    max_gap: float = parameter("stamps further ahead must be confirmed", unit="s", gt=0.0, le=600.0)
+    jump_confirmations: int = parameter("stamps in a row that confirm a jump of the clock", ge=2)
+
+
+class Interpolator(NamedTuple):
+    """Inputs in, in any order; samples out, in the order of their stamps. Of bounded size."""
+
+    queues: NDArray[Any]  # (2,) QUEUE, by source
+    rows: NDArray[Any]  # (2, n) SOIL_INPUT, of the queues
+    rejected: NDArray[np.int64]  # (2, r) inputs by source and Rejection
+    limits: NDArray[Any]  # (1,) CLOCK_LIMITS
+
+    def counts(self) -> Iterator[tuple[str, Rejection, int]]:
+        """Source, reason, and number of the rejected inputs."""
+        for source, counts in zip(SOURCES, self.rejected.tolist(), strict=True):
+            for rejection, count in zip(Rejection, counts, strict=True):
+                yield source, rejection, count
+
+
+def new_interpolator(p: InterpolationParameters) -> Interpolator:
+    """With nothing in it."""
+    queues, rows = np.zeros(len(SOURCES), QUEUE), np.zeros((len(SOURCES), _CAPACITY), SOIL_INPUT)
+    queues["newest_ns"] = NEVER_NS
+    limits = np.array([(round(p.max_gap * 1e9), p.jump_confirmations, 0)], CLOCK_LIMITS)
+    return Interpolator(queues, rows, np.zeros((len(SOURCES), len(Rejection)), np.int64), limits)
+
+
+@compiled
+def add(interpolator: Interpolator, given: Any) -> int:
+    """Queue a SOIL_INPUT; ACCEPTED, or why it is rejected. After RESTARTED the time is another."""
+    source, rejection = given.source, fault_of(given)
+    if rejection == ACCEPTED:
+        rejection = _append(
+            interpolator.queues[source], interpolator.rows[source], interpolator.limits[0], given
+        )
+    if rejection == RESTARTED and source == IS_HYDRAULICS:
+        return ACCEPTED
+    if rejection != ACCEPTED:
+        interpolator.rejected[source, rejection] += 1
+    return rejection
+
+
+@compiled
+def is_ready(interpolator: Interpolator, p: Any) -> bool:
+    """Whether the oldest state has its pressures, or is to have none; ``p``: of InterpolationParameters."""
+    states, readings = interpolator.queues[IS_MACHINE_STATE], interpolator.queues[IS_HYDRAULICS]
+    if states.count == 0:
+        return False
+    stamp_ns = interpolator.rows[IS_MACHINE_STATE, states.first].stamp_ns
+    is_late = states.newest_ns - stamp_ns >= round(p.patience * 1e9)
+    return bool(is_late or readings.newest_ns >= stamp_ns or states.count == _CAPACITY)
+
+
+@compiled
+def pop_oldest(interpolator: Interpolator, p: Any, sample: Any) -> None:
+    """Move the oldest state into the sample, with the pressures at its stamp."""
+    states = interpolator.queues[IS_MACHINE_STATE]
+    copy_state(interpolator.rows[IS_MACHINE_STATE, states.first], sample)
+    _drop_first(states)
+    readings, rows = interpolator.queues[IS_HYDRAULICS], interpolator.rows[IS_HYDRAULICS]
+    sample.has_pressures = _interpolate(readings, rows, p, sample)
+
+
+@compiled
+def _append(queue: Any, rows: NDArray[Any], limits: Any, given: Any) -> int:
+    """Behind those before it; RESTARTED where the clock of its source went back."""
+    status = check_sample(queue.clock, limits, given.stamp_ns, queue.newest_ns, False)
+    if status == _BACK:
+        queue.count, queue.clock.running = 0, False
+        check_sample(queue.clock, limits, given.stamp_ns, NEVER_NS, False)
+    elif status != _IN_LINE:
+        return AHEAD if status == _AHEAD else TOO_LATE
+    elif given.stamp_ns == queue.newest_ns:
+        return DUPLICATE
+    if queue.count == _CAPACITY:
+        _drop_first(queue)
+    copy_input(given, rows[_place(queue, queue.count)])
+    queue.count, queue.newest_ns = queue.count + 1, given.stamp_ns
+    return RESTARTED if status == _BACK else ACCEPTED
+
+
+@compiled
+def _interpolate(queue: Any, readings: NDArray[Any], p: Any, sample: Any) -> bool:
+    """Set the pressures at the stamp; False where a reading before or after it is missing or far."""
+    while queue.count > 1 and readings[_place(queue, 1)].stamp_ns <= sample.stamp_ns:
+        _drop_first(queue)
+    if queue.count == 0 or readings[queue.first].stamp_ns > sample.stamp_ns:
+        return False
+    before, after = readings[queue.first], readings[_place(queue, min(1, queue.count - 1))]
+    gap_ns, since_ns = after.stamp_ns - before.stamp_ns, sample.stamp_ns - before.stamp_ns
+    if since_ns > gap_ns or gap_ns > round(p.longest_gap * 1e9):
+        return False
+    share = since_ns / gap_ns if gap_ns > 0 else 0.0
+    newer = after if share > 0.0 else before
+    sample.reading_ns = newer.stamp_ns
+    for k in range(2):
+        sample.reading[k] = newer.pressures[k]
+        sample.pressures[k] = before.pressures[k] + share * (after.pressures[k] - before.pressures[k])
+        sample.spools[k] = before.spools[k] + share * (after.spools[k] - before.spools[k])
+    return True
+
+
+@compiled
+def _place(queue: Any, k: int) -> int:
+    """Of the k-th in a queue."""
+    return int((queue.first + k) % _CAPACITY)
+
+
+@compiled
+def _drop_first(queue: Any) -> None:
+    queue.first, queue.count = (queue.first + 1) % _CAPACITY, queue.count - 1
