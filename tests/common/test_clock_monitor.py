@@ -26,9 +26,33 @@ def test_samples_ahead_that_agree_are_believed() -> None:
     assert found == [IN_LINE, *[AHEAD] * (CONFIRMATIONS - 1), *[IN_LINE] * 2]
 
 
-@pytest.mark.parametrize("stamps", [[100.0, 300.0, 500.0, 700.0, 900.0], [100.0, 99.9, 99.8, 99.7, 99.6]])
+@pytest.mark.parametrize("stamps", [[100.0, 300.0, 900.0, 2200.0, 5000.0], [100.0, 99.9, 99.8, 99.7, 99.6]])
 def test_samples_ahead_that_do_not_agree_are_not(stamps: list[float]) -> None:
     assert set(statuses([1.0, *stamps])[1:]) == {AHEAD}
+
+
+SLOW = [1.0, 11.0, 21.0, 31.0, 41.0]
+
+
+def test_samples_at_a_slow_pace_are_in_line_once_it_is_confirmed() -> None:
+    assert statuses([*SLOW, 51.0, 58.0, 77.0]) == [IN_LINE, *[AHEAD] * (CONFIRMATIONS - 1), *[IN_LINE] * 4]
+
+
+def test_jump_among_samples_at_a_slow_pace_is_ahead() -> None:
+    assert statuses([*SLOW, 4000.0, 51.0])[-2:] == [AHEAD, IN_LINE]
+
+
+def test_gap_holds_again_once_samples_are_faster() -> None:
+    assert statuses([*SLOW, 41.2, 41.4, 50.0, 41.6])[-2:] == [AHEAD, IN_LINE]
+
+
+def test_samples_at_a_slow_pace_confirm_that_the_clock_went_back() -> None:
+    monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
+    assert monitor.later_sample(1000 * S) is IN_LINE
+    steps = [monitor.later_sample(round((1000.0 + s) * S)) for s in SLOW[1:]]
+    assert steps[-1] is IN_LINE
+    back = [monitor.later_sample(round((s + 1.0) * S)) for s in SLOW[:CONFIRMATIONS]]
+    assert back == [*[BEHIND] * (CONFIRMATIONS - 1), BACK]
 
 
 def test_a_sample_in_line_ends_the_streak() -> None:

@@ -1,13 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the clock goes on as it should: by stamps and counts alone, so that a replay finds the same.
+"""Whether stamps go on as they did: by stamps and counts alone, so that a replay finds the same.
 
-The samples of one source, the sprockets', are the clock. One of them that steps out of line is a bad stamp;
-many in a row that agree with each other are another time. Other sources carry the clock on only while the
-first is silent: when their stamps, one behind the other, have gone on for its timeout without a sample of it.
+The samples of one source are the clock: the sprockets' of the slip estimator, machine states and pressures of
+the soil estimator, scans of the box localizer. A sample out of line is a bad stamp; many in a row that agree
+with each other are another time. Agreeing stamps are no further apart than the gap, or come at equal steps.
+Once confirmed, samples at a slow pace are in line up to two of their steps apart, until they are faster.
 
-A step back into the history leaves stamps that look like late data. But late data agree with what is there
-already, while samples stamped anew tell of positions that the sprockets had elsewhere in it.
+Other sources carry the clock on only while the first is silent: when their stamps, one behind the other, have
+gone on for its timeout without a sample of it.
+
+A step back into the history leaves stamps that look like late data. Late data agree with the history, while
+samples stamped anew have the positions that the sprockets had elsewhere in it.
 
 ``CLOCK`` is all that is remembered: compiled code keeps it in a record; ``ClockMonitor`` is for Python.
 """
@@ -24,7 +28,9 @@ CLOCK = np.dtype(
     [
         ("running", np.bool_),  # whether there was a sample
         ("head_ns", np.int64),  # newest stamp in line
+        ("pace_ns", np.int64),  # two steps of samples that come more slowly than the gap; else 0
         ("ahead", _STREAK),
+        ("ahead_step_ns", np.int64),  # its last step
         ("behind", _STREAK),
         ("late", _STREAK),
         ("others", _STREAK),  # of other sources, since the last sample
@@ -47,6 +53,7 @@ class StampStatus(IntEnum):
 
 
 _CARRIERS = 3  # measurements in a row that carry the clock on
+_EQUAL = 2  # ratio up to which two steps count as equal
 _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 
@@ -67,22 +74,43 @@ def check_sample(clock: Any, limits: Any, stamp_ns: int, oldest_ns: int, contrad
     its content is not what the history has at its stamp.
     """
     clock.others.count = 0
-    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - limits.gap_ns)) or stamp_ns < oldest_ns:
-        clock.ahead.count = 0
-        confirmed = _add(clock.behind, stamp_ns, limits.gap_ns, True) >= limits.confirmations
+    if not clock.running:
+        clock.pace_ns = 0
+    gap_ns = max(limits.gap_ns, clock.pace_ns)
+    if (clock.running and stamp_ns < max(oldest_ns, clock.head_ns - gap_ns)) or stamp_ns < oldest_ns:
+        _end_ahead(clock)
+        confirmed = _add(clock.behind, stamp_ns, gap_ns, True) >= limits.confirmations
         return _BACK if confirmed else _BEHIND
     clock.behind.count = 0
     if not clock.running or stamp_ns > clock.head_ns:
         clock.late.count = 0
-    elif _add(clock.late, stamp_ns, limits.gap_ns, contradicts) >= limits.confirmations:
+    elif _add(clock.late, stamp_ns, gap_ns, contradicts) >= limits.confirmations:
         return _BACK
-    far = clock.running and stamp_ns > clock.head_ns + limits.gap_ns
-    if far and _add(clock.ahead, stamp_ns, limits.gap_ns, True) < limits.confirmations:
-        return _AHEAD
-    clock.ahead.count = 0
+    if clock.running and stamp_ns > clock.head_ns + gap_ns:
+        if _add_ahead(clock, stamp_ns, gap_ns) < limits.confirmations:
+            return _AHEAD
+        clock.pace_ns = _EQUAL * clock.ahead_step_ns if clock.ahead_step_ns > limits.gap_ns else 0
+    elif 0 < stamp_ns - clock.head_ns <= limits.gap_ns:
+        clock.pace_ns = 0
     clock.head_ns = max(clock.head_ns, stamp_ns) if clock.running else stamp_ns
     clock.running = True
+    _end_ahead(clock)
     return _IN_LINE
+
+
+@compiled
+def _add_ahead(clock: Any, stamp_ns: int, gap_ns: int) -> int:
+    """How many in a row are ahead by now: no further apart than the gap, or at equal steps."""
+    step_ns = stamp_ns - clock.ahead.last_ns
+    is_equal = step_ns < _EQUAL * clock.ahead_step_ns and clock.ahead_step_ns < _EQUAL * step_ns
+    clock.ahead_step_ns = step_ns
+    return _add(clock.ahead, stamp_ns, max(gap_ns, step_ns) if is_equal else gap_ns, True)
+
+
+@compiled
+def _end_ahead(clock: Any) -> None:
+    """The next one ahead is the first, one step from the head."""
+    clock.ahead.count, clock.ahead.last_ns, clock.ahead_step_ns = 0, clock.head_ns, 0
 
 
 @compiled
@@ -129,6 +157,10 @@ class ClockMonitor:
         """A sample of the source that is the clock; see ``check_sample``."""
         horizon_ns = NEVER_NS if oldest_ns is None else oldest_ns
         return StampStatus(_check_sample(self._clock, self._limits, stamp_ns, horizon_ns, contradicts))
+
+    def later_sample(self, stamp_ns: int) -> StampStatus:
+        """The same of a source whose samples are each later than the one before."""
+        return self.sample(stamp_ns, None if self.head_ns is None else self.head_ns + 1)
 
     def other(self, stamp_ns: int) -> StampStatus:
         """A measurement of any other source; see ``check_other``."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import climb, use_sample
-from trackslip_estimation.attitude.parameters import constants
-from trackslip_estimation.attitude.records import ATTITUDE, BIAS_X, CONSTANTS, HEIGHT, IMU, PITCH, ROLL
+from trackslip_estimation.attitude.parameters import CONSTANTS, constants
+from trackslip_estimation.attitude.records import ATTITUDE, BIAS_X, HEIGHT, IMU, PITCH, ROLL
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.parameters import load_slip_parameters

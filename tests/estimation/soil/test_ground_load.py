@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackslip_common.parameter_record import record_of
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.ground_load import (
@@ -22,7 +23,6 @@ from trackslip_estimation.soil.ground_load import (
     set_load,
 )
 from trackslip_estimation.soil.interpolation import SAMPLE
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, element_places, shares
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.scenarios.scenario import load_scenario

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trackslip_common.parameter_record import record_of
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.interpolation import SAMPLE, add, is_ready, new_interpolator, pop_oldest
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import (
     ACCEPTED,
     SOIL_INPUT,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fixtures.soil_samples import Sample
 
+from trackslip_common.parameter_record import record_of
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.pressure_watch import NO_FAULT, WATCH, PressureFault, evaluate, named_faults
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 

@@ -13,11 +13,11 @@ from fixtures.soil_samples import Sample
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
+from trackslip_common.parameter_record import record_of
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import conversions as soil_conversions
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
 from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator

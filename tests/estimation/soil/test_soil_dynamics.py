@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from fixtures.soil_samples import Sample, level_load
 
+from trackslip_common.parameter_record import record_of
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.dynamics import MU_L, MU_R, new_dynamics, step
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs

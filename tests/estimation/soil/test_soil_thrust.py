@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from trackslip_estimation.soil.parameter_record import record_of
+from trackslip_common.parameter_record import record_of
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.thrust import (
     THRUST,

@@ -193,9 +193,9 @@ def _turn(a: Any, rates: tuple[float, float, float], dt: float, n: Any) -> None:
     F[PITCH, BIAS_P], F[PITCH, BIAS_Q] = -cos * imu.sin * dt, -cos * imu.cos * dt
     for i in range(SIZE):
         Q[i, i] = n.walk[i] * dt
-    by_roll = by_pitch = n.unknown_rate**2 * _SCALE_TIME
+    by_roll = by_pitch = n.ground_rate**2 * _SCALE_TIME
     if known > 0.0 and _has_rates(imu):
-        by_scale = n.rate_scale**2 * _SCALE_TIME
+        by_scale = n.gyro_scale_stddev**2 * _SCALE_TIME
         of_p, of_q = imu.rate_variances[0], imu.rate_variances[1]
         by_roll = (imu.cos**2 * of_p + imu.sin**2 * of_q) * dt + by_scale * of_roll**2
         by_pitch = (imu.sin**2 * of_p + imu.cos**2 * of_q) * dt + by_scale * of_pitch**2

@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from trackslip_common.parameter_record import fields_of, fill_record
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.attitude.records import (
     BIAS_P,
     BIAS_Q,
     BIAS_X,
     BIAS_Y,
-    CONSTANTS,
     HEIGHT,
     PITCH,
     ROLL,
+    SIZE,
 )
 
 _TILT = 1.0  # rad, before the first sample
@@ -45,14 +46,25 @@ class AttitudeParameters(Parameters):
     )
 
 
+CONSTANTS = np.dtype(  # the parameters, and …
+    [
+        *fields_of(AttitudeParameters),
+        ("initial", np.float64, (SIZE,)),  # standard deviations
+        ("walk", np.float64, (SIZE,)),  # variance per s
+        ("orientation_time", np.float64),  # s, for which an error of an orientation lasts
+        ("gate", np.float64),  # χ² of two, of orientations
+    ],
+    align=True,
+)
+
+
 def constants(p: AttitudeParameters, *, measures_height: bool) -> Any:
     """A record of ``CONSTANTS``; the height is 0 at the start unless fixes measure it."""
     found = np.zeros(1, CONSTANTS)[0]
+    fill_record(found, p)
     found["initial"][[ROLL, PITCH]], found["initial"][HEIGHT] = _TILT, _HEIGHT if measures_height else 0.0
     found["initial"][[BIAS_P, BIAS_Q]] = p.initial_gyro_bias_stddev
     found["initial"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias_stddev
     found["walk"][[BIAS_P, BIAS_Q]] = p.gyro_bias**2
     found["walk"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias**2
-    found["rate_scale"], found["unknown_rate"] = p.gyro_scale_stddev, p.ground_rate
-    found["noise_time"], found["correlation_time"] = p.noise_time, p.correlation_time
     return found

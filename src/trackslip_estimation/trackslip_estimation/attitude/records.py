@@ -112,17 +112,3 @@ ATTITUDE = np.dtype(
     ],
     align=True,
 )
-
-CONSTANTS = np.dtype(
-    [
-        ("initial", np.float64, (SIZE,)),  # standard deviations
-        ("walk", np.float64, (SIZE,)),  # variance per s
-        ("rate_scale", np.float64),  # standard deviation of the gyro's scale about p and q
-        ("noise_time", np.float64),  # s
-        ("correlation_time", np.float64),  # s
-        ("orientation_time", np.float64),  # s, for which an error of an orientation lasts
-        ("gate", np.float64),  # χ² of two, of orientations
-        ("unknown_rate", np.float64),  # rad/s, of ground whose tilt changes while no gyro sees it
-    ],
-    align=True,
-)

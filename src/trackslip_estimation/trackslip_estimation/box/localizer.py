@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import StampStatus
+from trackslip_common.clock_monitor import ClockMonitor, StampStatus
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.association import Association
@@ -25,7 +25,6 @@ from trackslip_estimation.box.odometry import Odometry
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import NEGLIGIBLE, QUARTER_TURN, Headings, Mode, mixed
 from trackslip_estimation.box.scan import Scan
-from trackslip_estimation.box.scan_clock import ScanClock
 from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
 from trackslip_estimation.box.track import Expectation, Kept, Track, initial_expectation
 
@@ -99,12 +98,12 @@ class BoxLocalizer:
             return Rejection(found)
         return self._accept(scan, *found)
 
-    def _new_clock(self) -> ScanClock:
-        return ScanClock(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
+    def _new_clock(self) -> ClockMonitor:
+        return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
 
     def _check_stamp(self, stamp_ns: int) -> Reason | None:
         """Why a scan is refused for its stamp; starts over where stamps have gone back."""
-        status = self._clock.check(stamp_ns)
+        status = self._clock.later_sample(stamp_ns)
         if status is StampStatus.BACK:
             self._start_over(stamp_ns)
         elif status is not StampStatus.IN_LINE:
@@ -134,7 +133,7 @@ class BoxLocalizer:
             self.reset()
         self._tracks = [None, *last] if is_another_run else [*last, None]
         self._clock = self._new_clock()
-        self._clock.check(stamp_ns)
+        self._clock.later_sample(stamp_ns)
         self.restarts += 1
 
     @property

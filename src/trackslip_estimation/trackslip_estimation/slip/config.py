@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from trackslip_common.clock_monitor import CLOCK_LIMITS
 from trackslip_common.units import GRAVITY
+from trackslip_estimation.attitude.parameters import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.attitude.parameters import constants as attitude_constants
-from trackslip_estimation.attitude.records import CONSTANTS as ATTITUDE_CONSTANTS
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip import adaptation, events
 from trackslip_estimation.slip.coasting import motion_limits

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.parameter_record import record_of
 from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault, named_faults
 from trackslip_estimation.soil.records import HYDRAULICS, SOIL_INPUT, SlipSeed, SoilInput, TrackForces
 from trackslip_estimation.soil.slip_seed import seed_of, set_strength

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.parameter_record import record_of
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import limit_of
-from trackslip_estimation.soil.parameter_record import record_of
 from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilState
 from trackslip_estimation.soil.thrust import new_offsets, update_offsets
