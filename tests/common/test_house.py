@@ -1,10 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What travels together is one argument, no function of ours takes more than six; a licence in every file."""
+"""Imports run one way, pure code knows no ROS, the filter steps once; each file has its licence."""
 
 import ast
 import re
 import subprocess
+import sys
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +15,123 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ESTIMATION = ROOT / "src/trackslip_estimation/trackslip_estimation"
+LAYERS = ("trackslip_common", "trackslip_estimation", "trackslip_bags", "trackslip_tools", "trackslip_sim")
+BELOW = {package: {*LAYERS[:k]} for k, package in enumerate(LAYERS)}
+BELOW["trackslip_drivers"] = {"trackslip_common"}
+BELOW["trackslip_sim"].add("trackslip_drivers")
+ROS = re.compile(
+    r"rclpy|launch|launch_ros|ament_index_python|rosidl_\w+|\w+_msgs|\w+_srvs|\w+_interfaces|tf2_ros"
+)
+# What a vehicle has beside ROS: numbers, machine code, parameters, ports and their protocols, geodesy
+ON_VEHICLE = {
+    "numpy",
+    "scipy",
+    "numba",
+    "llvmlite",
+    "yaml",
+    "serial",
+    "can",
+    "cantools",
+    "pynmeagps",
+    "pymap3d",
+}
+OF_RECORDER = {"mcap", "numpy", "yaml", "lz4", "zstandard"}
+
+
+@cache
+def sources() -> dict[str, Path]:
+    """Module → file, of all packages."""
+    found = {}
+    for root in ROOT.glob("src/*/"):
+        for file in (root / root.name).rglob("*.py"):
+            parts = file.relative_to(root).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+def imports(module: str, *, deep: bool = False) -> set[str]:
+    """Modules that a module imports when it is loaded; ``deep``: or when its functions run."""
+    tree, found = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
+    for node in ast.walk(tree) if deep else tree.body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (names & sources().keys()) or {node.module}
+    return found
+
+
+def reached(module: str) -> set[str]:
+    """A module of ours and all that are loaded with it, libraries by their first names."""
+    found, waiting = set(), {module}
+    while waiting:
+        found |= waiting
+        loaded = set().union(*(imports(one) for one in waiting & sources().keys()))
+        waiting = loaded - found
+    return found
+
+
+def libraries(names: set[str]) -> set[str]:
+    """Those that are neither ours, nor ROS', nor Python's, by their first names."""
+    tops = {name.split(".")[0] for name in names} - sys.stdlib_module_names
+    return {top for top in tops if not ROS.fullmatch(top) and not top.startswith("trackslip_")}
+
+
+def room(module: str) -> str:
+    """``kalman`` of ``trackslip_estimation.kalman.update``; the module itself where it is in none."""
+    return module.split(".")[1] if module.count(".") > 1 else module
+
+
+@pytest.mark.parametrize("package", BELOW)
+def test_package_imports_only_those_below_it(package: str) -> None:
+    barred = BELOW.keys() - BELOW[package] - {package}
+    wrong = {
+        module: found
+        for module in sources()
+        if module.split(".")[0] == package
+        and (found := {name for name in imports(module, deep=True) if name.split(".")[0] in barred})
+    }
+    assert wrong == {}
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert len(sources()) > 400
+    list(TopologicalSorter({module: imports(module) for module in sources()}).static_order())
+
+
+def test_no_rooms_of_the_estimators_import_each_other_in_a_circle() -> None:
+    """kalman ← attitude ← slip ← soil, and the nodes above all."""
+    graph: dict[str, set[str]] = {}
+    for module in sources():
+        if module.startswith("trackslip_estimation."):
+            own = {name for name in imports(module, deep=True) if name.startswith("trackslip_estimation.")}
+            graph.setdefault(room(module), set()).update(map(room, own))
+    graph = {name: below - {name} for name, below in graph.items()}
+    assert graph.keys() >= {"kalman", "attitude", "slip", "soil", "box", "gnss", "terramechanics", "nodes"}
+    list(TopologicalSorter(graph).static_order())
+    assert [name for name, below in graph.items() if "nodes" in below] == []
+
+
+def test_only_nodes_import_ros() -> None:
+    wrong = {
+        module: found
+        for module in sources()
+        if ".nodes" not in module
+        and (found := {name for name in imports(module, deep=True) if ROS.fullmatch(name.split(".")[0])})
+    }
+    assert wrong == {}
+
+
+@pytest.mark.parametrize("package", ["trackslip_common", "trackslip_drivers", "trackslip_estimation"])
+def test_package_of_the_vehicle_imports_no_library_of_the_desk(package: str) -> None:
+    own = [module for module in sources() if module.split(".")[0] == package]
+    assert libraries(set().union(*(imports(module, deep=True) for module in own))) - ON_VEHICLE == set()
+
+
+def test_recorder_loads_no_library_of_the_desk() -> None:
+    found = libraries(reached("trackslip_bags.nodes.record"))
+    assert "mcap" in found
+    assert found - OF_RECORDER - ON_VEHICLE == set()
 
 
 def test_predict_gate_and_update_stand_once() -> None:

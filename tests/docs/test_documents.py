@@ -249,23 +249,3 @@ def test_each_document_is_on_the_map() -> None:
     text = (ROOT / "docs/README.md").read_text(encoding="utf-8")
     there = {file.name for file in DOCUMENTS if file.parent.name == "docs"} - {"README.md"}
     assert [name for name in sorted(there) if f"({name})" not in text] == []
-
-
-def test_messages_of_the_field_guide_are_those_of_the_nodes() -> None:
-    """Of each row of its tables at least one message is in the sources, but for the gaps that … leaves."""
-    sources = "\n".join(file.read_text(encoding="utf-8") for file in ROOT.glob("src/*/trackslip_*/**/*.py"))
-    guide = (
-        (ROOT / "docs/field-guide.md").read_text(encoding="utf-8").partition("## What /diagnostics says")[2]
-    )
-    rows = [
-        line.split("|")[1]
-        for line in guide.splitlines()
-        if line.startswith("|") and "`" in line.split("|")[1]
-    ]
-    assert len(rows) > 15
-    unknown = []
-    for row in rows:
-        messages = [re.split(r" ?…", message) for message in re.findall(r"`([^`]+)`", row)]
-        if not any(all(piece.strip() in sources for piece in pieces) for pieces in messages):
-            unknown.append(row)
-    assert unknown == []

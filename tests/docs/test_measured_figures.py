@@ -3,7 +3,7 @@
 """Measured figures of the documents are written by a command, or say what they were measured with.
 
 A section has measured figures where a table of it has decimals, or a paragraph a number with a word of
-measuring; what ``make numbers`` writes, code, and what ``test_facts.py`` holds against the code are left out.
+measuring; what ``make numbers`` writes and code are left out.
 Such a section names a test file, or says ``measured on DATE by …`` (``in MONTH YEAR with …``).
 """
 
@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 from fixtures.documents import DOCUMENTS, ROOT, Document
-from fixtures.facts import FACTS
 
 import make_numbers
 from measurements import CHEAP, MEASUREMENTS
@@ -107,15 +106,12 @@ def test_figures_without_a_source_are_seen(text: str, count: int) -> None:
 
 def unsourced(file: Path, text: str) -> Iterator[str]:
     """The measured figures of sections that do not say where they come from."""
-    known = [re.sub(r"`[^`]*`", "``", str(fact)) for fact in FACTS if ROOT / fact.page == file]
     prose = "\n".join(place.text for place in Document(file, without_blocks(text)).prose)
     for section in re.split(r"\n(?=#)", prose):
         if SOURCE.search(section):
             continue
         for paragraph in re.split(r"\n\s*\n|\n(?=[-*|] ?)|\n(?=\d+\. )", section):
             bare = " ".join(re.sub(r"`[^`]*`", "``", paragraph).split())
-            for fact in known:
-                bare = bare.replace(fact, "")
             measured_here = FIGURE.search(bare) and MEASURING.search(bare)
             if CELL.search(bare) if bare.startswith("|") else measured_here:
                 yield bare
