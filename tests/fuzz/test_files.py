@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fuzz targets on files that a user hands over: bags, logs with mappings; ``InputError`` is fine."""
+"""Bags and logs of any content are read, recovered, imported, or refused by ``InputError``."""
 
 import contextlib
 import shutil
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
@@ -16,8 +18,6 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.recovery.recover import recover
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
-
-Target = tuple[Callable[[bytes], None], list[bytes]]
 
 MAPPING = b"""time: {column: t, unit: s}
 start: 5.0
@@ -36,75 +36,72 @@ topics:
 parameters: {history_window: 2.0}
 """
 LOG = b't,l,r,x\n0.0,1,2,3\n0.1,"2",3,4\n0.2,-3e1,nan,inf\n'
+Damage = tuple[float, int, bytes]  # where, as a share of the file; bytes cut out, and put in
+
+damages = st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 64), st.binary(max_size=64)), max_size=4)
+_ALL = settings().max_examples
+of_folders = settings(  # files take longer than bytes; each replaces the one before
+    max_examples=min(_ALL, max(_ALL // 50, 100)), suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
-def work_directory() -> Path:
-    """In memory where the system has such a place; removed by whoever cleans it."""
-    memory = Path("/dev/shm")
-    return Path(tempfile.mkdtemp(prefix="trackslip_fuzz_", dir=memory if memory.is_dir() else None))
-
-
-def bag_files() -> Target:
-    """A bare MCAP or SQLite file of any content: opened, read through, each message decoded."""
-    directory = work_directory()
-
-    def one_input(data: bytes) -> None:
-        for suffix in (".mcap", ".db3"):
-            path = directory / f"bag{suffix}"
-            path.write_bytes(data)
-            with contextlib.suppress(InputError), open_bag(path) as bag:
-                for message in bag.messages():
-                    with contextlib.suppress(InputError):
-                        bag.deserialize(message.raw, message.type_name)
-                bag_parameters(bag)
-
-    return one_input, [*_mcap_seeds(directory), b"SQLite format 3\0" + bytes(84)]
-
-
-def _mcap_seeds(directory: Path) -> list[bytes]:
-    """A small recording: whole, half, and without its end."""
-    with BagWriter(directory / "seed") as bag:
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """An MCAP file of three seconds."""
+    with BagWriter(tmp_path_factory.mktemp("seed") / "bag") as bag:
         for n in range(3):
             joints = make("sensor_msgs/msg/JointState", header=header(n, "base_link"), position=[0.5])
             bag.write("/sprockets", "sensor_msgs/msg/JointState", serialize(joints), n * 400_000_000)
             text = make("std_msgs/msg/String", data="slip_estimator: {ros__parameters: {start: first_fix}}")
             bag.write("/slip_estimator/parameters", "std_msgs/msg/String", serialize(text), n * 400_000_000)
-    whole = bag.file.read_bytes()
-    return [whole, whole[: len(whole) // 2], whole[:-30]]
+    return bag.file.read_bytes()
 
 
-def recovered_bags() -> Target:
-    """A damaged MCAP file: what is recovered of it opens undamaged, and nothing is left where nothing was."""
-    directory = work_directory()
-    damaged, output = directory / "bag.mcap", directory / "out"
-
-    def one_input(data: bytes) -> None:
-        damaged.write_bytes(data)
-        with contextlib.suppress(InputError):
-            recovery = recover(damaged, output)
-            with open_bag(output) as bag:
-                found = sum(1 for _ in bag.messages())
-                if bag.damage or found != recovery.messages:
-                    raise AssertionError(f"{recovery.messages} recovered, {found} there; {bag.damage}")
-        shutil.rmtree(output, ignore_errors=True)
-
-    return one_input, _mcap_seeds(directory)
+def damaged(content: bytes, damage: list[Damage]) -> bytes:
+    for share, cut, put in damage:
+        at = round(share * len(content))
+        content = content[:at] + put + content[at + cut :]
+    return content
 
 
-def log_files() -> Target:
-    """A mapping and a log, parted by a zero byte."""
-    directory = work_directory()
-    mapping, log, output = directory / "map.yaml", directory / "log.csv", directory / "bag"
+@pytest.mark.parametrize("suffix", ["mcap", "db3"])
+@of_folders
+@given(damage=damages)
+@example(damage=[(0.5, 1 << 20, b"")])
+@example(damage=[(0.0, 1 << 20, b"SQLite format 3\0" + bytes(84))])
+def test_bag_is_read_or_refused(suffix: str, damage: list[Damage], recording: bytes, tmp_path: Path) -> None:
+    path = tmp_path / f"bag.{suffix}"
+    path.write_bytes(damaged(recording, damage))
+    with contextlib.suppress(InputError), open_bag(path) as bag:
+        for message in bag.messages():
+            with contextlib.suppress(InputError):
+                bag.deserialize(message.raw, message.type_name)
+        bag_parameters(bag)
 
-    def one_input(data: bytes) -> None:
-        first, _, second = data.partition(b"\0")
-        mapping.write_bytes(first)
-        log.write_bytes(second)
-        with contextlib.suppress(InputError):
-            import_log([log], read_mapping(mapping), output)
-        shutil.rmtree(output, ignore_errors=True)
 
-    return one_input, [MAPPING + b"\0" + LOG, MAPPING + b"\0" + LOG[:26], MAPPING + b"\0\xff\xfet"]
+@of_folders
+@given(damage=damages)
+@example(damage=[])
+@example(damage=[(0.5, 1 << 20, b"")])
+def test_recovered_bag_is_whole(damage: list[Damage], recording: bytes, tmp_path: Path) -> None:
+    path, output = tmp_path / "bag.mcap", tmp_path / "out"
+    path.write_bytes(damaged(recording, damage))
+    with contextlib.suppress(InputError):
+        recovery = recover(path, output)
+        with open_bag(output) as bag:
+            assert sum(1 for _ in bag.messages()) == recovery.messages
+            assert not bag.damage
+    shutil.rmtree(output, ignore_errors=True)
 
 
-TARGETS = {target.__name__: target for target in (bag_files, recovered_bags, log_files)}
+@of_folders
+@given(of_mapping=damages, of_log=damages)
+@example(of_mapping=[], of_log=[(0.5, 1 << 20, b"")])
+@example(of_mapping=[], of_log=[(0.0, 1 << 20, b"\xff\xfet")])
+def test_log_is_imported_or_refused(of_mapping: list[Damage], of_log: list[Damage], tmp_path: Path) -> None:
+    mapping, log, output = tmp_path / "map.yaml", tmp_path / "log.csv", tmp_path / "bag"
+    mapping.write_bytes(damaged(MAPPING, of_mapping))
+    log.write_bytes(damaged(LOG, of_log))
+    with contextlib.suppress(InputError):
+        import_log([log], read_mapping(mapping), output)
+    shutil.rmtree(output, ignore_errors=True)
