@@ -77,12 +77,12 @@ bench: setup ## speed of filters and drivers on this machine
 	@$(VENV)/python -m pip install -q -r requirements/bench.txt
 	@$(ENTER) exec $(VENV)/python scripts/bench.py
 
-fuzz: setup ## random measurements and messages for the estimators, hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), then random bytes into every decoder (RUNS=1000000 per byte parser)
-	@$(ENTER) $(VENV)/python scripts/random_steps.py
-	@$(ENTER) $(VENV)/python scripts/fuzz_messages.py
-	@$(ENTER) $(VENV)/python scripts/hostile_files.py $(if $(FILES),--files '$(FILES)')
-	@$(ENTER) $(VENV)/python scripts/hostile_recordings.py $(if $(BAGS),--bags '$(BAGS)')
-	@$(ENTER) exec $(VENV)/python scripts/fuzz.py $(if $(RUNS),--runs '$(RUNS)')
+fuzz: checks ## random measurements and messages for the estimators, hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), then random bytes into every decoder (RUNS=10000 each, by hypothesis)
+	@$(ENTER) $(VENV)/python tests/fuzz/random_steps.py
+	@$(ENTER) $(VENV)/python tests/fuzz/fuzz_messages.py
+	@$(ENTER) $(VENV)/python tests/fuzz/hostile_files.py $(if $(FILES),--files '$(FILES)')
+	@$(ENTER) $(VENV)/python tests/fuzz/hostile_recordings.py $(if $(BAGS),--bags '$(BAGS)')
+	@$(ENTER) RUNS='$(RUNS)' exec $(VENV)/python -m pytest -n auto --timeout=0 tests/fuzz --hypothesis-profile=fuzz
 
 bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)
 	@$(ENTER) exec $(VENV)/python scripts/make_bags.py $(ARGS)

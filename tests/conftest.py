@@ -6,12 +6,13 @@ import gc
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
@@ -38,6 +39,13 @@ MS = 1_000_000
 gc.set_threshold(50_000)  # with Python's own a worker looks for garbage for a twelfth of its time
 
 settings.register_profile("trackslip", derandomize=True, deadline=None, max_examples=100)
+settings.register_profile(  # make fuzz
+    "fuzz",
+    max_examples=int(os.environ.get("RUNS") or 10_000),
+    deadline=timedelta(seconds=10),
+    suppress_health_check=list(HealthCheck),
+    print_blob=True,
+)
 settings.load_profile("trackslip")
 
 

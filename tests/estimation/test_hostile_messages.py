@@ -17,4 +17,4 @@ def test_messages_of_any_numbers_leave_the_soil_estimate_finite() -> None:
     found = fuzz_messages.fuzz_soil(2000)
     assert found.faults == []
     assert all(found.counts[f"{name} holds nan or infinity"] > 0 for name in fuzz_messages.soil_topics())
-    assert found.counts["odometry beyond physical limits"] > 0
+    assert found.counts["machine_state beyond physical limits"] > 0

@@ -137,9 +137,13 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
             *(np.zeros(3), Motion.UNKNOWN),
         ),
     ]
+    without, estimator = (
+        [i for i in inputs if not isinstance(i, Hydraulics)],
+        SoilEstimator(load_soil_parameters()),
+    )
+    machine.feed(without[:100], estimator)
     machine.send(bad)
-    without = [one for one in inputs if not isinstance(one, Hydraulics)]
-    machine.feed(without, SoilEstimator(load_soil_parameters()))
+    machine.feed(without[100:], estimator)
     machine.until_it_says(DiagnosticStatus.ERROR, "hydraulics silent", "held")
     machine.until_it_says(DiagnosticStatus.ERROR, "slip estimator silent")
     code, _ = machine.program.end(signal.SIGINT)

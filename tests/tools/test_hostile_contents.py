@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags whose messages, metadata or names are hostile: each command ends with its result, or with one line.
 
-``scripts/hostile_recordings.py`` (``make fuzz``) has thousands of such bags.
+``tests/fuzz/hostile_recordings.py`` (``make fuzz``) has thousands of such bags.
 """
 
 import os

@@ -6,7 +6,7 @@ A bag is hostile in one way of a family: its messages, stamps, types, topics, pa
 names. Of each family some are drawn, the same for the same ``--seed``. Each command runs in a process of its
 own. A finding is a traceback, an exit code that is none, a line that steers a terminal, more than 60 s of a
 processor, or more than 1 GB. To see one again:
-``.venv/bin/python scripts/hostile_recordings.py 'scan=angles nan' --command report``.
+``.venv/bin/python tests/fuzz/hostile_recordings.py 'scan=angles nan' --command report``.
 """
 
 import argparse

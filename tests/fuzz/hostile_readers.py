@@ -41,7 +41,7 @@ from trackslip_tools.tuning.plan import changed, read_plan
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import cost
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 BAG = ROOT / "bags" / "slalom_sand"
 
 

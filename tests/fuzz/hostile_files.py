@@ -5,7 +5,7 @@
 Each reader runs in a process of its own. It may refuse a file by ``InputError``, or use it. A finding is
 any other exception, more than ten seconds of a processor for a file, or more than 1.5 GB: then the file is
 kept in ``out/hostile/<reader>/``, and the exit code is 1. To see it again:
-``.venv/bin/python scripts/hostile_files.py --reader scenario out/hostile/scenario/7.yaml``.
+``.venv/bin/python tests/fuzz/hostile_files.py --reader scenario out/hostile/scenario/7.yaml``.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from hostile_readers import READERS_OF_TEXTS, Reader
 from hostile_text import hostile
 from trackslip_common.errors import InputError
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "hostile"
 READERS = READERS_OF_TEXTS | READERS_OF_BAGS
 FILES = 500

@@ -40,7 +40,7 @@ _THINNED = (
     "/imu/mag",
 )  # of which a few do as well
 _S = 1_000_000_000
-_BAG = Path(__file__).resolve().parent.parent / "bags" / "slalom_sand"
+_BAG = Path(__file__).resolve().parents[2] / "bags" / "slalom_sand"
 
 Made: TypeAlias = Callable[[Path], Path]  # writes a bag into a folder, and says what to hand over
 Family: TypeAlias = Iterator[tuple[str, Made]]

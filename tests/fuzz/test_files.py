@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags and logs of any content are read, recovered, imported, or refused by ``InputError``."""
+
+import contextlib
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from trackslip_bags.importing.importer import import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.messages import header, make, serialize
+from trackslip_bags.parameters import bag_parameters
+from trackslip_bags.reader import open_bag
+from trackslip_bags.recovery.recover import recover
+from trackslip_bags.writer import BagWriter
+from trackslip_common.errors import InputError
+
+MAPPING = b"""time: {column: t, unit: s}
+start: 5.0
+topics:
+  sprockets:
+    left_velocity: {column: l, unit: deg/s, scale: -1.0}
+    right_velocity: {column: r, unit: rpm}
+    new_when_changes: l
+  reference_pose:
+    x: {column: x, unit: m}
+    y: {column: x, unit: cm}
+    yaw: {column: l, unit: deg}
+    stddev: {x: 0.1, y: 0.1, yaw: 0.1}
+    time_offset: 0.1
+    frame: odom
+parameters: {history_window: 2.0}
+"""
+LOG = b't,l,r,x\n0.0,1,2,3\n0.1,"2",3,4\n0.2,-3e1,nan,inf\n'
+Damage = tuple[float, int, bytes]  # where, as a share of the file; bytes cut out, and put in
+
+damages = st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 64), st.binary(max_size=64)), max_size=4)
+_ALL = settings().max_examples
+of_folders = settings(  # files take longer than bytes; each replaces the one before
+    max_examples=min(_ALL, max(_ALL // 50, 100)), suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """An MCAP file of three seconds."""
+    with BagWriter(tmp_path_factory.mktemp("seed") / "bag") as bag:
+        for n in range(3):
+            joints = make("sensor_msgs/msg/JointState", header=header(n, "base_link"), position=[0.5])
+            bag.write("/sprockets", "sensor_msgs/msg/JointState", serialize(joints), n * 400_000_000)
+            text = make("std_msgs/msg/String", data="slip_estimator: {ros__parameters: {start: first_fix}}")
+            bag.write("/slip_estimator/parameters", "std_msgs/msg/String", serialize(text), n * 400_000_000)
+    return bag.file.read_bytes()
+
+
+def damaged(content: bytes, damage: list[Damage]) -> bytes:
+    for share, cut, put in damage:
+        at = round(share * len(content))
+        content = content[:at] + put + content[at + cut :]
+    return content
+
+
+@pytest.mark.parametrize("suffix", ["mcap", "db3"])
+@of_folders
+@given(damage=damages)
+@example(damage=[(0.5, 1 << 20, b"")])
+@example(damage=[(0.0, 1 << 20, b"SQLite format 3\0" + bytes(84))])
+def test_bag_is_read_or_refused(suffix: str, damage: list[Damage], recording: bytes, tmp_path: Path) -> None:
+    path = tmp_path / f"bag.{suffix}"
+    path.write_bytes(damaged(recording, damage))
+    with contextlib.suppress(InputError), open_bag(path) as bag:
+        for message in bag.messages():
+            with contextlib.suppress(InputError):
+                bag.deserialize(message.raw, message.type_name)
+        bag_parameters(bag)
+
+
+@of_folders
+@given(damage=damages)
+@example(damage=[])
+@example(damage=[(0.5, 1 << 20, b"")])
+def test_recovered_bag_is_whole(damage: list[Damage], recording: bytes, tmp_path: Path) -> None:
+    path, output = tmp_path / "bag.mcap", tmp_path / "out"
+    path.write_bytes(damaged(recording, damage))
+    with contextlib.suppress(InputError):
+        recovery = recover(path, output)
+        with open_bag(output) as bag:
+            assert sum(1 for _ in bag.messages()) == recovery.messages
+            assert not bag.damage
+    shutil.rmtree(output, ignore_errors=True)
+
+
+@of_folders
+@given(of_mapping=damages, of_log=damages)
+@example(of_mapping=[], of_log=[(0.5, 1 << 20, b"")])
+@example(of_mapping=[], of_log=[(0.0, 1 << 20, b"\xff\xfet")])
+def test_log_is_imported_or_refused(of_mapping: list[Damage], of_log: list[Damage], tmp_path: Path) -> None:
+    mapping, log, output = tmp_path / "map.yaml", tmp_path / "log.csv", tmp_path / "bag"
+    mapping.write_bytes(damaged(MAPPING, of_mapping))
+    log.write_bytes(damaged(LOG, of_log))
+    with contextlib.suppress(InputError):
+        import_log([log], read_mapping(mapping), output)
+    shutil.rmtree(output, ignore_errors=True)

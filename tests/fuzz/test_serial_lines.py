@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""After anything on a serial line good messages are found: of SICK scanners, Watson IMUs, NMEA."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import Parameters, from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols import nmea_sentences
+from trackslip_drivers.protocols import sick_commands as commands
+from trackslip_drivers.protocols.nmea import LONGEST_LINE
+from trackslip_drivers.protocols.nmea_stream import NmeaStream
+from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan
+from trackslip_drivers.protocols.sick_session import Phase, SickSession
+from trackslip_drivers.protocols.sick_telegram import (
+    FROM_SENSOR,
+    MAX_PAYLOAD,
+    MAX_TELEGRAM,
+    SILENCE_NS,
+    TO_SENSOR,
+    Control,
+    Telegram,
+    TelegramParser,
+    frame,
+)
+from trackslip_drivers.protocols.watson import Layout, encode_frame, encode_line
+from trackslip_drivers.protocols.watson_stream import WatsonStream
+from trackslip_drivers.sick_parameters import SickParameters
+from trackslip_drivers.watson_parameters import WatsonParameters
+from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
+
+Piece = tuple[int, bytes]  # kind and content
+T = TypeVar("T", bound=Parameters)
+
+MS = 1_000_000
+RAW, FRAMED, CUT, HEAD, ACK, SILENCE, SCAN = range(7)  # kinds of pieces; a further one is raw, too
+
+kinds = st.one_of(st.integers(RAW, SCAN), st.just(FRAMED))
+contents = st.one_of(st.binary(max_size=24), st.binary(max_size=768))
+pieces = st.lists(st.tuples(kinds, contents), max_size=12)
+
+
+def defaults(cls: type[T], node: str) -> T:
+    """What ``config/`` gives a node."""
+    return from_flat(cls, node_defaults(node, f"{node}.yaml"), node)
+
+
+PLS = defaults(SickParameters, "sick_pls")
+LMS = replace(PLS, model="lms", range_max=80.0)
+SCANS = [
+    frame(RawScan(np.full(361, n, dtype=np.uint16), status=0).payload(), FROM_SENSOR) for n in (250, 251)
+]
+MODE_OK = frame(b"\xa0\x00\x10", FROM_SENSOR)
+POWER_ON = b"\x90PLS101-312\x10"
+
+
+def on_line(kind: int, content: bytes, address: int) -> tuple[bytes, int]:
+    """The bytes of a piece, and how long they are in coming, ns."""
+    payload = scan_payload(content) if kind == SCAN else content or b"\0"
+    whole = frame(payload[:MAX_PAYLOAD], address) if kind in (FRAMED, CUT, SCAN) else content
+    forms = {
+        CUT: whole[: len(whole) // 2],
+        HEAD: bytes((0x02, address)) + content,
+        ACK: bytes((Control.ACK.value,)),
+        SILENCE: b"",
+    }
+    return forms.get(kind, whole), SILENCE_NS if kind == SILENCE else 2 * MS
+
+
+def scan_payload(content: bytes) -> bytes:
+    """A scan of as many values as the first two bytes say, the last byte filling what is missing."""
+    head, values = content[:2].ljust(2, b"\0"), content[2:] or b"\0"
+    size = 2 * (int.from_bytes(head, "little") & 0x1FF)
+    return b"\xb0" + head + values.ljust(size, values[-1:])[:size] + values[-1:]
+
+
+SCAN_OF_ZEROS = RawScan(np.zeros(10, dtype=np.uint16), status=0).payload()
+CONVERSATIONS: list[list[Piece]] = [  # what a scanner may say
+    [(ACK, b""), (FRAMED, b"\xa0\x00\x10"), (RAW, b"\x06\x15\xff"), (SILENCE, b"")],
+    [(SCAN, count.to_bytes(2, "little") + b"\xf7\x1f\x80") for count in (180, 4457, 16745)],
+    [(FRAMED, POWER_ON), (FRAMED, b"\x91\x10"), (FRAMED, b"\x92\x10"), (FRAMED, b"\xb1abc\x10")],
+    [
+        *((HEAD, b"\x2c\x03\xb0"), (SCAN, b"\x69\x01\x00\x21\x80"), (CUT, SCAN_OF_ZEROS)),
+        *((FRAMED, b"\xb2\x01\x05\x03\x02\x10"), (SILENCE, b"")),
+    ],
+]
+
+
+def check_telegrams(conversation: list[Piece]) -> None:
+    parser = TelegramParser(FROM_SENSOR, 500_000, 11, Tally(), "scan")
+    now_ns = 0
+    for kind, content in conversation:
+        said, lasts_ns = on_line(kind, content, FROM_SENSOR)
+        now_ns += lasts_ns
+        for event in parser.feed(said, now_ns):
+            if isinstance(event, Telegram):
+                decode_scan(event, PLS)
+                decode_scan(event, LMS)
+        assert parser.bytes_held < MAX_TELEGRAM
+    heard = [parser.feed(scan, now_ns + 40 * MS * (n + 1)) for n, scan in enumerate(SCANS)]
+    payloads = [event.payload for events in heard for event in events if isinstance(event, Telegram)]
+    # One false start in 33000 passes the checksum, with the scans that follow it as its content.
+    forged = any(scan[:8] in payload for scan in SCANS for payload in payloads)
+    assert forged or SCANS[1][4:-2] in payloads
+
+
+def check_session(conversation: list[Piece]) -> None:
+    session = SickSession(replace(PLS, serial_baud=9600), Tally())
+    now_ns = start_streaming(session, 0)
+    for kind, content in conversation:
+        said, lasts_ns = on_line(kind, content, FROM_SENSOR)
+        now_ns += lasts_ns * (10 if kind == SILENCE else 1)
+        session.receive(said, now_ns)
+        session.step(now_ns)
+    now_ns = start_streaming(session, now_ns) + SILENCE_NS
+    session.receive(b"", now_ns)  # false starts are the telegram parser's affair
+    scans = [scan for n in (1, 2) for scan in session.receive(SCANS[n - 1], now_ns + 40 * MS * n)]
+    assert any(abs(s.sample.ranges[0] - 2.51) < 1e-9 for s in scans)
+    assert all(isinstance(scan, Scan) for scan in scans)
+
+
+@given(pieces)
+def test_second_scan_after_any_bytes_is_found(conversation: list[Piece]) -> None:
+    check_telegrams(conversation)
+
+
+@given(pieces)
+def test_session_streams_again_after_any_bytes(conversation: list[Piece]) -> None:
+    check_session(conversation)
+
+
+@pytest.mark.parametrize("conversation", CONVERSATIONS)
+def test_scanner_may_say_anything_that_it_knows(conversation: list[Piece]) -> None:
+    check_telegrams(conversation)
+    check_session(conversation)
+
+
+def start_streaming(session: SickSession, now_ns: int) -> int:
+    """Be the scanner that answers everything with yes; gives the time at which it streams."""
+    for _ in range(100_000):
+        if session.phase is Phase.STREAMING:
+            return now_ns
+        now_ns += 100 * MS  # far longer than its answers take: time-outs pass quickly
+        asked = session.step(now_ns).write
+        session.receive(bytes((Control.ACK.value,)) + MODE_OK if asked else b"", now_ns)
+    raise AssertionError(f"still {session.phase.value}")
+
+
+@given(pieces)
+@example([(FRAMED, commands.STREAM_ALL), (FRAMED, commands.STREAM_MINIMA), (FRAMED, commands.RESET)])
+@example(
+    [(FRAMED, commands.installation_mode(commands.PASSWORDS["pls"])), (FRAMED, commands.set_baud(500_000))]
+)
+@example([(FRAMED, commands.STATUS), (FRAMED, commands.ERRORS), (FRAMED, commands.STOP)])
+def test_emulated_scanner_answers_after_any_command(conversation: list[Piece]) -> None:
+    ranges = np.full(361, 2.5)
+    start = SickDeviceParameters(boot_delay=0.0, power_on_baud=9600)
+    device = SickDevice(PLS, start, lambda _: ranges, 0)
+    now_ns = 500 * MS  # power-on is said
+    for kind, content in conversation:
+        said, lasts_ns = on_line(kind, content, TO_SENSOR)
+        now_ns += lasts_ns
+        device.receive(said, now_ns, None)
+        device.step(now_ns)
+    for _ in range(2):  # silence: what was begun is given up, what that lays bare is done
+        now_ns += 2_000 * MS
+        device.receive(b"", now_ns, None)
+        device.step(now_ns)
+    device.receive(frame(commands.STOP, TO_SENSOR), now_ns, None)
+    assert MODE_OK[:6] in device.step(now_ns + 2_000 * MS)
+
+
+WATSON = defaults(WatsonParameters, "watson_imu")
+LAYOUT = Layout(WATSON.channels, WATSON.formats, WATSON.full_scales)
+LINES = [encode_line("R", {"ZA": -1.0, "ZR": rate}, LAYOUT) for rate in (1.0, 2.0)]
+BINARY = [encode_frame({"ZA": -1.0, "ZR": rate}, LAYOUT) for rate in (50.0, 100.0)]
+parts = st.lists(
+    st.one_of(st.binary(max_size=40), st.sampled_from([*LINES, *BINARY, LINES[0][:9], b"*****\r"]))
+)
+
+
+@pytest.mark.parametrize("good", [LINES, BINARY], ids=["lines", "binary"])
+@given(said=parts.map(b"".join), cut=st.integers(1, 256))
+@example(said=b"WATSON INDUSTRIES, INC.\r" + LINES[0] + LINES[0].replace(b"+0000", b"*****"), cut=8)
+@example(said=BINARY[0][:-1] + BINARY[1], cut=256)
+def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], said: bytes, cut: int) -> None:
+    """``cut``: as reads may come, bytes."""
+    last = WatsonStream(LAYOUT, 9600, 0, Tally()).feed(good[1], 0)[0].angular_velocity
+    stream = WatsonStream(LAYOUT, 9600, 0, Tally())
+    for at in range(0, len(said), cut):
+        for sample in stream.feed(said[at : at + cut], at * MS):
+            assert np.isfinite((*sample.acceleration, *sample.angular_velocity)).all(), sample
+        assert stream.bytes_held <= stream.limit
+    samples = [sample for message in good for sample in stream.feed(message, 0)]
+    assert any(sample.angular_velocity == last for sample in samples)
+
+
+NMEA = defaults(NmeaParameters, "nmea_gnss")
+AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
+_ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
+    *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.hdt, nmea_sentences.pashr),
+)
+SENTENCES = [encode(AT) for encode in _ENCODERS]
+BODIES = [message[1:].partition(b"*")[0] for message in SENTENCES]
+fields = st.one_of(
+    st.binary(max_size=12), st.sampled_from(sorted({f for body in BODIES for f in body.split(b",")}))
+)
+bodies = st.one_of(
+    st.sampled_from(BODIES), st.lists(fields, max_size=16).map(b",".join), st.binary(max_size=160)
+)
+
+
+@given(st.lists(bodies, max_size=8))
+@example([b"GNTHS,12.5,A", b"GNHDT,,T", b"PASHR,POS,1"])
+def test_good_fix_after_any_sentences_is_found(said: list[bytes]) -> None:
+    """Whole with a right checksum, or as they come."""
+    stream, now_ns = NmeaStream(NMEA, Tally()), 0
+    for content in said:
+        now_ns += 40 * MS
+        is_text = content.isascii() and b"\n" not in content
+        whole = nmea_sentences.sentence(content.decode("ascii")) if is_text else content + b"\n"
+        for sample in stream.feed(whole, now_ns):
+            assert np.isfinite(sample[1]), sample
+        assert stream.bytes_held <= LONGEST_LINE
+        stream.flush()
+    stream.feed(b"\n", now_ns)
+    samples = stream.feed(SENTENCES[0] + SENTENCES[1], now_ns + 1000 * MS)
+    assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples)
