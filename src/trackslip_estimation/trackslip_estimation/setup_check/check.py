@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check: which few mistakes explain how tracks, inertial unit and fixes of a drive disagree.
 
-What is found first is undone before the next step looks: missing values, units of time, the unit of the speeds, the
-inertial unit's axis and unit, then all signs together, then what has an interval: radius, lever arms, offsets, delays.
+What is found first is undone before the next step looks: missing values, units of time, the unit of the
+speeds, the
+inertial unit's axis and unit, then all signs together, then what has an interval: radius, lever arms,
+offsets, delays.
 """
 
 from collections.abc import Sequence
@@ -11,9 +13,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trackslip_estimation.setup_check import clocks, inertial, places, remedies, signs, speeds
+from trackslip_estimation.setup_check import clocks, inertial, places, signs, speeds
 from trackslip_estimation.setup_check.directions import Directions, decide_signs
-from trackslip_estimation.setup_check.evidence import Drive, gyro_turn
+from trackslip_estimation.setup_check.evidence import Drive
 from trackslip_estimation.setup_check.faults import without_missing
 from trackslip_estimation.setup_check.finding import Cause, Measured, Result, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, scales
@@ -59,7 +61,14 @@ def _check(log: Log, found: _Found) -> list[str]:
     found.add(places.judge_places(log.fixes))
     grid = make_grid(log, None)
     if grid is None or not _moves(grid):
-        found.add([], [Undetermined("everything: the tracks hardly move", "drive 10 m straight, and turn by 90° each way")])
+        found.add(
+            [],
+            [
+                Undetermined(
+                    "everything: the tracks hardly move", "drive 10 m straight, and turn by 90° each way"
+                )
+            ],
+        )
         return []
     fixes, compass = _primary(log)
     rough = speeds.rough_scale(grid, fixes) if fixes is not None else float("nan")
@@ -79,8 +88,13 @@ def _missing_cause(one: object) -> Cause:
     from trackslip_estimation.setup_check.faults import Missing
 
     assert isinstance(one, Missing)
-    evidence = f"{one.column} jumps to {one.value:g} and back {one.count} times ({one.share:.1%} of the readings)"
-    remedy = f"Leave out what stands for a missing value: blank cells, or in the mapping 'missing: {one.value:g}' at that column"
+    evidence = (
+        f"{one.column} jumps to {one.value:g} and back {one.count} times ({one.share:.1%} of the readings)"
+    )
+    remedy = (
+        "Leave out what stands for a missing value: blank cells, or in the "
+        f"mapping 'missing: {one.value:g}' at that column"
+    )
     return Cause("missing_value", one.source, evidence, odds_of(min(one.count, 20) * 1.5), remedy)
 
 
@@ -151,7 +165,9 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     grid = make_grid(log, gyro)
     if grid is None:
         return
-    fit = fit_turns(window_sums(grid, grid.turns)[:, 2], window_sums(grid, grid.tracks) / log.machine.tread, WINDOW)
+    fit = fit_turns(
+        window_sums(grid, grid.turns)[:, 2], window_sums(grid, grid.tracks) / log.machine.tread, WINDOW
+    )
     lates = clocks.lates_of(grid, log, gyro, fixes, compass, fit.bias)
     names = {"tracks": "sprockets", "gyro": gyro.name if gyro else "", "fixes": fixes.name if fixes else ""}
     names["heading"] = compass.name if compass else ""
@@ -163,7 +179,9 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     for cause in causes:
         late = clocks.value_of(cause, lates, names)
         rival = lever.log_ratio if lever is not None and cause.source == names["fixes"] else 0.0
-        if late.gain is not None and rival > late.gain - _UNIT_GAIN:  # both move fixes along the path in turns
+        if (
+            late.gain is not None and rival > late.gain - _UNIT_GAIN
+        ):  # both move fixes along the path in turns
             causes = []
             if rival < late.gain + _UNIT_GAIN:
                 what = f"{cause.source}: late, or a lever arm"
@@ -176,7 +194,14 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
         grid = make_grid(log, gyro) or grid
     found.add(causes, open_ones)
     if fixes is None:
-        found.add([], [Undetermined("rolling radius and unit of the speeds", "record fixes while driving 10 m straight")])
+        found.add(
+            [],
+            [
+                Undetermined(
+                    "rolling radius and unit of the speeds", "record fixes while driving 10 m straight"
+                )
+            ],
+        )
         return
     path = _path(grid, gyro, fit.bias, log)
     noise = float(np.median(fixes.stddevs))
@@ -199,7 +224,9 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
 
 def _delay(late: clocks.Late, names: dict[str, str]) -> Measured:
     basis = "path of the fixes" if late.gain is not None else "turn rates"
-    return Measured("delay", names[late.second], late.value, 2.0 * late.stddev, "s", f"after the sprockets, by {basis}")
+    return Measured(
+        "delay", names[late.second], late.value, 2.0 * late.stddev, "s", f"after the sprockets, by {basis}"
+    )
 
 
 def _arms(lever: Lever, fixes: Fixes) -> list[Measured]:
@@ -245,11 +272,11 @@ def facts_of(log: Log, drive: Drive, directions: Directions) -> list[str]:
         turned.append(f"{np.degrees(np.nansum(np.abs(drive.turn))):.0f}° by the gyro")
     if drive.compass is not None:
         of_heading = np.diff(heading_at(drive.compass, window_edges(grid)))
-        turned.append(f"{np.degrees(np.nansum(np.abs(of_heading))):.0f}° by the heading of {drive.compass.name}")
+        turned.append(
+            f"{np.degrees(np.nansum(np.abs(of_heading))):.0f}° by the heading of {drive.compass.name}"
+        )
     lines.append(f"turned: {', '.join(turned)}")
     series = [("sprockets", log.tracks.t), *((s.name, s.t) for s in (*log.gyros, *log.fixes))]
     rates = [f"{name} {1.0 / float(np.median(np.diff(t))):.3g} Hz" for name, t in series if len(t) > 2]
     lines.append(f"rates: {', '.join(rates)}")
     return lines
-
-

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""By how much one turn rate follows another: cross-correlation of rates, in pieces, so that it has an interval."""
+"""By how much one turn rate follows another: cross-correlation in pieces, with an interval."""
 
 from typing import NamedTuple
 
@@ -25,10 +25,10 @@ class Delay(NamedTuple):
 
 def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
     """Of two rates (m,) on cells of ``cell`` s; None where they do not follow each other."""
-    steps = int(round(LATEST / cell))
+    steps = round(LATEST / cell)
     usable = np.isfinite(first) & np.isfinite(second)
     a, b = (_without_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
-    size = int(round(_PIECE / cell))
+    size = round(_PIECE / cell)
     count = (len(a) - 2 * steps) // size
     if count < _LEAST_PIECES:
         size = max((len(a) - 2 * steps) // _LEAST_PIECES, 1)
@@ -68,7 +68,9 @@ def _without_spikes(rates: FloatArray) -> FloatArray:
     return np.clip(rates, -most, most)
 
 
-def _peak(cross: FloatArray, energy: FloatArray, shifts: FloatArray, cell: float) -> tuple[float, float] | None:
+def _peak(
+    cross: FloatArray, energy: FloatArray, shifts: FloatArray, cell: float
+) -> tuple[float, float] | None:
     """Shift in s at the top, between cells, and the correlation there."""
     scale = np.sqrt(energy[0] * energy[1])
     if (scale <= 0.0).any():

@@ -61,7 +61,9 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     if not drive.has_gyro and drive.compass is None:
         count = max(turns_of(0.5 * (drive.x[:, 1] - drive.x[:, 0])), turns_of(0.5 * drive.x.sum(axis=1)))
     way = float(np.nansum(np.abs(window_sums(drive.grid, drive.grid.tracks.mean(axis=1)))))
-    way = max(way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0)))))
+    way = max(
+        way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0))))
+    )
     needs = []
     turned = float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING]))) if drive.has_gyro else 0.0
     is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
@@ -90,7 +92,14 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
         open_ones.append(Undetermined(what, _missing_sensor(evidence)))
     is_decided = not doubtful and (bool(likely) or decision.any_odds < 0.0)
-    return Directions(**base, mirror=mirror, convention=convention, is_decided=is_decided, causes=tuple(causes), undetermined=tuple(open_ones))
+    return Directions(
+        **base,
+        mirror=mirror,
+        convention=convention,
+        is_decided=is_decided,
+        causes=tuple(causes),
+        undetermined=tuple(open_ones),
+    )
 
 
 def _named(decision: Decision) -> frozenset[str]:
@@ -102,7 +111,10 @@ def _named(decision: Decision) -> frozenset[str]:
 
 def _missing_sensor(evidence: Evidence) -> str:
     if not evidence.has_map:
-        return "record fixes while you drive 10 m and turn left and right by 90°: they say which of the two is wrong"
+        return (
+            "record fixes while you drive 10 m and turn left and right by "
+            "90°: they say which of the two is wrong"
+        )
     if not evidence.has_gyro:
         return "record a gyro while you turn left and right by 90°: it says which of the two is wrong"
     return "drive 20 m forward, hardly in reverse, with turns of 90° to both sides"
@@ -138,11 +150,26 @@ def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, 
     third = drive.fixes.name if drive.fixes else (drive.compass.name if drive.compass else "")
     also = f"; {third} agrees" if third else ""
     texts = {
-        signs.SWAPPED: (f"the machine turns to the other side than its tracks say{also} with the gyro", remedies.swap_tracks()),
-        signs.BOTH: (f"the machine drives and turns the other way than its tracks say{also} with the gyro", remedies.track_sign("left", "right")),
-        signs.LEFT: ("the machine drives and turns as with the left track counting the other way", remedies.track_sign("left")),
-        signs.RIGHT: ("the machine drives and turns as with the right track counting the other way", remedies.track_sign("right")),
-        signs.GYRO: (f"the gyro turns to the other side than the tracks{also} with the tracks", remedies.gyro_sign(gyro) if gyro else ""),
+        signs.SWAPPED: (
+            f"the machine turns to the other side than its tracks say{also} with the gyro",
+            remedies.swap_tracks(),
+        ),
+        signs.BOTH: (
+            f"the machine drives and turns the other way than its tracks say{also} with the gyro",
+            remedies.track_sign("left", "right"),
+        ),
+        signs.LEFT: (
+            "the machine drives and turns as with the left track counting the other way",
+            remedies.track_sign("left"),
+        ),
+        signs.RIGHT: (
+            "the machine drives and turns as with the right track counting the other way",
+            remedies.track_sign("right"),
+        ),
+        signs.GYRO: (
+            f"the gyro turns to the other side than the tracks{also} with the tracks",
+            remedies.gyro_sign(gyro) if gyro else "",
+        ),
     }
     if name in texts:
         evidence, remedy = texts[name]
@@ -160,4 +187,6 @@ def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, 
         "Call the column 'heading' instead of 'yaw' in the mapping",
         "Turn its sign: in the mapping 'scale: -1' at yaw",
     )[convention]
-    return Cause(signs.HEADING, topic, f"{evidence}: it turns against tracks, gyro and course", odds_of(log), remedy)
+    return Cause(
+        signs.HEADING, topic, f"{evidence}: it turns against tracks, gyro and course", odds_of(log), remedy
+    )

@@ -63,7 +63,9 @@ def gather(drive: Drive, fit: TurnFit | None = None) -> Evidence:
         fit.logs if drive.has_gyro else np.zeros(4),
         _gyro_shapes(drive, fit),
         _track_shapes(drive, fit),
-        turn_logs(of_heading, drive.turn - fit.bias * WINDOW) if drive.has_gyro and has_heading else np.zeros(2),
+        turn_logs(of_heading, drive.turn - fit.bias * WINDOW)
+        if drive.has_gyro and has_heading
+        else np.zeros(2),
         fit_turns(of_heading, x, WINDOW).logs if has_heading and not drive.has_gyro else np.zeros(4),
         _courses(drive, fit) if has_heading else np.zeros((len(ASSIGNMENTS), 2, 2)),
         forward_shares(grid.tracks),
@@ -151,5 +153,3 @@ def forward_shares(tracks: FloatArray) -> FloatArray:
         ahead, back = float(way[way > 0.0].sum()), float(-way[way < 0.0].sum())
         shares.append((ahead + 1.0) / (ahead + back + 2.0))
     return np.array(shares)
-
-

@@ -83,13 +83,15 @@ def covered(t: FloatArray, edges: FloatArray) -> BoolArray:
     """(m,) whether readings reach over each cell without a gap."""
     after = np.clip(np.searchsorted(t, edges[1:]), 1, len(t) - 1)
     before = np.clip(np.searchsorted(t, edges[:-1], side="right") - 1, 0, len(t) - 2)
-    found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (edges[:-1] >= t[0] - 1e-9)
+    found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (
+        edges[:-1] >= t[0] - 1e-9
+    )
     return found & (edges[1:] <= t[-1] + 1e-9)
 
 
 def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> FloatArray:
     """(w, …) sums of (m, …) values over windows of ``length`` s."""
-    size = max(int(round(length / grid.cell)), 1)
+    size = max(round(length / grid.cell), 1)
     count = len(values) // size
     shaped = values[: count * size].reshape(count, size, *values.shape[1:])
     return np.asarray(shaped.sum(axis=1))
@@ -97,7 +99,7 @@ def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> Float
 
 def window_edges(grid: Grid, length: float = WINDOW) -> FloatArray:
     """(w + 1,) s."""
-    size = max(int(round(length / grid.cell)), 1)
+    size = max(round(length / grid.cell), 1)
     return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]
 
 

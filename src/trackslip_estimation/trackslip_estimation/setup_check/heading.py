@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stated headings against the turn of the gyro or tracks, and against the course of the fixes.
 
-    Δψ = s Δψ_g + e         s = 1, or −1 for a heading that counts the other way round
-    γ = course − ψ − π [reverse]      0 for a heading of the machine, forward
+Δψ = s Δψ_g + e         s = 1, or −1 for a heading that counts the other way round
+γ = course − ψ − π [reverse]      0 for a heading of the machine, forward
 """
 
 from typing import NamedTuple
@@ -120,8 +120,6 @@ def mean_direction(angles: FloatArray) -> float:
 def wrapped(angles: FloatArray) -> FloatArray:
     """To [−π, π)."""
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
-
-
 
 
 def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:

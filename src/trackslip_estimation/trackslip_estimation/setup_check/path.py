@@ -8,7 +8,8 @@ l        stated place of the sensor in base_link                                
 
     z_k = a + c (q_k + l e^{iψ_k}) + e      c complex: heading of the begin, share of the track distance
 
-A segment is fitted for each path; ln(RSS_b/RSS_a) ν/2 says how much better path a is than b. ν counts fixes that
+A segment is fitted for each path; ln(RSS_b/RSS_a) ν/2 says how much better path a is than b. ν counts
+fixes that
 are a second apart, and no segment counts for more than e⁴: errors of receivers and slips last.
 """
 

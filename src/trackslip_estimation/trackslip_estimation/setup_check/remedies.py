@@ -11,14 +11,17 @@ from trackslip_estimation.setup_check.log import FloatArray, Gyro, group_of
 
 def parameter(name: str, value: float | str | bool) -> str:
     """A line for the parameters of the slip estimator; its names are dotted."""
-    text = value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
+    text = (
+        value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
+    )
     return f"slip_estimator.{name}={text}"
 
 
 def swap_tracks() -> str:
     """Both ways in which sides are named."""
     return (
-        "Exchange left and right: in the mapping the columns of left_velocity and right_velocity (left_position and "
+        "Exchange left and right: in the mapping the columns of "
+        "left_velocity and right_velocity (left_position and "
         "right_position; of a bag the joints left and right), in the roles file left_… and right_…"
     )
 
@@ -27,7 +30,10 @@ def track_sign(*sides: str) -> str:
     """Of one side or both."""
     names = " and ".join(f"{side}_velocity" for side in sides)
     roles = ", ".join(f"{side}_position" for side in sides)
-    return f"Turn the sign: in the mapping 'scale: -1' at {names} (of a joint 'sign: -1'), in the roles file {roles}: sign: -1"
+    return (
+        f"Turn the sign: in the mapping 'scale: -1' at {names} (of a joint "
+        f"'sign: -1'), in the roles file {roles}: sign: -1"
+    )
 
 
 def gyro_sign(gyro: Gyro) -> str:

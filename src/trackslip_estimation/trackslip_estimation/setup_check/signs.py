@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs and swaps, decided together: which few of them explain what all sensors show of each other.
 
-A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a mirrored map, and
+A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a mirrored
+map, and
 headings that count the other way. Its likelihood is that of turns of gyro and tracks, of the shape of the
-path, and of headings; each mistake has a prior of 1 : 300. Of each mistake the odds are those of all hypotheses with
+path, and of headings; each mistake has a prior of 1 : 300. Of each mistake the odds are those of all
+hypotheses with
 it against all without it: what two mistakes explain equally well is not decided.
 """
 

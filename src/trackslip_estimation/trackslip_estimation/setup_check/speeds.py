@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Distance by the tracks against distance by the fixes: units of speed, rolling radius, a gear of the travel drive.
+"""Distance by tracks against distance by fixes: units of speed, rolling radius, gear of the drive.
 
     ρ = distance by fixes / distance by tracks = (1 − i) / f       i slip, f factor of the mistake
 
 Slip has one side: tracks run ahead of the machine, seldom by more than half on a whole drive, and behind it
-only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 holds on the best ground of the log too.
+only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 holds on the best ground of the
+log too.
 """
 
 import numpy as np
@@ -48,7 +49,7 @@ _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
 def rough_scale(grid: Grid, fixes: Fixes) -> float:
-    """ρ on the fastest straights, whatever the signs of the tracks are; nan where there is too little motion."""
+    """ρ on the fastest straights, whatever the signs of the tracks; nan: too little motion."""
     length = 2.0
     steps = np.diff(place_at(fixes, window_edges(grid, length)), axis=0)
     way = np.hypot(*steps.T)
@@ -143,13 +144,16 @@ def judge(
         value = UNITS[best]
         evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
         remedy = (
-            "State the unit in which the speeds are (mapping: left_velocity and right_velocity: unit; roles file: "
+            "State the unit in which the speeds are (mapping: left_velocity "
+            "and right_velocity: unit; roles file: "
             f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     if ratios.best < 0.9 and ratios.best > 0.55:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
-        return [], [Undetermined(f"slip of {1.0 - ratios.best:.0%}, or a rolling radius that is too large", needed)]
+        return [], [
+            Undetermined(f"slip of {1.0 - ratios.best:.0%}, or a rolling radius that is too large", needed)
+        ]
     return [], []
 
 
@@ -183,14 +187,21 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
         f"{high_ratio:.2f} times in {len(high)}: a travel motor of another displacement"
     )
     remedy = (
-        f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use left_position and "
+        f"State the gear: speeds from flows are {ratio:.3g} times as large "
+        "in the high gear; use left_position and "
         "right_position of the sprockets in the roles file, or record each gear by itself"
     )
-    return Cause("travel_gear", "sprockets", evidence, odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2), remedy)
+    return Cause(
+        "travel_gear",
+        "sprockets",
+        evidence,
+        odds_of(len(high) * 0.5 * ((high_ratio - 1.0) / 0.15) ** 2),
+        remedy,
+    )
 
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
-    """(n,) which of the values in order of time lie high, runs of one smoothed away; how far from a level most are."""
+    """(n,) which values in order of time lie high, single ones smoothed; how far from levels most are."""
     low, high = float(np.percentile(values, 20)), float(np.percentile(values, 80))
     is_high = values > (low + high) / 2.0
     for _ in range(5):
@@ -219,5 +230,3 @@ def distance_of(fixes: Fixes, grid: Grid) -> float:
     noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
     with np.errstate(invalid="ignore"):
         return float(np.nansum(way[way > 3.0 * noise]))
-
-

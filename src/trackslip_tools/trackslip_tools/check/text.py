@@ -22,7 +22,9 @@ def whole(result: Result) -> str:
     if result.causes:
         rows = [(c.cause, c.source, odds_text(c.odds)) for c in result.causes]
         parts.append(table(("cause", "source", "odds"), rows, (False, False, True)))
-        parts += ["\n".join(map(wrapped, (f"{c.cause}: {c.evidence}", f"  {c.remedy}"))) for c in result.causes]
+        parts += [
+            "\n".join(map(wrapped, (f"{c.cause}: {c.evidence}", f"  {c.remedy}"))) for c in result.causes
+        ]
     else:
         parts.append("setup plausible")
     if result.undetermined:

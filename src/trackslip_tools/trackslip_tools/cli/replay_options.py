@@ -68,7 +68,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Declare what accepts a setup that is wrong."""
     parser.add_argument(
-        "--force", action="store_true", help="exit code 0 although the setup check found a cause (trackslip check)"
+        "--force",
+        action="store_true",
+        help="exit code 0 although the setup check found a cause (trackslip check)",
     )
 
 

@@ -63,9 +63,7 @@ class Distance:
         self._stamp_ns = int(estimates["stamp_ns"][-1])
 
 
-def entry_of(
-    path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, force: bool = False
-) -> Entry:
+def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, force: bool = False) -> Entry:
     """The entry of a bag, whatever is wrong with it; ``replayed`` gives its replay and its page.
 
     ``force``: a setup that is wrong is accepted.
