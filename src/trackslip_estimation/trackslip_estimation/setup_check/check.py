@@ -16,7 +16,7 @@ import numpy as np
 from trackslip_estimation.setup_check import clocks, inertial, places, signs, speeds
 from trackslip_estimation.setup_check.directions import Directions, decide_signs
 from trackslip_estimation.setup_check.evidence import Drive
-from trackslip_estimation.setup_check.faults import without_missing
+from trackslip_estimation.setup_check.faults import Missing, without_missing
 from trackslip_estimation.setup_check.finding import Cause, Measured, Result, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, scales
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
@@ -84,10 +84,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     return facts_of(log, drive, directions)
 
 
-def _missing_cause(one: object) -> Cause:
-    from trackslip_estimation.setup_check.faults import Missing
-
-    assert isinstance(one, Missing)
+def _missing_cause(one: Missing) -> Cause:
     evidence = (
         f"{one.column} jumps to {one.value:g} and back {one.count} times ({one.share:.1%} of the readings)"
     )
@@ -276,7 +273,8 @@ def facts_of(log: Log, drive: Drive, directions: Directions) -> list[str]:
             f"{np.degrees(np.nansum(np.abs(of_heading))):.0f}° by the heading of {drive.compass.name}"
         )
     lines.append(f"turned: {', '.join(turned)}")
-    series = [("sprockets", log.tracks.t), *((s.name, s.t) for s in (*log.gyros, *log.fixes))]
+    series = [("sprockets", log.tracks.t), *((g.name, g.t) for g in log.gyros)]
+    series += [(f.name, f.t) for f in log.fixes]
     rates = [f"{name} {1.0 / float(np.median(np.diff(t))):.3g} Hz" for name, t in series if len(t) > 2]
     lines.append(f"rates: {', '.join(rates)}")
     return lines

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import FloatArray
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray
 
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
@@ -146,6 +146,6 @@ def track_sense(of_distance: int, turn: FloatArray) -> int:
     return 0 if turn[1] > 0.0 else 1
 
 
-def _log_odds(weights: FloatArray, there: FloatArray) -> float:
+def _log_odds(weights: FloatArray, there: BoolArray) -> float:
     with_it, without = float(weights[there].sum()), float(weights[~there].sum())
     return float(np.log(max(with_it, 1e-300)) - np.log(max(without, 1e-300)))

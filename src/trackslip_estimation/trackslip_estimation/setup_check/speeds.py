@@ -71,7 +71,7 @@ def unit_of(rho: float) -> float:
     """Factor that a rough ρ asks for; 1 where slip or a radius may explain it."""
     if not np.isfinite(rho) or 0.3 <= rho <= 1.75:
         return 1.0
-    return min(UNITS.values(), key=lambda f: abs(np.log(rho * f)))
+    return float(min(UNITS.values(), key=lambda f: abs(np.log(rho * f))))
 
 
 def slip_log(rho: float) -> float:
