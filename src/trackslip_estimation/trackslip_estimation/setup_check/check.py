@@ -133,7 +133,9 @@ def _in_radians(compass: Compass | None, state: inertial.Inertial, found: _Found
     of_gyro = window_sums(state.grid, state.grid.turns)[:, 2]
     x = window_sums(state.grid, state.grid.tracks) / state.log.machine.tread
     scale = scale_of(of_gyro, x, WINDOW)
-    is_known = turns_of(of_gyro) >= LEAST_TURNS and inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1]
+    fit = fit_turns(of_gyro, x, WINDOW)
+    is_known = turns_of(of_gyro - fit.bias * WINDOW) >= LEAST_TURNS and float(fit.logs.max()) > _UNIT_GAIN
+    is_known &= bool(inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1])
     if factor == 1.0 or gain < _UNIT_GAIN or not is_known:
         return compass
     was, named = ("degrees", "radians") if factor > 1.0 else ("radians", "degrees")

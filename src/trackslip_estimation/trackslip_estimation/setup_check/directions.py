@@ -93,7 +93,7 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     if doubtful:
         sets = [_named(decision), *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
-        open_ones.append(Undetermined(what, _missing_sensor(evidence)))
+        open_ones.append(Undetermined(what, _missing_sensor(evidence), is_wrong=True))
     is_decided = not doubtful and (bool(likely) or decision.any_odds < 0.0)
     return replace(found, is_decided=is_decided, causes=tuple(causes), undetermined=tuple(open_ones))
 

@@ -63,11 +63,10 @@ def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0
 
 def _swings(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> BoolArray:
     """(m,) cells in which, or within a second of which, the upper structure swings."""
-    moved = increments(swing[0], np.unwrap(swing[1])[:, np.newaxis], edges)[:, 0]
-    cell = edges[1] - edges[0]
-    size = 2 * max(round(_SWING_MARGIN / cell), 1) + 1
-    swings = (np.abs(moved) > _SWINGING * cell).astype(np.float64)
-    return np.asarray(np.convolve(swings, np.ones(size), "same") > 0.5)
+    angle, middle = np.unwrap(swing[1]), (edges[1:] + edges[:-1]) / 2.0
+    after = np.interp(middle + _SWING_MARGIN, swing[0], angle)
+    before = np.interp(middle - _SWING_MARGIN, swing[0], angle)
+    return np.asarray(np.abs(after - before) > 2.0 * _SWING_MARGIN * _SWINGING)
 
 
 def integral(t: FloatArray, rates: FloatArray) -> FloatArray:

@@ -23,7 +23,8 @@ LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
 GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
 _PRIOR = float(np.log(300.0))  # of each mistake
 _NEAR = float(np.log(100.0))
-_FORWARD = 2.0  # ln odds for each e-fold of more forward than reverse
+_FORWARD = 3.0  # ln odds for each e-fold of more forward than reverse
+_SHARES = (0.12, 0.88)  # of the distance, beyond which more tells no more: some machines only back up
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
         score += float(e.track_shapes[of_distance, track_sense(of_distance, turned)])
         score += float(e.track_headings[opposite(pattern) if h else pattern])
     score += float(e.courses[a, p, h])
-    return score + _FORWARD * float(np.log(max(e.forward[a], 1e-3)))
+    return score + _FORWARD * float(np.log(np.clip(e.forward[a], *_SHARES)))
 
 
 def turn_pattern(turn: FloatArray) -> int:
