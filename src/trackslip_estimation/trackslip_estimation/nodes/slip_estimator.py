@@ -17,6 +17,7 @@ from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.nodes.estimate_outputs import EstimateOutputs
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.nodes.measurement_sources import MeasurementSources
+from trackslip_estimation.nodes.setup_monitor import SetupMonitor
 from trackslip_estimation.nodes.state_keeper import StateKeeper
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -54,6 +55,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._kept = StateKeeper(self, lambda: self._estimator)
         self._estimator = SlipEstimator(p, learned=self._kept.learned)
         self._watch = SourceWatch(p.timeouts_ns())
+        self._setup = SetupMonitor(self, lambda error: self.callback_failures.add("setup check", error))
         self._processed = self._estimates = 0
         self._vehicle = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._reporter = self.advertise(topic_class("measurement_reports"), "measurement_reports")
@@ -80,13 +82,18 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
     def deactivate(self) -> None:
         """Keep what was learned."""
         self._kept.finish()
+        self._setup.finish()
 
     def health(self) -> list[Health]:
         """Waiting, running, or what is missing; what was not accepted, innovations, and what was learned."""
         refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         counts = {"measurements": self._processed, "estimates": self._estimates, **refused}
         silence = self._sources.sprocket_silence_s
-        return [estimator_health(self._estimator, self._watch, silence, counts), *self._kept.health()]
+        return [
+            estimator_health(self._estimator, self._watch, silence, counts),
+            *self._setup.health(),
+            *self._kept.health(),
+        ]
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         return self._apply_command(
@@ -118,6 +125,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self._estimates += 1
         self._publish_report(report)
         self._processed += 1
+        self._setup.see(given)
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)

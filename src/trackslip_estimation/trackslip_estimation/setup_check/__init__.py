@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Setup check: three odometers (tracks, inertial unit, fixes) are compared, and the mistake that explains them is named."""
+"""Setup check: tracks, inertial unit and fixes are compared; mistakes that explain them are named."""

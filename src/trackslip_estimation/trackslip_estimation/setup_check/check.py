@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check: which few mistakes explain how tracks, inertial unit and fixes of a drive disagree.
 
-What is found first is undone before the next step looks: missing values, units of time, the unit of the speeds, the
-inertial unit's axis and unit, then all signs together, then what has an interval: radius, lever arms, offsets, delays.
+What is found first is undone before the next step looks: missing values, units of time, the unit of the
+speeds, the
+inertial unit's axis and unit, then all signs together, then what has an interval: radius, lever arms,
+offsets, delays.
 """
 
 from collections.abc import Sequence
@@ -14,7 +16,7 @@ import numpy as np
 from trackslip_estimation.setup_check import clocks, inertial, places, signs, speeds
 from trackslip_estimation.setup_check.directions import Directions, decide_signs
 from trackslip_estimation.setup_check.evidence import Drive
-from trackslip_estimation.setup_check.faults import without_missing
+from trackslip_estimation.setup_check.faults import Missing, without_missing
 from trackslip_estimation.setup_check.finding import Cause, Measured, Result, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, scales
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
@@ -82,14 +84,14 @@ def _check(log: Log, found: _Found) -> list[str]:
     return facts_of(log, drive, directions)
 
 
-def _missing_cause(one: object) -> Cause:
-    from trackslip_estimation.setup_check.faults import Missing
-
-    assert isinstance(one, Missing)
+def _missing_cause(one: Missing) -> Cause:
     evidence = (
         f"{one.column} jumps to {one.value:g} and back {one.count} times ({one.share:.1%} of the readings)"
     )
-    remedy = f"Leave out what stands for a missing value: blank cells, or in the mapping 'missing: {one.value:g}' at that column"
+    remedy = (
+        "Leave out what stands for a missing value: blank cells, or in the "
+        f"mapping 'missing: {one.value:g}' at that column"
+    )
     return Cause("missing_value", one.source, evidence, odds_of(min(one.count, 20) * 1.5), remedy)
 
 
@@ -131,7 +133,9 @@ def _in_radians(compass: Compass | None, state: inertial.Inertial, found: _Found
     of_gyro = window_sums(state.grid, state.grid.turns)[:, 2]
     x = window_sums(state.grid, state.grid.tracks) / state.log.machine.tread
     scale = scale_of(of_gyro, x, WINDOW)
-    is_known = turns_of(of_gyro) >= LEAST_TURNS and inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1]
+    fit = fit_turns(of_gyro, x, WINDOW)
+    is_known = turns_of(of_gyro - fit.bias * WINDOW) >= LEAST_TURNS and float(fit.logs.max()) > _UNIT_GAIN
+    is_known &= bool(inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1])
     if factor == 1.0 or gain < _UNIT_GAIN or not is_known:
         return compass
     was, named = ("degrees", "radians") if factor > 1.0 else ("radians", "degrees")
@@ -271,7 +275,8 @@ def facts_of(log: Log, drive: Drive, directions: Directions) -> list[str]:
             f"{np.degrees(np.nansum(np.abs(of_heading))):.0f}° by the heading of {drive.compass.name}"
         )
     lines.append(f"turned: {', '.join(turned)}")
-    series = [("sprockets", log.tracks.t), *((s.name, s.t) for s in (*log.gyros, *log.fixes))]
+    series = [("sprockets", log.tracks.t), *((g.name, g.t) for g in log.gyros)]
+    series += [(f.name, f.t) for f in log.fixes]
     rates = [f"{name} {1.0 / float(np.median(np.diff(t))):.3g} Hz" for name, t in series if len(t) > 2]
     lines.append(f"rates: {', '.join(rates)}")
     return lines

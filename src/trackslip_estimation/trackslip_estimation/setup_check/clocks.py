@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps: a unit of time that no sensor has, and delays of the sources against each other.
 
-Delays of turn rates come from cross-correlations; that of fixes without headings from the shape of the path. The
+Delays of turn rates come from cross-correlations; that of fixes without headings from the shape of the
+path. The
 source that is late against two others, which agree, is the late one.
 """
 
@@ -160,7 +161,10 @@ def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[U
     pairs = [key for key in values if best in key]
     if len(values) == 1:
         (a, b), (value, _) = next(iter(values.items()))
-        what = f"{b} is {abs(value):.2f} s {'later' if value > 0.0 else 'earlier'} than {a}: which of them is off"
+        what = (
+            f"{b} is {abs(value):.2f} s "
+            f"{'later' if value > 0.0 else 'earlier'} than {a}: which of them is off"
+        )
         return [], [Undetermined(what, "record a third source (gyro or fixes) while turning left and right")]
     signed = [(values[key][0] if key[1] == best else -values[key][0], values[key][1]) for key in pairs]
     value, stddev = min(signed, key=lambda v: v[1])
@@ -169,10 +173,14 @@ def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[U
         return [], [Undetermined(what, "turn left and right by 90° once each with all sources recorded")]
     topic = names.get(best, best)
     evidence = (
-        f"stamps of {topic} are {abs(value):.2f} ± {2.0 * stddev:.2f} s {'later' if value > 0.0 else 'earlier'} than "
+        f"stamps of {topic} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
+        f"{'later' if value > 0.0 else 'earlier'} than "
         "those of the other sources, which agree"
     )
-    remedy = f"In the mapping of {topic}: time_offset: {-value:.2f}; of a driver the parameter time_offset less {value:.2f} s"
+    remedy = (
+        f"In the mapping of {topic}: time_offset: {-value:.2f}; of a driver "
+        f"the parameter time_offset less {value:.2f} s"
+    )
     cause = Cause("source_delay", topic, evidence, odds_of(0.5 * ((abs(value) - 0.05) / stddev) ** 2), remedy)
     return [cause], []
 

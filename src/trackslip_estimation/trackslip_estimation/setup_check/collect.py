@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements of the slip estimator, as it is given them, become the columns that the setup check compares."""
+"""Measurements of the slip estimator become the columns that the setup check compares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,13 @@ _NO_HEADING = 0.3**2  # rad², variance of a heading that is none
 _NO_RATE = 1e3  # (rad/s)², variance of an axis that is unknown
 _LARGEST = 1e12  # of any number
 _OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from most stamps; less may be a wrong unit
-_WIDTHS = {SPROCKETS: 4, YAW_RATE: 6, POSE: 5, HEADING: 1, ON_SWING: 1}
+_KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
+_MOST = 2_000_000  # readings of a source: hours; what comes later is not compared
 
-
-class _Columns(NamedTuple):
-    stamps_ns: NDArray[np.int64]  # (n,)
-    values: FloatArray  # (n, k)
+Key: TypeAlias = tuple[int, str]  # kind of ``slip.records``, source
+Columns: TypeAlias = dict[Key, tuple[NDArray[np.int64], FloatArray]]
+"""Stamps (n,) ns and values (n, k): of sprockets both speeds, both angles; of an IMU rates about x, y,
+z, their variances, specific force along x, y, z; of a pose x, y, heading, their variances; else one angle."""
 
 
 @dataclass
@@ -33,69 +34,83 @@ class Collector:
     """Columns of each source, part by part."""
 
     parameters: SlipEstimatorParameters
-    parts: dict[tuple[int, str], list[_Columns]] = field(default_factory=dict)
+    parts: dict[Key, list[tuple[NDArray[np.int64], FloatArray]]] = field(default_factory=dict)
+    counts: dict[Key, int] = field(default_factory=dict)
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Of (n,) measurements; ``sources``: names by their numbers. Kinds that are not compared are left out."""
-        for kind, width in _WIDTHS.items():
+        """Of (n,) measurements; ``sources``: names by their numbers. Other kinds are left out."""
+        for kind in _KINDS:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
-                own = of_kind[of_kind["source"] == number]
-                found = _Columns(own["stamp_ns"].astype(np.int64), _values(kind, own))
-                assert found.values.shape[1] == width
-                self.parts.setdefault((kind, sources[number]), []).append(found)
+                own, key = of_kind[of_kind["source"] == number], (kind, sources[number])
+                if self.counts.get(key, 0) < _MOST:
+                    self.counts[key] = self.counts.get(key, 0) + len(own)
+                    found = own["stamp_ns"].astype(np.int64), _values(kind, own)
+                    self.parts.setdefault(key, []).append(found)
 
     def log(self) -> Log | None:
         """All columns on one clock; None without sprockets."""
-        left_out: dict[str, int] = {}
-        whole = {key: _joined(parts) for key, parts in self.parts.items()}
-        tracks = next((c for (kind, _), c in whole.items() if kind == SPROCKETS), None)
-        if tracks is None or not len(tracks.stamps_ns):
-            return None
-        usual = int(np.median(tracks.stamps_ns))
-        start = int(tracks.stamps_ns.min())
-        ready: dict[tuple[int, str], tuple[FloatArray, FloatArray]] = {}
-        for key, columns in whole.items():
-            t, values, lost = _sound(columns, usual, start, key[0])
-            left_out |= {key[1]: lost} if lost else {}
-            if len(t):
-                ready[key] = t, values
-        if not any(kind == SPROCKETS for kind, _ in ready):
-            return None
-        return _log(ready, self.parameters, left_out)
+        whole: Columns = {}
+        for key, parts in self.parts.items():
+            stamps, values = zip(*parts, strict=True)
+            whole[key] = np.concatenate(stamps), np.concatenate(values)
+        return log_of_columns(whole, self.parameters)
+
+
+def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
+    """All columns on one clock, with what the parameters state applied; None without sprockets."""
+    tracks = next((stamps for (kind, _), (stamps, _) in columns.items() if kind == SPROCKETS), None)
+    if tracks is None or not len(tracks):
+        return None
+    usual, start = int(np.median(tracks)), int(tracks.min())
+    left_out: dict[str, int] = {}
+    ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
+    for key, (stamps, values) in columns.items():
+        t, sound, lost = _sound(stamps, _refined(key[0], values), usual, start, key[0])
+        left_out |= {key[1]: lost} if lost else {}
+        if len(t):
+            ready[key] = t, sound
+    if not any(kind == SPROCKETS for kind, _ in ready):
+        return None
+    return _log(ready, p, left_out)
 
 
 def _values(kind: int, rows: Rows) -> FloatArray:
-    """(n, k) of one source."""
+    """(n, k) of one source, as ``Columns`` has them."""
     if kind == SPROCKETS:
         names = ("left_speed", "right_speed", "left_angle", "right_angle")
         return np.column_stack([rows[name] for name in names])
+    noise = np.diagonal(rows["noise"], axis1=1, axis2=2)
     if kind == YAW_RATE:
-        noise = np.diagonal(rows["noise"], axis1=1, axis2=2)
-        rates = np.where(noise > _NO_RATE, np.nan, rows["value"])[:, [1, 2, 0]]
-        return np.column_stack((rates, rows["acceleration"]))
+        return np.column_stack((rows["value"][:, [1, 2, 0]], noise[:, [1, 2, 0]], rows["acceleration"]))
     if kind == POSE:
-        noise = np.diagonal(rows["noise"], axis1=1, axis2=2)
-        heading = np.where(noise[:, 2] < _NO_HEADING, rows["value"][:, 2], np.nan)
-        return np.column_stack((rows["value"][:, :2], heading, noise[:, :2]))
+        return np.column_stack((rows["value"], noise))
     return rows["value"][:, :1].copy()
 
 
-def _joined(parts: Sequence[_Columns]) -> _Columns:
-    return _Columns(np.concatenate([p.stamps_ns for p in parts]), np.concatenate([p.values for p in parts]))
+def _refined(kind: int, values: FloatArray) -> FloatArray:
+    """Without what its variance says there is none of: an axis of an IMU, a heading."""
+    if kind == YAW_RATE:
+        return np.column_stack((np.where(values[:, 3:6] > _NO_RATE, np.nan, values[:, :3]), values[:, 6:]))
+    if kind == POSE:
+        heading = np.where(values[:, 5] < _NO_HEADING, values[:, 2], np.nan)
+        return np.column_stack((values[:, :2], heading, values[:, 3:5]))
+    return values
 
 
 _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEADING: slice(0, 1)}
 
 
-def _sound(columns: _Columns, usual_ns: int, start_ns: int, kind: int) -> tuple[FloatArray, FloatArray, int]:
+def _sound(
+    stamps: NDArray[np.int64], values: FloatArray, usual_ns: int, start_ns: int, kind: int
+) -> tuple[FloatArray, FloatArray, int]:
     """By stamp, the first of each; how many were no numbers or of another clock."""
-    needed = columns.values[:, _NEEDED.get(kind, slice(0, 1))]
+    needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         sound = (np.abs(needed) < _LARGEST).all(axis=1)
-    sound &= np.abs((columns.stamps_ns - usual_ns).astype(np.float64)) < _OTHER_CLOCK
-    t, first = np.unique((columns.stamps_ns[sound] - start_ns) * 1e-9, return_index=True)
-    return t, columns.values[sound][first], int((~sound).sum())
+    sound &= np.abs((stamps - usual_ns).astype(np.float64)) < _OTHER_CLOCK
+    t, first = np.unique((stamps[sound] - start_ns) * 1e-9, return_index=True)
+    return t, values[sound][first], int((~sound).sum())
 
 
 def _log(

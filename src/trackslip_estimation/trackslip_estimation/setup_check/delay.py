@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""By how much one turn rate follows another: cross-correlation of rates, in pieces, so that it has an interval."""
+"""By how much one turn rate follows another: cross-correlation in pieces, with an interval."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from trackslip_estimation.setup_check.log import FloatArray
+from trackslip_estimation.setup_check.path import IntArray
 
 LATEST = 2.0  # s, searched
 _PIECE = 15.0  # s, of which each has a correlation of its own
@@ -25,17 +26,17 @@ class Delay(NamedTuple):
 
 def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
     """Of two rates (m,) on cells of ``cell`` s; None where they do not follow each other."""
-    steps = int(round(LATEST / cell))
+    steps = round(LATEST / cell)
     usable = np.isfinite(first) & np.isfinite(second)
     a, b = (_without_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
-    size = int(round(_PIECE / cell))
+    size = round(_PIECE / cell)
     count = (len(a) - 2 * steps) // size
     if count < _LEAST_PIECES:
         size = max((len(a) - 2 * steps) // _LEAST_PIECES, 1)
         count = _LEAST_PIECES if size * cell > 3.0 else 0
     if count < _LEAST_PIECES:
         return None
-    shifts = np.arange(-steps, steps + 1)
+    shifts: IntArray = np.arange(-steps, steps + 1)
     cross = np.zeros((count, len(shifts)))
     energies = np.zeros((count, 2, len(shifts)))
     for k in range(count):
@@ -52,7 +53,7 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
     if strong.sum() < 2:
         return None
     left: list[float] = []
-    for k in np.flatnonzero(strong):
+    for k in np.flatnonzero(strong).tolist():
         rest = np.arange(count) != k
         found = _peak(cross[rest].sum(axis=0), energies[rest].sum(axis=0), shifts, cell)
         if found is not None:
@@ -68,9 +69,7 @@ def _without_spikes(rates: FloatArray) -> FloatArray:
     return np.clip(rates, -most, most)
 
 
-def _peak(
-    cross: FloatArray, energy: FloatArray, shifts: FloatArray, cell: float
-) -> tuple[float, float] | None:
+def _peak(cross: FloatArray, energy: FloatArray, shifts: IntArray, cell: float) -> tuple[float, float] | None:
     """Shift in s at the top, between cells, and the correlation there."""
     scale = np.sqrt(energy[0] * energy[1])
     if (scale <= 0.0).any():

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs that are decided become causes with evidence, if the drive holds enough of turns and distance."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,12 +42,12 @@ class Directions:
     def right_places(self, places: FloatArray) -> FloatArray:
         """(n, 2) of mirrored ones."""
         if self.mirror == 0:
-            return places[:, ::-1]
-        return places * np.array((1.0, -1.0) if self.mirror == 1 else (-1.0, 1.0))
+            return np.asarray(places[:, ::-1])
+        return np.asarray(places * np.array((1.0, -1.0) if self.mirror == 1 else (-1.0, 1.0)))
 
     def right_headings(self, headings: FloatArray) -> FloatArray:
         """(n,) of those that count the other way round."""
-        return np.pi / 2.0 - headings if self.convention == 0 else -headings
+        return np.asarray(np.pi / 2.0 - headings if self.convention == 0 else -headings)
 
 
 def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Directions:
@@ -57,9 +57,10 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     decision = decide(evidence)
     mirror, convention = _kinds(drive, decision, fit.bias)
     turn = drive.turn - fit.bias * WINDOW
-    count = turns_of(turn) if drive.has_gyro else turns_of(drive.heading_turns())
-    if not drive.has_gyro and drive.compass is None:
+    count = turns_of(turn)
+    if not drive.has_gyro:
         count = max(turns_of(0.5 * (drive.x[:, 1] - drive.x[:, 0])), turns_of(0.5 * drive.x.sum(axis=1)))
+        count = min(count, turns_of(drive.heading_turns())) if drive.compass is not None else count
     way = float(np.nansum(np.abs(window_sums(drive.grid, drive.grid.tracks.mean(axis=1)))))
     way = max(
         way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0))))
@@ -71,16 +72,18 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
         needs.append(Undetermined(f"signs of tracks and gyro ({count} turns of 15°)", _TURN))
     if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
         needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
-    base = {
-        "assignment": decision.assignment,
-        "gyro": decision.gyro,
-        "is_mirrored": decision.is_mirrored,
-        "heading": decision.heading,
-        "has_heading": drive.compass is not None,
-    }
+    found = Directions(
+        decision.assignment,
+        decision.gyro,
+        decision.is_mirrored,
+        decision.heading,
+        mirror,
+        convention,
+        has_heading=drive.compass is not None,
+    )
     likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     if needs:
-        return Directions(**base, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
+        return replace(found, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
     causes = [_cause(name, log, drive, gyro, mirror, convention) for name, log in likely.items()]
     if is_upside_down and signs.GYRO in likely and gyro is not None:
         causes = [c for c in causes if c.cause != signs.GYRO]
@@ -90,16 +93,9 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     if doubtful:
         sets = [_named(decision), *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
-        open_ones.append(Undetermined(what, _missing_sensor(evidence)))
+        open_ones.append(Undetermined(what, _missing_sensor(evidence), is_wrong=True))
     is_decided = not doubtful and (bool(likely) or decision.any_odds < 0.0)
-    return Directions(
-        **base,
-        mirror=mirror,
-        convention=convention,
-        is_decided=is_decided,
-        causes=tuple(causes),
-        undetermined=tuple(open_ones),
-    )
+    return replace(found, is_decided=is_decided, causes=tuple(causes), undetermined=tuple(open_ones))
 
 
 def _named(decision: Decision) -> frozenset[str]:
@@ -111,7 +107,10 @@ def _named(decision: Decision) -> frozenset[str]:
 
 def _missing_sensor(evidence: Evidence) -> str:
     if not evidence.has_map:
-        return "record fixes while you drive 10 m and turn left and right by 90°: they say which of the two is wrong"
+        return (
+            "record fixes while you drive 10 m and turn left and right by "
+            "90°: they say which of the two is wrong"
+        )
     if not evidence.has_gyro:
         return "record a gyro while you turn left and right by 90°: it says which of the two is wrong"
     return "drive 20 m forward, hardly in reverse, with turns of 90° to both sides"

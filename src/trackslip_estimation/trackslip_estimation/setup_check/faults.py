@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that cannot be what a machine did: missing values among others, frozen gyros, wrong units of time."""
+"""Columns that no machine gives: missing values, frozen gyros, wrong units of time."""
 
 from dataclasses import dataclass, replace
 
@@ -33,7 +33,7 @@ class Missing:
 
 
 def missing_in(values: FloatArray) -> tuple[float, BoolArray] | None:
-    """The value of (n,) to which readings jump and from which they return at once, and where; None: none does."""
+    """The value of (n,) to which readings jump and from which they return at once, and where."""
     count = len(values)
     if count < 10:
         return None
@@ -58,7 +58,7 @@ def missing_in(values: FloatArray) -> tuple[float, BoolArray] | None:
 
 
 def _neighbours(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) last other value before, and first one after, each reading; nan where its run is long or at an end."""
+    """(n,) last other value before, and first one after, each reading; nan in long runs and at ends."""
     new = np.concatenate(([True], np.diff(values) != 0.0))
     run = np.cumsum(new) - 1
     first = np.flatnonzero(new)

@@ -43,6 +43,7 @@ class Undetermined:
 
     what: str
     needed: str
+    is_wrong: bool = False  # something is, but not which of two
 
     def as_dict(self) -> dict[str, str]:
         """For JSON."""
@@ -76,10 +77,15 @@ class Result:
         return not self.causes
 
     @property
+    def doubts(self) -> tuple[Undetermined, ...]:
+        """Mistakes that are certain, but not which of several they are."""
+        return tuple(one for one in self.undetermined if one.is_wrong)
+
+    @property
     def headline(self) -> str:
         """One sentence for the first line of a command."""
         if not self.causes:
-            return "setup plausible"
+            return "; ".join(f"{one.what}: {one.needed}" for one in self.doubts) or "setup plausible"
         return "; ".join(f"{c.cause}: {c.evidence}" for c in self.causes)
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers that the path of the fixes shows of dead reckoning: scale of distance, lever arm, delay, with intervals.
+"""What the path of the fixes shows of dead reckoning: scale of distance, lever arm, delay, with intervals.
 
-    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + e      in each segment s, with a place and a scale of its own
+    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + e      in each segment s, with a place and a scale
+    of its own
 
 Δl is common to all segments: a_s and ρ_s are projected out of z and of e^{iψ}, and its covariance is the
 jackknife's over segments.
@@ -39,7 +40,7 @@ class Lever(NamedTuple):
 
 
 def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | None:
-    """Of segments of ``length`` s whose extent is six times the ``noise`` (m) of fixes; None: there are none."""
+    """Of segments of ``length`` s whose extent is six times the ``noise`` (m) of fixes."""
     parts = segments(path, fixes, length)
     if not len(parts):
         return None
@@ -126,7 +127,7 @@ def _project(path: Path, fixes: Fixes, parts: IntArray, z: ComplexArray) -> tupl
 
 
 def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> FloatArray:
-    """(d,) ln likelihood of each delay of the fixes, s; place, scale and direction of each segment are free."""
+    """(d,) ln likelihood of each delay of the fixes, s; place, scale, direction of segments are free."""
     parts = segments(path, fixes, length)
     if not len(parts):
         return np.zeros(len(lates))

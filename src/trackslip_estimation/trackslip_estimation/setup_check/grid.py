@@ -5,13 +5,14 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log, Tracks
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log
 
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
 LONGEST_GAP = 1.0  # s between readings, beyond which what happened in between is unknown
+_SWINGING = 0.02  # rad/s, beyond which a gyro above shows the swing
+_SWING_MARGIN = 1.0  # s
 MOST_CELLS = 400_000  # eleven hours; of longer logs the cells are longer
 
 
@@ -56,8 +57,16 @@ def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0
         turns = increments(at, integral(at, gyro.rates), edges)
         turns[~covered(at, edges)] = np.nan
         if gyro.is_above and log.swing is not None and len(log.swing[0]) > 2:
-            turns[:, 2] -= increments(log.swing[0], np.unwrap(log.swing[1])[:, np.newaxis], edges)[:, 0]
+            turns[_swings(log.swing, edges)] = np.nan
     return Grid(edges, tracks, turns, covered(t, edges))
+
+
+def _swings(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> BoolArray:
+    """(m,) cells in which, or within a second of which, the upper structure swings."""
+    angle, middle = np.unwrap(swing[1]), (edges[1:] + edges[:-1]) / 2.0
+    after = np.interp(middle + _SWING_MARGIN, swing[0], angle)
+    before = np.interp(middle - _SWING_MARGIN, swing[0], angle)
+    return np.asarray(np.abs(after - before) > 2.0 * _SWING_MARGIN * _SWINGING)
 
 
 def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
@@ -70,7 +79,7 @@ def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
 def angles_of(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
     """(n, 2) continuous angles: positions (n, 2) where all are numbers, else the integral of the speeds."""
     if len(t) and np.isfinite(positions).all():
-        return positions - positions[0]
+        return np.asarray(positions - positions[0])
     return integral(t, speeds)
 
 
@@ -86,12 +95,12 @@ def covered(t: FloatArray, edges: FloatArray) -> BoolArray:
     found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (
         edges[:-1] >= t[0] - 1e-9
     )
-    return found & (edges[1:] <= t[-1] + 1e-9)
+    return np.asarray(found & (edges[1:] <= t[-1] + 1e-9))
 
 
 def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> FloatArray:
     """(w, …) sums of (m, …) values over windows of ``length`` s."""
-    size = max(int(round(length / grid.cell)), 1)
+    size = max(round(length / grid.cell), 1)
     count = len(values) // size
     shaped = values[: count * size].reshape(count, size, *values.shape[1:])
     return np.asarray(shaped.sum(axis=1))
@@ -99,17 +108,5 @@ def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> Float
 
 def window_edges(grid: Grid, length: float = WINDOW) -> FloatArray:
     """(w + 1,) s."""
-    size = max(int(round(length / grid.cell)), 1)
+    size = max(round(length / grid.cell), 1)
     return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]
-
-
-def speeds_of(tracks: Tracks) -> FloatArray:
-    """(n, 2) rad/s; by differences of the angles where there are no speeds."""
-    if np.isfinite(tracks.speeds).all():
-        return tracks.speeds
-    return np.gradient(tracks.angles, tracks.t, axis=0)
-
-
-def all_finite(values: FloatArray) -> NDArray[np.bool_]:
-    """(n,) of rows."""
-    return np.isfinite(values.reshape(len(values), -1)).all(axis=1)

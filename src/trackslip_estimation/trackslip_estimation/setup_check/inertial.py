@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial unit alone and against the tracks: frozen, biased, of another unit, or turned in its mounting."""
+"""The inertial unit against the tracks: frozen, biased, of another unit, or turned in its mounting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -74,7 +74,7 @@ class Inertial:
 def examine(
     log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None, fixes: Fixes | None
 ) -> Inertial | None:
-    """Everything but its sign; ``track_scale``: true distance over that by tracks, ``turned``: see ``_frozen``."""
+    """Everything but its sign; ``track_scale``: true over track distance, ``turned``: see ``_frozen``."""
     grid = make_grid(log, gyro)
     if grid is None:
         return None
@@ -84,7 +84,7 @@ def examine(
     if cause is not None:
         return Inertial(log, None, grid, causes=(cause,), gravity=gravity)
     causes: list[Cause] = []
-    of_heading = None if turned is None else np.diff(turned[:: max(int(round(WINDOW / grid.cell)), 1)])
+    of_heading = None if turned is None else np.diff(turned[:: max(round(WINDOW / grid.cell), 1)])
     gyro, axis_cause = _axis(gyro, grid, x, gravity, of_heading)
     causes += [axis_cause] if axis_cause else []
     grid = make_grid(log, gyro) or grid
@@ -145,10 +145,12 @@ def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> 
     return Cause(
         "gyro_frozen",
         gyro.name,
-        f"the gyro shows {value:.4g} rad/s without change for {span[1] - span[0]:.0f} s, while the tracks turn "
+        f"the gyro shows {value:.4g} rad/s without change for "
+        f"{span[1] - span[0]:.0f} s, while the tracks turn "
         f"{np.degrees(by_tracks):.0f}°{also}",
         odds_of(20.0),
-        f"Check supply and cable of the unit, or leave it out: {remedies.parameter('yaw_rate_sources', '[]')}",
+        "Check supply and cable of the unit, or leave it out: "
+        f"{remedies.parameter('yaw_rate_sources', '[]')}",
     )
 
 
@@ -186,7 +188,7 @@ def _axis(
 
 
 def turned_share(turn: FloatArray, x: FloatArray) -> float:
-    """Turn of the gyro over the most that tracks of any signs explain; 0 for some turns that anything may do."""
+    """Turn of the gyro over the most that tracks of any signs explain; 0 for half a turn or less."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     y = np.abs(y - bias_of(y, x, WINDOW) * WINDOW)
@@ -220,7 +222,7 @@ def to_vertical(axis: int, sign: float) -> FloatArray:
 
 
 def _unit_of(scale: float) -> tuple[str, float]:
-    """The unit that brings a scale nearest to what turning efficiencies are; '', 1 where it is one already."""
+    """The unit that brings a scale nearest to turning efficiencies; '', 1 where it is one already."""
     if EFFICIENCY[0] <= scale <= EFFICIENCY[1]:
         return "", 1.0
     fitting = {n: f for n, f in UNITS.items() if EFFICIENCY[0] <= scale / f <= EFFICIENCY[1]}
@@ -267,7 +269,7 @@ def _unit(
 def _witness(
     turn: FloatArray, grid: Grid, of_heading: FloatArray | None, fixes: Fixes | None, factor: float
 ) -> float | None:
-    """Ln likelihood that headings or the path of the fixes give a unit over none; None: there is no witness."""
+    """Ln likelihood of a unit over none, by headings or the path of the fixes; None: no witness."""
     if of_heading is not None and _scale_of_heading(turn, of_heading) is not None:
         count = min(len(turn), len(of_heading))
         y, h = turn[:count], of_heading[:count]
@@ -322,7 +324,7 @@ def _is_known(turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) ->
 
 
 def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> Cause | None:
-    """What it shows while nothing moves, and also while the machine drives; or more than the headings turn."""
+    """What it shows while nothing moves, and while the machine drives; or more than headings turn."""
     if gyro.is_above:
         return None
     found = _at_standstill(turn, x)
@@ -332,7 +334,8 @@ def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | 
         return None
     bias, log_ratio, evidence = found
     remedy = (
-        f"Let the unit find its bias at standstill, or subtract it: in the mapping 'origin: {bias:.5g}' (rad/s) at "
+        "Let the unit find its bias at standstill, or subtract it: in the "
+        f"mapping 'origin: {bias:.5g}' (rad/s) at "
         "angular_velocity_z"
     )
     evidence = f"the gyro shows {np.degrees(bias):.1f} °/s {evidence}"
@@ -356,7 +359,10 @@ def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] 
     logs = [float(mixture(rest - b * WINDOW, variance, 4.0).sum()) for b in (bias, 0.0)]
     if logs[0] < logs[1]:
         return None
-    evidence = f"while the tracks stand ({still.sum() * WINDOW:.0f} s), and so much more than they turn while they drive"
+    evidence = (
+        f"while the tracks stand ({still.sum() * WINDOW:.0f} s), and so "
+        "much more than they turn while they drive"
+    )
     return bias, logs[0] - logs[1] + 2.0 * float(still.sum()), evidence
 
 

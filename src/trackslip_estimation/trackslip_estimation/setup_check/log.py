@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the setup check is given: columns of each sensor, with what the parameters state of it already applied.
+"""What the setup check is given: columns of each sensor, with what the parameters state applied.
 
-Times are s on one clock. A gyro is in axes of base_link as its mounting, sign and scale state; the places of fixes
+Times are s on one clock. A gyro is in axes of base_link as its mounting, sign and scale state; the places
+of fixes
 are those of the sensor, whose stated lever arm stands beside them.
 """
 

@@ -8,7 +8,8 @@ l        stated place of the sensor in base_link                                
 
     z_k = a + c (q_k + l e^{iψ_k}) + e      c complex: heading of the begin, share of the track distance
 
-A segment is fitted for each path; ln(RSS_b/RSS_a) ν/2 says how much better path a is than b. ν counts fixes that
+A segment is fitted for each path; ln(RSS_b/RSS_a) ν/2 says how much better path a is than b. ν counts
+fixes that
 are a second apart, and no segment counts for more than e⁴: errors of receivers and slips last.
 """
 
@@ -77,8 +78,8 @@ def mirrored(path: Path) -> Path:
 def thinned(fixes: Fixes, spacing: float) -> Fixes:
     """Fixes at least ``spacing`` s apart, with finite places."""
     kept, last = [], -np.inf
-    sound = np.isfinite(fixes.places).all(axis=1)
-    for k, when in enumerate(fixes.t):
+    sound: BoolArray = np.asarray(np.isfinite(fixes.places).all(axis=1))
+    for k, when in enumerate(fixes.t.tolist()):
         if sound[k] and when - last >= spacing:
             kept.append(k)
             last = when
@@ -155,7 +156,7 @@ def _of_segments(
     """(p, s) ln likelihoods, at most ``MOST_LOG`` apart; (s,) how far apart the paths alone let them be."""
     moments = Moments(parts)
     extent = np.sqrt(np.maximum(moments.product(z, z).real, 0.0) / moments.counts)
-    noise = np.sqrt(moments.sums(fixes.stddevs**2 + 0.0j).real / moments.counts)
+    noise = np.sqrt(moments.sums((fixes.stddevs**2).astype(np.complex128)).real / moments.counts)
     floor = moments.counts * (2.0 * noise**2 + (_SLIP_SHARE * extent) ** 2 + 1e-6)
     duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
     free = np.minimum(np.minimum(moments.counts, duration / _SPACING + 1.0), _MOST_FIXES)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where fixes and headings are: lever arms, an offset of the heading, kilometres from the map or from each other."""
+"""Where fixes and headings are: lever arms, an offset of the heading, kilometres from the map."""
 
 from collections.abc import Sequence
 
@@ -61,7 +61,8 @@ def judge_lever(path: Path, fixes: Fixes, log: Log, rival: float) -> tuple[list[
     value = np.array(fixes.lever) + off
     group = group_of(fixes.name)
     evidence = (
-        f"in turns the fixes are those of a sensor at x {value[0]:.2f} ± {2.0 * sure[0]:.2f}, y {value[1]:.2f} ± "
+        f"in turns the fixes are those of a sensor at x {value[0]:.2f} ± "
+        f"{2.0 * sure[0]:.2f}, y {value[1]:.2f} ± "
         f"{2.0 * sure[1]:.2f} m; stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
     )
     values = [
@@ -95,13 +96,18 @@ def judge_offset(
         return [], [], measured
     if compass.of_poses:
         remedy = (
-            f"Add {middle:.3f} rad to the headings of {compass.name} where they are made (box_localizer: heading of the box; "
-            f"mapping: origin {-middle:.3f} rad at yaw), or {remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
+            f"Add {middle:.3f} rad to the headings of {compass.name} where they "
+            "are made (box_localizer: heading of the box; "
+            f"mapping: origin {-middle:.3f} rad at yaw), or "
+            f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
         )
     else:
         offset = float(wrapped(np.array((compass.offset - middle,)))[0])
         remedy = f"Set {remedies.parameter(f'{group_of(compass.name)}.offset', round(offset, 3))}"
-    evidence = f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the stated heading in {len(rest)} straight pieces"
+    evidence = (
+        f"the course of the fixes is {middle:.3f} ± {2.0 * stddev:.3f} rad from the "
+        f"stated heading in {len(rest)} straight pieces"
+    )
     return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
 
 
@@ -121,11 +127,17 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
         leaps = np.flatnonzero(steps > 1e3)
         if 1 <= len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
             evidence = f"fixes leap by {steps[leaps[0]] / 1e3:.1f} km from one to the next, and stay there"
-            remedy = "Give all fixes one datum: in the mapping datum: {latitude: …, longitude: …}; of gnss_localizer its datum"
+            remedy = (
+                "Give all fixes one datum: in the mapping datum: "
+                "{latitude: …, longitude: …}; of gnss_localizer its datum"
+            )
             causes.append(Cause("datum", one.name, evidence, odds_of(15.0), remedy))
         elif far > _FAR and not is_grid:
             evidence = f"fixes are {far / 1e3:.1f} km from the origin of the map"
-            remedy = "Set the datum to the site: in the mapping datum: first; of gnss_localizer datum_latitude and datum_longitude"
+            remedy = (
+                "Set the datum to the site: in the mapping datum: first; of "
+                "gnss_localizer datum_latitude and datum_longitude"
+            )
             causes.append(Cause("datum", one.name, evidence, odds_of(12.0), remedy))
     return causes + _apart(fixes)
 
@@ -144,5 +156,8 @@ def _apart(fixes: Sequence[Fixes]) -> list[Cause]:
     if middle < max(_APART, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:
         return []
     evidence = f"places of {first.name} and {second.name} are {middle:.0f} m apart, all the time"
-    remedy = f"Give both one map: the same datum and frame; or leave one out of {remedies.parameter('pose_sources', f'[{first.name}]')}"
+    remedy = (
+        "Give both one map: the same datum and frame; or leave one out of "
+        f"{remedies.parameter('pose_sources', f'[{first.name}]')}"
+    )
     return [Cause("frame", second.name, evidence, odds_of(12.0), remedy)]

@@ -20,7 +20,8 @@ def parameter(name: str, value: float | str | bool) -> str:
 def swap_tracks() -> str:
     """Both ways in which sides are named."""
     return (
-        "Exchange left and right: in the mapping the columns of left_velocity and right_velocity (left_position and "
+        "Exchange left and right: in the mapping the columns of "
+        "left_velocity and right_velocity (left_position and "
         "right_position; of a bag the joints left and right), in the roles file left_… and right_…"
     )
 
@@ -29,7 +30,10 @@ def track_sign(*sides: str) -> str:
     """Of one side or both."""
     names = " and ".join(f"{side}_velocity" for side in sides)
     roles = ", ".join(f"{side}_position" for side in sides)
-    return f"Turn the sign: in the mapping 'scale: -1' at {names} (of a joint 'sign: -1'), in the roles file {roles}: sign: -1"
+    return (
+        f"Turn the sign: in the mapping 'scale: -1' at {names} (of a joint "
+        f"'sign: -1'), in the roles file {roles}: sign: -1"
+    )
 
 
 def gyro_sign(gyro: Gyro) -> str:

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs and swaps, decided together: which few of them explain what all sensors show of each other.
 
-A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a mirrored map, and
+A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a mirrored
+map, and
 headings that count the other way. Its likelihood is that of turns of gyro and tracks, of the shape of the
-path, and of headings; each mistake has a prior of 1 : 300. Of each mistake the odds are those of all hypotheses with
+path, and of headings; each mistake has a prior of 1 : 300. Of each mistake the odds are those of all
+hypotheses with
 it against all without it: what two mistakes explain equally well is not decided.
 """
 
@@ -14,14 +16,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import FloatArray
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray
 
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
 GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
 _PRIOR = float(np.log(300.0))  # of each mistake
 _NEAR = float(np.log(100.0))
-_FORWARD = 2.0  # ln odds for each e-fold of more forward than reverse
+_FORWARD = 3.0  # ln odds for each e-fold of more forward than reverse
+_SHARES = (0.12, 0.88)  # of the distance, beyond which more tells no more: some machines only back up
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,7 @@ def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
         score += float(e.track_shapes[of_distance, track_sense(of_distance, turned)])
         score += float(e.track_headings[opposite(pattern) if h else pattern])
     score += float(e.courses[a, p, h])
-    return score + _FORWARD * float(np.log(max(e.forward[a], 1e-3)))
+    return score + _FORWARD * float(np.log(np.clip(e.forward[a], *_SHARES)))
 
 
 def turn_pattern(turn: FloatArray) -> int:
@@ -144,6 +147,6 @@ def track_sense(of_distance: int, turn: FloatArray) -> int:
     return 0 if turn[1] > 0.0 else 1
 
 
-def _log_odds(weights: FloatArray, there: FloatArray) -> float:
+def _log_odds(weights: FloatArray, there: BoolArray) -> float:
     with_it, without = float(weights[there].sum()), float(weights[~there].sum())
     return float(np.log(max(with_it, 1e-300)) - np.log(max(without, 1e-300)))

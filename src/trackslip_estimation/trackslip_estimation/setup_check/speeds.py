@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Distance by the tracks against distance by the fixes: units of speed, rolling radius, a gear of the travel drive.
+"""Distance by tracks against distance by fixes: units of speed, rolling radius, gear of the drive.
 
     ρ = distance by fixes / distance by tracks = (1 − i) / f       i slip, f factor of the mistake
 
 Slip has one side: tracks run ahead of the machine, seldom by more than half on a whole drive, and behind it
-only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 holds on the best ground of the log too.
+only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 holds on the best ground of the
+log too.
 """
 
 import numpy as np
@@ -48,7 +49,7 @@ _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
 def rough_scale(grid: Grid, fixes: Fixes) -> float:
-    """ρ on the fastest straights, whatever the signs of the tracks are; nan where there is too little motion."""
+    """ρ on the fastest straights, whatever the signs of the tracks; nan: too little motion."""
     length = 2.0
     steps = np.diff(place_at(fixes, window_edges(grid, length)), axis=0)
     way = np.hypot(*steps.T)
@@ -70,7 +71,7 @@ def unit_of(rho: float) -> float:
     """Factor that a rough ρ asks for; 1 where slip or a radius may explain it."""
     if not np.isfinite(rho) or 0.3 <= rho <= 1.75:
         return 1.0
-    return min(UNITS.values(), key=lambda f: abs(np.log(rho * f)))
+    return float(min(UNITS.values(), key=lambda f: abs(np.log(rho * f))))
 
 
 def slip_log(rho: float) -> float:
@@ -143,7 +144,8 @@ def judge(
         value = UNITS[best]
         evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
         remedy = (
-            "State the unit in which the speeds are (mapping: left_velocity and right_velocity: unit; roles file: "
+            "State the unit in which the speeds are (mapping: left_velocity "
+            "and right_velocity: unit; roles file: "
             f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
@@ -185,7 +187,8 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
         f"{high_ratio:.2f} times in {len(high)}: a travel motor of another displacement"
     )
     remedy = (
-        f"State the gear: speeds from flows are {ratio:.3g} times as large in the high gear; use left_position and "
+        f"State the gear: speeds from flows are {ratio:.3g} times as large "
+        "in the high gear; use left_position and "
         "right_position of the sprockets in the roles file, or record each gear by itself"
     )
     return Cause(
@@ -198,7 +201,7 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
 
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
-    """(n,) which of the values in order of time lie high, runs of one smoothed away; how far from a level most are."""
+    """(n,) which values in order of time lie high, single ones smoothed; how far from levels most are."""
     low, high = float(np.percentile(values, 20)), float(np.percentile(values, 80))
     is_high = values > (low + high) / 2.0
     for _ in range(5):

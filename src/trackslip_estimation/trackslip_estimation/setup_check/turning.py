@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the turn that a sensor shows follows from both tracks: one likelihood for each assignment of their signs.
+"""How the turn that a sensor shows follows from both tracks: a likelihood for each assignment of signs.
 
 Y, T     turn that a gyro or compass shows in a window, length of the window     rad, s
 x_l, x_r track distance in a window over the tread                               rad
@@ -39,7 +39,7 @@ class TurnFit(NamedTuple):
 
 
 def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0) -> TurnFit:
-    """``turn`` (w,) and ``x`` (w, 2) in windows of ``length`` s; ``scale``: what the sensor shows of 1 rad."""
+    """``turn`` (w,), ``x`` (w, 2) in windows of ``length`` s; ``scale``: what is shown of 1 rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable] / scale, x[usable]
     if len(y) < 3:

@@ -34,10 +34,12 @@ _CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that rest o
 def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> dict[str, Finding]:
     """The findings, without the values that rest on a mistake of the setup."""
     kept = dict(findings)
-    for cause in (cause for setup in setups for cause in setup.causes):
-        for name in _CONTRADICTED.get(cause.cause, ()):
+    wrong = {cause.cause: _CONTRADICTED.get(cause.cause, ()) for setup in setups for cause in setup.causes}
+    wrong |= {doubt.what: _TRACKS for setup in setups for doubt in setup.doubts}
+    for cause, names in wrong.items():
+        for name in names:
             if name in kept and kept[name].is_found:
-                kept[name] = refused(f"{cause.cause}: undo it first", kept[name].unit)
+                kept[name] = refused(f"{cause}: undo it first", kept[name].unit)
     return kept
 
 

@@ -9,7 +9,8 @@ from trackslip_tools.terminal_text import table, wrapped
 def finding(result: Result) -> str:
     """What a command prints before its own results: one line for each cause, or that there is none."""
     if result.is_plausible:
-        return "setup plausible"
+        doubts = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.doubts]
+        return "\n".join(doubts) or "setup plausible"
     lines = []
     for cause in result.causes:
         lines += [f"setup: {cause.cause} ({cause.source}): {cause.evidence}", f"  {cause.remedy}"]
@@ -26,7 +27,7 @@ def whole(result: Result) -> str:
             "\n".join(map(wrapped, (f"{c.cause}: {c.evidence}", f"  {c.remedy}"))) for c in result.causes
         ]
     else:
-        parts.append("setup plausible")
+        parts.append(finding(result))
     if result.undetermined:
         lines = [f"  {one.what}: {one.needed}" for one in result.undetermined]
         parts.append("\n".join(["not decided by this drive", *map(wrapped, lines)]))

@@ -20,7 +20,8 @@ _ALL = {
     ),
     "check": Command(
         "trackslip_tools.cli.check_command",
-        "Name the mistake of a setup: swapped tracks, wrong signs, units, delays, lever arms; and its remedy.",
+        "Name the mistake of a setup: swapped tracks, wrong signs, "
+        "units, delays, lever arms; and its remedy.",
     ),
     "import": Command(
         "trackslip_tools.cli.import_command",

@@ -12,14 +12,18 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.config_files import load_parameters
-from trackslip_common.errors import InputError, show
-from trackslip_tools.cli import machine_options, publish
+from trackslip_common.errors import InputError, collected, show
+from trackslip_estimation.setup_check.finding import Result
+from trackslip_tools.check.bag import check_bag
+from trackslip_tools.check.text import finding
+from trackslip_tools.cli import machine_options, publish, replay_options
 from trackslip_tools.cli.nodes import node_module
 from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
+from trackslip_tools.replay.inputs import SPROCKETS
 
 EXAMPLE = "trackslip live out/demo/bag --rate 5"
 
@@ -54,8 +58,10 @@ def run(args: argparse.Namespace) -> int:
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
         p.allowed(p.port)  # refused before a bag is replayed
-        with open_bag(args.bag, args.namespace) as bag, with_estimates(bag, args.vehicle) as whole:
-            return _serve(whole, p, args)
+        with open_bag(args.bag, args.namespace) as bag:
+            setup = _setup_of(bag, args.vehicle)
+            with with_estimates(bag, args.vehicle) as whole:
+                return _serve(whole, p, args, setup)
     if any(given is not None for given in (args.rate, args.start, args.vehicle)):
         raise InputError("--rate, --start, --vehicle: accepted only together with a BAG")
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
@@ -64,7 +70,18 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace) -> int:
+def _setup_of(bag: Bag, vehicle: str | None) -> Result:
+    """What the setup check of a bag finds, shown; nothing of a bag without the tracks."""
+    if not any(relative(topic) == SPROCKETS for topic in bag.topics):
+        return Result()
+    with collected():
+        p = replay_options.parameters_of(bag, [], [], vehicle)
+    result = check_bag(bag, p)
+    show(finding(result))
+    return result
+
+
+def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result) -> int:
     from trackslip_bags.parameters import bag_vehicle
     from trackslip_common.vehicle_files import load_vehicle
     from trackslip_tools.live.bag import BagFeed
@@ -76,6 +93,8 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace) -> int:
     named = None if args.vehicle is None else load_vehicle(args.vehicle)
     vehicle = named or bag_vehicle(bag) or load_vehicle()
     state = LiveState(f"{name} at {rate:g} × real time", vehicle, keeps_vehicle=named is not None)
+    if not setup.is_plausible:
+        state.set_setup(setup.headline)
     feed = BagFeed(bag, state, rate, InputFilters(start_s=args.start or 0.0))
     server = PageServer(files(f"Trackslip: {name}"), state.whole, p)
     server.start()
@@ -99,7 +118,6 @@ def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag
         return
-    from trackslip_tools.cli import replay_options
     from trackslip_tools.replay.output import EstimateWriter
     from trackslip_tools.replay.parts import Part
     from trackslip_tools.replay.run import replay

@@ -31,7 +31,9 @@ from trackslip_tools.report.plots import visible
 
 PERIOD = 0.125  # s between frames
 _CLASSES = 3  # of soil that are shown
+_LONGEST_SETUP = 900  # characters
 _JUDGE = "slip_estimator"  # name of its light
+_SETUP = f"{_JUDGE}: setup"  # of the setup check's
 _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
 
 
@@ -57,6 +59,7 @@ class LiveState:
         self._viewed_s = -_VIEW_PERIOD_S
         self._frame: dict[str, Any] = {}
         self._clock = (0.0, 0.0)  # now_s, time_ms
+        self._setup = ""  # what the setup check of a bag found
 
     @property
     def pose_sources(self) -> frozenset[str]:
@@ -66,6 +69,11 @@ class LiveState:
     def expect(self, timeouts: Mapping[str, float]) -> None:
         """Sources of poses, and for how long each may be silent, s."""
         self._fixes.expect(timeouts)
+
+    def set_setup(self, text: str) -> None:
+        """The mistakes of the setup that a whole bag shows, in place of what its lights say; empty: none."""
+        with self._lock:
+            self._setup = printable(text, _LONGEST_SETUP)
 
     def process(self, topic: str, message: Any, now_s: float) -> None:
         """A message of one of ``inputs.TYPES``, or a pose.
@@ -168,6 +176,7 @@ class LiveState:
             "lights": [
                 [one.name, int(one.level), one.message, *finite((one.rate, one.age))] for one in lights
             ],
+            "setup": self._setup or _setup_of(lights),
             "left_out": self._lights.left_out,
             "classes": [[printable(name), *finite((p,))] for name, p in likely] if has_soil else [],
         }
@@ -183,6 +192,11 @@ class LiveState:
         if news := self._fixes.news():
             gained["new_fixes"] = news
         return gained
+
+
+def _setup_of(lights: list[Light]) -> str:
+    """What the running estimator's setup check warns of; empty: nothing."""
+    return next((one.message for one in lights if one.name == _SETUP and one.level is Level.WARN), "")
 
 
 def _line(event: Event) -> tuple[int, float, int, str]:

@@ -190,6 +190,7 @@ function show_now(frame) {
   if (frame.number % DRAWN === 0 || is_whole) show_strips(frame.time, is_whole)
   if (frame.outlines.machine[0].length) machine = frame.outlines.machine
   look()
+  show_setup(frame.setup)
   show_lights(frame.lights)
   show_classes(frame.classes)
   show_events(frame.events)
@@ -242,6 +243,12 @@ function element(tag, name, ...children) {
 
 const light_item = () => element("li", "light",
   element("b", "", element("span", "name"), element("span", "state")), element("small", "reason"), element("small", "numbers"))
+
+function show_setup(text) {
+  const banner = by_id("setup")
+  banner.hidden = !text
+  if (banner.textContent !== text) banner.textContent = text
+}
 
 function show_lights(lights) {
   matched(by_id("lights"), lights.length, light_item).forEach((item, k) => {

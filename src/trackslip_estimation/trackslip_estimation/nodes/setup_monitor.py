@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The setup check beside a running slip estimator: what it found stands on /diagnostics as ``setup``."""
+
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+
+from trackslip_common.nodes.base import TrackslipNode
+from trackslip_common.nodes.health import OK, WARN, Health
+from trackslip_estimation.setup_check.running import Background, RunningCheck
+from trackslip_estimation.slip.measurements import Command, Input, Reload
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+
+PART = "setup"
+_PERIOD = 15.0  # s between evaluations
+_MOST_WORDS = 3  # causes that one line names
+
+
+class SetupMonitor:
+    """Sees each input of the estimator; evaluates in a thread of its own, so that no measurement waits."""
+
+    def __init__(
+        self, node: TrackslipNode[SlipEstimatorParameters], failed: Callable[[Exception], None]
+    ) -> None:
+        self._node = node
+        self._running = RunningCheck(node.settings)
+        self._background = Background(self._running, failed)
+        node.create_timer(_PERIOD, self._evaluate, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def see(self, given: Input) -> None:
+        """What the estimator was given."""
+        if isinstance(given, Command | Reload):
+            if isinstance(given, Reload):
+                self._running.restart(self._node.settings)
+        else:
+            self._running.add(given)
+
+    def finish(self) -> None:
+        """Wait for an evaluation that is under way."""
+        self._background.join()
+
+    def health(self) -> list[Health]:
+        """One entry: plausible, or the causes with their remedies."""
+        result = self._running.result
+        values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
+        values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
+        if result.is_plausible:
+            return [Health(OK, "no mistake of the setup found", values, PART)]
+        first, *others = result.causes
+        words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]
+        words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_WORDS - 1]]
+        return [Health(WARN, "; ".join(words), values, PART)]
+
+    def _evaluate(self) -> None:
+        if self._node.active:
+            self._background.start()

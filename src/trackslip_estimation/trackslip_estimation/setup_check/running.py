@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The setup check of an estimator that runs: its last measurements, and causes that come and go with them.
+
+A cause is named by the last two minutes. It is withdrawn as soon as the newest part of them, of enough
+motion to
+decide, shows it no more; what is older is then forgotten.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.collect import Columns, log_of_columns
+from trackslip_estimation.setup_check.finding import Result
+from trackslip_estimation.setup_check.log import FloatArray
+from trackslip_estimation.slip.measurements import (
+    SET_POSE,
+    HeadingFix,
+    Measurement,
+    PoseFix,
+    Sprockets,
+    SwingAngle,
+    YawRate,
+)
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
+
+LONGEST_S = 150.0  # s of measurements that are kept
+RECENT_S = 45.0  # s, by which a cause is withdrawn
+_PERIOD_NS = 20_000_000  # between readings of one source that are kept: the check takes no more
+_MOST = int(LONGEST_S / 0.02)  # readings of a source
+_NO_ANGLES = (np.nan, np.nan)
+
+_Row = tuple[int, tuple[float, ...]]
+
+
+class RunningCheck:
+    """Takes measurements from the estimator's thread; ``evaluate`` runs in another one."""
+
+    def __init__(self, p: SlipEstimatorParameters) -> None:
+        self._parameters = p
+        self._lock = threading.Lock()
+        self._rows: dict[tuple[int, str], deque[_Row]] = {}
+        self.result = Result()
+
+    def add(self, m: Measurement) -> None:
+        """A measurement as the estimator is given it; a microsecond's work."""
+        found = _row(m)
+        if found is None:
+            return
+        key, values = found
+        rows = self._rows.get(key)
+        if rows is None:
+            rows = self._rows.setdefault(key, deque(maxlen=_MOST))
+        if not rows or not 0 <= m.stamp_ns - rows[-1][0] < _PERIOD_NS:
+            with self._lock:
+                rows.append((m.stamp_ns, values))
+
+    def restart(self, p: SlipEstimatorParameters) -> None:
+        """With other parameters, or after the estimate began anew."""
+        with self._lock:
+            self._parameters = p
+            self._rows = {}
+            self.result = Result()
+
+    def evaluate(self) -> Result:
+        """The causes that hold now."""
+        columns = self._columns(LONGEST_S)
+        result = self._checked(columns)
+        if not result.is_plausible:
+            recent = self._checked(self._columns(RECENT_S))
+            names = {cause.cause for cause in recent.causes}
+            kept = tuple(c for c in result.causes if c.cause in names or not _is_decided(recent))
+            if len(kept) < len(result.causes) and _is_decided(recent):
+                self._forget(RECENT_S)
+            result = Result(kept, result.undetermined, result.facts)
+        self.result = result
+        return result
+
+    def _checked(self, columns: Columns) -> Result:
+        log = log_of_columns(columns, self._parameters)
+        return Result() if log is None else check(log)
+
+    def _columns(self, length_s: float) -> Columns:
+        with self._lock:
+            rows = {key: list(own) for key, own in self._rows.items() if own}
+        newest_ns = max((own[-1][0] for own in rows.values()), default=0)
+        found: Columns = {}
+        for key, own in rows.items():
+            stamps = np.array([stamp for stamp, _ in own], np.int64)
+            values: FloatArray = np.array([value for _, value in own], np.float64)
+            new = stamps > newest_ns - int(length_s * 1e9)
+            if new.any():
+                found[key] = stamps[new], values[new]
+        return found
+
+    def _forget(self, length_s: float) -> None:
+        with self._lock:
+            newest_ns = max((own[-1][0] for own in self._rows.values() if own), default=0)
+            for own in self._rows.values():
+                while own and own[0][0] <= newest_ns - int(length_s * 1e9):
+                    own.popleft()
+
+
+class Background:
+    """Evaluates a running check in a thread of its own, one evaluation at a time."""
+
+    def __init__(self, running: RunningCheck, failed: Callable[[Exception], None]) -> None:
+        self._running, self._failed = running, failed
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin an evaluation, unless one is under way."""
+        if self._thread is None or not self._thread.is_alive():
+            self._thread = threading.Thread(target=self._evaluate, name="setup check", daemon=True)
+            self._thread.start()
+
+    def join(self) -> None:
+        """Wait for the one under way."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def _evaluate(self) -> None:
+        try:
+            self._running.evaluate()
+        except Exception as error:  # noqa: BLE001 (whatever is measured, the estimator goes on)
+            self._failed(error)
+
+
+def _is_decided(result: Result) -> bool:
+    """Whether there was enough motion to decide signs."""
+    return bool(result.facts) and not any(
+        one.what.startswith(("signs", "everything")) for one in result.undetermined
+    )
+
+
+def _row(m: Measurement) -> tuple[tuple[int, str], tuple[float, ...]] | None:
+    """Kind and source, and the values as ``collect`` has them of a row."""
+    if isinstance(m, Sprockets):
+        return (SPROCKETS, m.source), (m.left_speed, m.right_speed, *(m.positions or _NO_ANGLES))
+    if isinstance(m, YawRate):
+        p, q = m.tilt_rates
+        return (YAW_RATE, m.source), (p, q, m.rate, *m.tilt_variances, m.variance, *m.acceleration)
+    if isinstance(m, PoseFix):
+        if m.source == SET_POSE:
+            return None
+        R = m.covariance
+        return (POSE, m.source), (*m.pose, R[0, 0], R[1, 1], R[2, 2])
+    if isinstance(m, HeadingFix):
+        return (HEADING, m.source), (m.heading,)
+    if isinstance(m, SwingAngle):
+        return (ON_SWING, m.source), (m.angle,)
+    return None

@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The setup check on made-up drives: it names each injected mistake, no other, and none on healthy drives."""
+
+from functools import cache
+
+import pytest
+from fixtures.setup_drives import make_drive, without_fixes
+from fixtures.setup_mistakes import MISTAKES
+
+from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.log import Log
+
+AMBIGUOUS = {"lever arm to the left"}  # a radius of the turns explains it as well
+HEALTHY = {
+    "precise fixes": {},
+    "no headings": {"has_heading": False},
+    "slip of 40 %": {"slip": 0.4},
+    "hard ground": {"slip": 0.01, "efficiency": 0.9},
+    "ground on which it hardly turns": {"efficiency": 0.25},
+    "ordinary receiver": {"fix_stddev": 0.3, "fix_rate": 1.0, "wander": 2.0, "has_heading": False},
+    "fixes once a second": {"fix_rate": 1.0},
+    "stuck tracks": {"stuck": 12.0},
+}
+PAIRS = (
+    ("tracks swapped", "gyro in deg/s"),
+    ("left track backwards", "gyro sign"),
+    ("gyro sign", "heading off by 0.2"),
+    ("speed in km/h", "compass heading"),
+    ("x and y", "gyro in deg/s"),
+    ("zeros of an encoder", "tracks swapped"),
+    ("diameter for radius", "gyro sign"),
+    ("datum", "right track backwards"),
+)
+
+
+@cache
+def drive() -> Log:
+    return make_drive()
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+@pytest.mark.parametrize("seed", range(2))
+def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
+    assert check(make_drive(seed, **HEALTHY[name])).causes == ()
+
+
+def test_an_outage_of_fixes_is_no_mistake() -> None:
+    assert check(without_fixes(make_drive(2), 40.0, 100.0)).causes == ()
+
+
+@pytest.mark.parametrize("name", sorted(MISTAKES.keys() - AMBIGUOUS))
+def test_an_injected_mistake_is_named_and_no_other(name: str) -> None:
+    mistake = MISTAKES[name]
+    causes = {cause.cause for cause in check(mistake.inject(drive())).causes}
+    assert causes
+    assert causes <= {mistake.cause, *mistake.also}
+
+
+@pytest.mark.parametrize("name", sorted(AMBIGUOUS))
+def test_what_a_drive_cannot_decide_is_not_named_otherwise(name: str) -> None:
+    mistake = MISTAKES[name]
+    assert {cause.cause for cause in check(mistake.inject(drive())).causes} <= {mistake.cause}
+
+
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_of_two_mistakes_at_least_one_is_named_and_nothing_else(first: str, second: str) -> None:
+    pair = MISTAKES[first], MISTAKES[second]
+    found = check(pair[1].inject(pair[0].inject(drive())))
+    causes = {cause.cause for cause in found.causes}
+    assert causes
+    assert causes <= {name for one in pair for name in (one.cause, *one.also)}
+
+
+def test_each_cause_has_evidence_odds_and_a_remedy() -> None:
+    for name in sorted(MISTAKES.keys() - AMBIGUOUS):
+        for cause in check(MISTAKES[name].inject(drive())).causes:
+            assert cause.odds >= 100.0
+            assert cause.evidence
+            assert cause.remedy
+
+
+def test_a_machine_that_stands_is_told_what_to_drive() -> None:
+    log = make_drive()
+    still = log.with_tracks(0.0 * log.tracks.angles[:2, :2])
+    result = check(still)
+    assert result.causes == ()
+    assert result.undetermined

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The setup check on logs of real robots and recorded runs: no false cause, none but the injected one.
+
+The whole matrix (each mistake, each log) is slow; it prints what was named, false or undetermined.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fixtures.fault_cases.robot_logs import FILES, FOLDER, is_present
+from fixtures.setup_mistakes import MISTAKES, Mistake
+
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import open_bag
+from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.collect import Collector
+from trackslip_estimation.setup_check.grid import integral
+from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine, Tracks
+from trackslip_tools.cli.replay_options import parameters_of
+from trackslip_tools.replay.inputs import InputStream
+
+BAGS = Path(__file__).parents[3] / "bags"
+RUNS = sorted(path.parent.name for path in BAGS.glob("*/*.mcap"))
+REDUCED = (
+    "tracks swapped",
+    "left track backwards",
+    "gyro sign",
+    "gyro in deg/s",
+    "x and y",
+    "diameter for radius",
+)
+LEAST_SHARE = 0.9  # of mistakes that a long log names
+
+
+@cache
+def robot(name: str) -> Log:
+    table = np.genfromtxt(FOLDER / FILES[name.removesuffix("_gnss")], delimiter=",", names=True)
+    return {"marmotte": _marmotte, "warthog": _warthog, "mower": _mower, "mower_gnss": _mower_gnss}[name](
+        table
+    )
+
+
+@cache
+def recorded(name: str) -> Log:
+    with open_bag(BAGS / name, None) as bag:
+        p = parameters_of(bag, [], [])
+        stream, collector = InputStream(bag, p, InputFilters()), Collector(p)
+        for batch in stream:
+            collector.add(batch.rows, stream.sources)
+        log = collector.log()
+    assert log is not None
+    return log
+
+
+def _new(index: FloatArray) -> FloatArray:
+    return np.concatenate(([0], np.flatnonzero(np.diff(index)) + 1))
+
+
+def _tracks(t: FloatArray, left: FloatArray, right: FloatArray) -> Tracks:
+    speeds = np.column_stack((left, right))
+    return Tracks(t, speeds, integral(t, speeds))
+
+
+def _one_axis(t: FloatArray, rate: FloatArray, force: FloatArray | None = None) -> Gyro:
+    nothing = np.full(len(t), np.nan)
+    forces = np.full((len(t), 3), np.nan) if force is None else force
+    return Gyro("imu/data_raw", t, np.column_stack((nothing, nothing, rate)), forces)
+
+
+def _marmotte(log: FloatArray) -> Log:
+    t, new = log["t"], _new(log["idx"])
+    late = t[new] - 0.25
+    gyro = _one_axis(t, log["gz"], np.column_stack([log[name] for name in ("ax", "ay", "az")]))
+    places = np.column_stack((log["x"], log["y"]))[new]
+    fixes = Fixes("reference_pose", late, places, np.full(len(new), 0.02))
+    compass = Compass("reference_pose", late, log["yaw"][new], is_used=False)
+    return Log(
+        Machine(0.1167, 0.52, 0.6), _tracks(t, log["left"], log["right"]), (gyro,), (fixes,), (compass,)
+    )
+
+
+def _warthog(log: FloatArray) -> Log:
+    t, new = log["t"], _new(log["icp_index"])
+    rates = np.column_stack([log[f"imu_{axis}"] for axis in "xyz"])
+    forces = np.column_stack([log[f"imu_acceleration_{axis}"] for axis in "xyz"])
+    places = np.column_stack((log["icp_pos_x"], log["icp_pos_y"]))[new]
+    fixes = Fixes("reference_pose", t[new] - 0.4, places, np.full(len(new), 0.02))
+    compass = Compass("reference_pose", t[new] - 0.4, log["icp_yaw"][new], is_used=False)
+    tracks = _tracks(t - 0.15, log["meas_left_vel"], log["meas_right_vel"])
+    return Log(
+        Machine(0.3, 1.08, 0.914), tracks, (Gyro("imu/data_raw", t, rates, forces),), (fixes,), (compass,)
+    )
+
+
+def _mower(log: FloatArray, receiver: bool = False) -> Log:
+    t, v, rate, radius, tread = log["t"], log["v"], log["gz"], 0.2, 1.0
+    tracks = _tracks(t, (v - rate * tread / 2.0) / radius, (v + rate * tread / 2.0) / radius)
+    new = _new(log["gnss_index"]) if receiver else np.arange(len(t))
+    names = ("x_gnss", "y_gnss") if receiver else ("x", "y")
+    places = np.column_stack([log[name] for name in names])[new]
+    fixes = Fixes("gnss_pose", t[new], places, np.full(len(new), 0.9 if receiver else 0.02))
+    return Log(Machine(radius, tread, 0.5), tracks, (_one_axis(t, rate),), (fixes,))
+
+
+def _mower_gnss(log: FloatArray) -> Log:
+    return _mower(log, receiver=True)
+
+
+def _present(name: str) -> Log:
+    if not is_present(name.removesuffix("_gnss")):
+        pytest.skip("the log is not in ../shared/data")
+    return robot(name)
+
+
+ROBOTS = ("marmotte", "warthog", "mower", "mower_gnss")
+
+
+def _has(log: Log, mistake: Mistake) -> bool:
+    """Whether the log has the columns that the mistake changes."""
+    if mistake.needs == "heading":
+        return bool(log.compasses)
+    if mistake.needs in ("rates", "gravity"):
+        return bool(np.isfinite(log.gyros[0].rates).all())
+    return True
+
+
+def _outcome(log: Log, name: str) -> str:
+    mistake = MISTAKES[name]
+    causes = {cause.cause for cause in check(mistake.inject(log)).causes}
+    if not causes:
+        return "undetermined"
+    return "named" if causes <= {mistake.cause, *mistake.also} else f"false: {', '.join(sorted(causes))}"
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_cause_is_found_in_a_healthy_log_of_a_robot(name: str) -> None:
+    assert check(_present(name)).causes == ()
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_no_cause_is_found_in_a_recorded_run(name: str) -> None:
+    assert check(recorded(name)).causes == ()
+
+
+@pytest.mark.parametrize("name", ["marmotte", "warthog"])
+def test_mistakes_in_a_log_of_a_robot_are_named(name: str) -> None:
+    log = _present(name)
+    assert {mistake: _outcome(log, mistake) for mistake in REDUCED} == dict.fromkeys(REDUCED, "named")
+
+
+@pytest.mark.parametrize("mistake", ["tracks swapped", "gyro sign", "gyro in deg/s", "left track backwards"])
+def test_mistakes_in_the_slalom_are_named(mistake: str) -> None:
+    assert _outcome(recorded("slalom_sand"), mistake) == "named"
+
+
+def _matrix(log: Log) -> dict[str, str]:
+    return {name: _outcome(log, name) for name, mistake in MISTAKES.items() if _has(log, mistake)}
+
+
+def _check_matrix(name: str, log: Log, report: Callable[[str], None] = print) -> dict[str, str]:
+    found = _matrix(log)
+    for outcome in ("named", "undetermined", "false"):
+        own = [mistake for mistake, one in found.items() if one.startswith(outcome)]
+        report(f"{name}: {outcome} {len(own)}" + (f": {', '.join(own)}" if outcome != "named" else ""))
+    assert not [f"{mistake}: {one}" for mistake, one in found.items() if one.startswith("false")]
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_mistake_in_a_log_of_a_robot_is_called_another(name: str) -> None:
+    found = _check_matrix(name, _present(name))
+    if name in ("marmotte", "warthog", "mower"):
+        assert list(found.values()).count("named") >= LEAST_SHARE * len(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RUNS)
+def test_no_mistake_in_a_recorded_run_is_called_another(name: str) -> None:
+    _check_matrix(name, recorded(name))

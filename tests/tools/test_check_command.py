@@ -1,0 +1,152 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip check`` and who runs it: exit codes, JSON, and the finding before all else."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.setup_drives import make_drive
+
+from trackslip_common.errors import ExitCode
+from trackslip_estimation.setup_check.log import Log
+from trackslip_tools.cli.main import main
+
+BAGS = Path(__file__).parents[2] / "bags"
+MAPPING = """\
+time: {column: t, unit: s}
+topics:
+  sprockets:
+    file: tracks.csv
+    left_velocity: {column: left, unit: rad/s}
+    right_velocity: {column: right, unit: rad/s}
+  imu/data_raw:
+    file: imu.csv
+    angular_velocity_z: {column: gz, unit: rad/s}
+  gnss_pose:
+    file: gnss.csv
+    x: {column: x, unit: m}
+    y: {column: y, unit: m}
+    stddev: {x: 0.02, y: 0.02}
+vehicle: {name: digger, kinematics: {rolling_radius: 0.35, tread: 2.0, contact_length: 2.5}}
+parameters:
+  pose_sources: [gnss_pose]
+  sources:
+    gnss_pose: {use_heading: false, lever_arm_x: 0.5, lever_arm_y: 0.2}
+  encoder_resolution: 0.0
+"""
+
+
+def _table(path: Path, names: str, *columns: Any) -> None:
+    np.savetxt(path, np.column_stack(columns), fmt="%.9g", delimiter=",", header=names, comments="")
+
+
+def write_csv(folder: Path, log: Log) -> Path:
+    """The columns of a drive, and the mapping that reads them."""
+    tracks, gyro, fixes = log.tracks, log.gyros[0], log.fixes[0]
+    _table(folder / "tracks.csv", "t,left,right", tracks.t, tracks.speeds)
+    _table(folder / "imu.csv", "t,gz", gyro.t, gyro.rates[:, 2])
+    _table(folder / "gnss.csv", "t,x,y", fixes.t, fixes.places)
+    (folder / "mapping.yaml").write_text(MAPPING)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_csv(tmp_path_factory.mktemp("healthy"), make_drive())
+    return import_it(folder)
+
+
+@pytest.fixture(scope="module")
+def swapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    log = make_drive().with_tracks(np.array(((0.0, 1.0), (1.0, 0.0))))
+    return import_it(write_csv(tmp_path_factory.mktemp("swapped"), log))
+
+
+def import_it(folder: Path) -> Path:
+    bag = folder / "bag"
+    options = ("--mapping", str(folder / "mapping.yaml"), "--output", str(bag))
+    logs = [str(folder / name) for name in ("tracks.csv", "imu.csv", "gnss.csv")]
+    assert main(["import", *logs, *options]) == ExitCode.DONE
+    return bag
+
+
+def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
+    summary = tmp_path / "check.json"
+    assert main(["check", str(healthy), "--json", str(summary)]) == ExitCode.DONE
+    found = json.loads(summary.read_text())
+    assert found["plausible"] is True
+    assert found["causes"] == []
+
+
+def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:
+    summary = tmp_path / "check.json"
+    assert main(["check", str(swapped), "--json", str(summary)]) == ExitCode.FAILED
+    found = json.loads(summary.read_text())
+    assert found["plausible"] is False
+    (cause,) = found["causes"]
+    assert cause.keys() == {"cause", "source", "evidence", "odds", "remedy"}
+    assert (cause["cause"], cause["source"]) == ("tracks_swapped", "sprockets")
+    assert cause["odds"] >= 100.0
+
+
+def test_a_bag_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
+    assert main(["check", str(tmp_path / "none")]) == ExitCode.BAD_INPUT
+
+
+def test_what_a_short_drive_cannot_decide_comes_with_what_to_drive(tmp_path: Path) -> None:
+    summary = tmp_path / "check.json"
+    assert main(["check", str(BAGS / "slope_up_sand"), "--json", str(summary)]) == ExitCode.DONE
+    undetermined = json.loads(summary.read_text())["undetermined"]
+    assert undetermined
+    assert all(one.keys() == {"what", "needed"} for one in undetermined)
+
+
+def test_replay_fails_on_a_mistake_unless_it_is_forced(
+    swapped: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["replay", str(swapped), "--stop", "90"]) == ExitCode.FAILED
+    output = capsys.readouterr().out
+    assert "tracks_swapped" in output.split("messages")[0]
+    assert main(["replay", str(swapped), "--stop", "90", "--force"]) == ExitCode.DONE
+
+
+def test_the_first_row_of_a_reports_verdict_is_the_setup(swapped: Path, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    assert main(["report", str(swapped), "--stop", "90", "--output", str(page)]) == ExitCode.FAILED
+    verdicts = page.read_text().split('id="verdicts"')[1]
+    assert verdicts.index("Setup plausible") < verdicts.index("Bag")
+    assert "tracks_swapped" in verdicts
+
+
+def test_calibrate_finds_no_sign_that_the_fixes_contradict(swapped: Path, tmp_path: Path) -> None:
+    summary = tmp_path / "calibration.json"
+    main(["calibrate", str(swapped), "--json", str(summary)])
+    findings = json.loads(summary.read_text())["findings"]
+    assert findings["gyro_sign"]["value"] is None
+    assert findings["turning_efficiency"]["value"] is None
+
+
+def test_calibrate_measures_the_lever_arm_of_an_antenna_without_heading(
+    healthy: Path, tmp_path: Path
+) -> None:
+    summary = tmp_path / "calibration.json"
+    assert main(["calibrate", str(healthy), "--json", str(summary)]) == ExitCode.DONE
+    findings = json.loads(summary.read_text())["findings"]
+    low, high = findings["lever_arm_x of gnss_pose"]["interval"]
+    assert high - low < 0.2
+    assert abs(findings["lever_arm_x of gnss_pose"]["value"] - 0.5) < 0.1
+    assert abs(findings["delay of gnss_pose"]["value"]) <= 0.15
+
+
+def test_an_import_ends_with_distances_turns_and_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import_it(write_csv(tmp_path, make_drive()))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1].startswith("next: trackslip replay")
+    assert any(line.startswith("distance: ") for line in lines)
+    assert any(line.startswith("turned: ") for line in lines)
