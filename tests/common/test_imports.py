@@ -18,7 +18,8 @@ SOURCES = Path(__file__).resolve().parents[2] / "src"
 LAYERS = ("trackslip_common", "trackslip_estimation", "trackslip_bags", "trackslip_tools", "trackslip_sim")
 ALLOWED = {package: {"trackslip_msgs", *LAYERS[:k]} for k, package in enumerate(LAYERS)}
 ALLOWED["trackslip_drivers"] = {"trackslip_msgs", "trackslip_common"}
-ALLOWED["trackslip_sim"].add("trackslip_drivers")
+for package in ("trackslip_bags", "trackslip_tools", "trackslip_sim"):
+    ALLOWED[package].add("trackslip_drivers")  # logs of devices are read as the devices are
 ROSDEP_KEYS = {
     "bokeh": "python3-bokeh-pip",
     "can": "python3-can",
