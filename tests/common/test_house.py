@@ -17,7 +17,8 @@ ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("trackslip_common", "trackslip_estimation", "trackslip_bags", "trackslip_tools", "trackslip_sim")
 BELOW = {package: {*LAYERS[:k]} for k, package in enumerate(LAYERS)}
 BELOW["trackslip_drivers"] = {"trackslip_common"}
-BELOW["trackslip_sim"].add("trackslip_drivers")
+for package in ("trackslip_bags", "trackslip_tools", "trackslip_sim"):
+    BELOW[package].add("trackslip_drivers")  # logs of devices are read as the devices are
 ROS = re.compile(
     r"rclpy|launch|launch_ros|ament_index_python|rosidl_\w+|\w+_msgs|\w+_srvs|\w+_interfaces|tf2_ros"
 )

@@ -7,17 +7,22 @@ own stamp. Replay then gives it to the estimator no earlier than the robot had i
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
 
 from trackslip_bags.importing.bag_log import is_bag, read_bag_log
+from trackslip_bags.importing.can_log import read_can_logs
 from trackslip_bags.importing.csv_log import read_csv_logs
 from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.log_kinds import LogKind, kind_of
 from trackslip_bags.importing.mapping import LogMapping
 from trackslip_bags.importing.mapping_topics import BagTopic, CsvTopic
+from trackslip_bags.importing.receiver_log import read_receiver_logs
+from trackslip_bags.importing.recorded_devices import CanSection, GnssSection
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import Samples
 from trackslip_bags.messages import make, serialize
@@ -32,6 +37,7 @@ from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV = (".csv", ".txt", ".tsv", ".dat")
+_OF_DEVICES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
 _OTHER_CLOCK_S = 10.0
 _BEFORE_ZERO = "moved to before 0 s by time_offset"
 
@@ -85,37 +91,88 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
     used = any(
         "latitude" in getattr(t, "columns", ()) or isinstance(t, BagTopic) for t in mapping.topics.values()
     )
+    used = used or any(one.topic == "gnss_pose" for one in samples)
     return Imported(bag.counts, left_out, late, local.datum if used else None, notes)
 
 
 def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple[list[Samples], list[str]]:
-    """Of a bag or of CSV files, as the mapping is for one or the other."""
+    """Of a bag or of CSV files, as the topics of the mapping are for one or the other, and of its devices."""
     missing = [path for path in logs if not path.exists()]
     if missing:
         raise InputError(f"log '{missing[0]}' not found; accepted: CSV files or their directory, or a bag")
+    bags = [path for path in logs if is_bag(path)]
+    files = [file for path in logs if path not in bags for file in _files(path)]
+    found, notes = [], []
+    for part, words in _parts(bags, files, mapping, local):
+        found += part
+        notes += words
+    return found, notes
+
+
+def _parts(
+    bags: Sequence[Path], files: Sequence[Path], mapping: LogMapping, local: LocalFrame
+) -> Iterator[tuple[list[Samples], list[str]]]:
+    """What each kind of log gives; every log is read by some part of the mapping."""
     topics = list(mapping.topics.values())
     of_bag = [topic for topic in topics if isinstance(topic, BagTopic)]
-    if of_bag:
-        others = [path for path in logs if not is_bag(path)]
-        if others:
-            raise InputError(
-                f"{others[0]}: no bag, and {mapping.path} names topics of one (from); accepted: a bag"
-            )
-        return read_bag_log(logs, of_bag, local)
-    if any(map(is_bag, logs)):
-        raise InputError(f"{logs[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")
-    files = [file for path in logs for file in _csv_files(path)]
     of_csv = [topic for topic in topics if isinstance(topic, CsvTopic)]
-    return read_csv_logs(files, of_csv, mapping.start_ns, local)
+    kinds = {file: _kind(file) for file in files}
+    of_can = _matching(kinds, LogKind.CAN, mapping.can)
+    of_gnss = _matching(kinds, LogKind.GNSS, mapping.gnss)
+    rest = [file for file in files if file not in of_can and file not in of_gnss]
+    if of_bag:
+        if rest or not bags:
+            raise InputError(
+                f"{(rest or files)[0]}: no bag, and {mapping.path} has topics of one (from); accepted: a bag"
+            )
+        yield read_bag_log(bags, of_bag, local)
+    elif bags:
+        raise InputError(f"{bags[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")
+    if mapping.can is not None:
+        _require(of_can, mapping.can, "log of a CAN bus (candump, ASC, BLF, TRC, MF4)")
+        yield read_can_logs(of_can, mapping.can, mapping.vehicle)
+    if mapping.gnss is not None:
+        _require(of_gnss, mapping.gnss, "log of a GNSS receiver (NMEA, UBX)")
+        yield read_receiver_logs(of_gnss, mapping.gnss, local)
+    if of_csv:
+        yield read_csv_logs(rest, of_csv, mapping.start_ns, local)
+    elif rest and not of_bag:
+        raise InputError(
+            f"{rest[0]}: a table, and {mapping.path} names no columns; accepted: topics of columns"
+        )
 
 
-def _csv_files(path: Path) -> list[Path]:
-    """A file, or those in a directory."""
+def _kind(file: Path) -> LogKind:
+    try:
+        return kind_of(file)[0]
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+
+
+def _matching(
+    kinds: Mapping[Path, LogKind], kind: LogKind, given: CanSection | GnssSection | None
+) -> list[Path]:
+    """Files of a kind, whose names the section accepts."""
+    if given is None:
+        return []
+    return [file for file, own in kinds.items() if own is kind and fnmatch(file.name, given.file)]
+
+
+def _require(files: Sequence[Path], given: CanSection | GnssSection, what: str) -> None:
+    if not files:
+        raise InputError(
+            f"{given.where}: no {what} named '{given.file}' among the logs; accepted: one or more"
+        )
+
+
+def _files(path: Path) -> list[Path]:
+    """A file, or those in a directory that may be logs."""
     if not path.is_dir():
         return [path]
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in _CSV)
+    endings = (*_CSV, *_OF_DEVICES)
+    found = sorted(file for file in path.iterdir() if file.suffix.lower() in endings)
     if not found:
-        raise InputError(f"{path}: neither a bag nor a directory of CSV files ({', '.join(_CSV)})")
+        raise InputError(f"{path}: neither a bag nor a directory of logs ({', '.join(endings)})")
     return found
 
 

@@ -11,6 +11,8 @@ topics:
   reference_pose: {x: …, y: …, yaw: …, stddev: {x: 0.02, y: 0.02, yaw: 0.01}}
 vehicle: warthog                       # a name of config/vehicles, a file, or {kinematics: {…}}
 parameters: {…}                        # of slip_estimator; both are kept in the bag
+can: {dbc: …, roles: …}                # logs of a bus, and
+gnss: {…}                              # of a receiver, alone or beside topics (``recorded_devices``)
 """
 
 from collections.abc import Mapping
@@ -20,6 +22,7 @@ from typing import Any
 
 from trackslip_bags.importing.columns import FIRST
 from trackslip_bags.importing.mapping_topics import FROM, BagTopic, CsvTopic, Geometry, read_topic
+from trackslip_bags.importing.recorded_devices import CanSection, GnssSection, read_can, read_gnss
 from trackslip_bags.importing.roles import ROLE_OF_TOPIC
 from trackslip_bags.importing.tree import check_keys, nanoseconds, number, section, text
 from trackslip_bags.old_parameters import current_names
@@ -33,6 +36,7 @@ from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 _OF_CSV = ("time", "received", "csv")  # keys for all topics of CSV logs
+_OF_DEVICES = ("can", "gnss")  # sections for logs of a bus and of a receiver
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,8 @@ class LogMapping:
     topics: Mapping[str, CsvTopic | BagTopic]
     vehicle: VehicleParameters | None
     parameters: Mapping[str, Any]
+    can: CanSection | None = None
+    gnss: GnssSection | None = None
 
 
 def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMapping:
@@ -55,10 +61,10 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
     """
     tree = read_yaml(path)
     where = str(path)
-    optional = (*_OF_CSV, "start", "datum", "vehicle", "parameters")
-    check_keys(where, tree, ("topics",), optional)
-    topics = section(f"{where}: topics", tree["topics"])
-    if not topics:
+    optional = (*_OF_CSV, *_OF_DEVICES, "start", "datum", "vehicle", "parameters")
+    check_keys(where, tree, () if tree.keys() & set(_OF_DEVICES) else ("topics",), ("topics", *optional))
+    topics = section(f"{where}: topics", tree.get("topics", {}))
+    if not topics and not tree.keys() & set(_OF_DEVICES):
         raise InputError(f"{where}: topics is empty; accepted: {', '.join(ROLE_OF_TOPIC)}")
     parameters = section(f"{where}: parameters", tree.get("parameters", {}))
     if "vehicle" in tree and "vehicle" in parameters:
@@ -82,6 +88,8 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
         topics=found,
         vehicle=vehicle,
         parameters=parameters,
+        can=read_can(path, tree["can"]) if "can" in tree else None,
+        gnss=read_gnss(path, tree["gnss"]) if "gnss" in tree else None,
     )
 
 

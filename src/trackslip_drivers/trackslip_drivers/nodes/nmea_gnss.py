@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``nmea_gnss``: a GNSS receiver that speaks NMEA 0183, on a serial line or a network."""
+"""``nmea_gnss``: a GNSS receiver that speaks NMEA 0183 or UBX, on a serial line or a network."""
 
 import sys
 from collections.abc import Iterable
@@ -63,9 +63,10 @@ class NmeaNode(DriverNode[NmeaParameters]):
     def lack(self) -> str:
         """Whole sentences, but none with a position."""
         kinds = self._stream.kinds
-        if not kinds or "GGA" in kinds:
+        if not kinds or {"GGA", "NAV-PVT"} & set(kinds):
             return ""
-        return f"whole sentences come ({', '.join(kinds)}), but no GGA; switch GGA on at the receiver"
+        remedy = "but neither GGA nor NAV-PVT; switch GGA on at the receiver"
+        return f"whole sentences come ({', '.join(kinds)}), {remedy}"
 
     def _new_stream(self) -> NmeaStream:
         utc = (lambda steady_ns: self._host.stamp(steady_ns)) if self.settings.host_clock_is_utc else None

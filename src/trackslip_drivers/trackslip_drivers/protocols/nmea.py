@@ -29,7 +29,7 @@ BITS_PER_CHAR = 10  # 8N1
 LONGEST_LINE = 512  # bytes; 82 by the standard, which proprietary sentences exceed
 
 RTK_FIXED, RTK_FLOAT = 4, 5  # quality of a fix
-_STATUS_OF_QUALITY = {
+STATUS_OF_QUALITY = {
     1: FixStatus.SINGLE,
     2: FixStatus.DIFFERENTIAL,
     3: FixStatus.SINGLE,  # the military code
@@ -59,6 +59,7 @@ class Rejection(Enum):
     DEAD_RECKONING = "dead reckoning"
     NOT_MEASURED = "manual or simulated"
     NO_HEADING = "no heading"
+    NO_PAIR = "heading to a base that does not move along"
     NOT_FIXED = "ambiguities of the heading are not fixed"
     NOT_TRUE_NORTH = "heading is not from true north"
     WARNING = "receiver's warning"
@@ -77,7 +78,7 @@ class Gga(NamedTuple):
     @property
     def status(self) -> FixStatus:
         """By its quality."""
-        return _STATUS_OF_QUALITY[self.quality]
+        return STATUS_OF_QUALITY[self.quality]
 
 
 class Gst(NamedTuple):
@@ -178,7 +179,7 @@ def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     quality = found.quality
     if quality in ("", _NO_FIX):
         return Rejection.NO_FIX
-    if quality not in _STATUS_OF_QUALITY:
+    if quality not in STATUS_OF_QUALITY:
         return Rejection.DEAD_RECKONING if quality == _DEAD_RECKONING else Rejection.NOT_MEASURED
     latitude, longitude = _angle(fields[1], fields[2], "NS", 90.0), _angle(fields[3], fields[4], "EW", 180.0)
     if math.isnan(latitude) or math.isnan(longitude):

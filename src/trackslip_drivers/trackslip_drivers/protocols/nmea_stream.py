@@ -5,7 +5,8 @@
 A receiver states one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
 the epoch; HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the one
 before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls silent.
-Of several messages that state the same measurement of an epoch, one is used (``EpochSource``).
+UBX messages may come between sentences, or alone. A NAV-PVT waits for NAV-HPPOSLLH and NAV-COV of its epoch,
+where the one before had them. Of several messages that state the same measurement of an epoch, one is used.
 """
 
 import math
@@ -14,10 +15,12 @@ from enum import Enum
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.epoch_sources import EpochSource
 from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
 from trackslip_drivers.protocols.nmea import (
     RTK_FIXED,
+    STATUS_OF_QUALITY,
     Gga,
     Gst,
     Heading,
@@ -40,6 +43,7 @@ _DAY_NS = 86_400_000_000_000
 _EARLY_NS, _LATE_NS = -50_000_000, 1_000_000_000  # an answer's age, if both clocks are on UTC
 
 _MOST_KINDS = 64  # of sentences, that are told apart
+_BY_ACCURACY = 2  # rank of a position that states its accuracy itself
 _RECENT_NS = 10_000_000_000
 _HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
 _REASONS = {Kind.TEXT: Rejection.NOT_NMEA, Kind.OVERLONG: Rejection.OVERLONG}
@@ -107,6 +111,10 @@ class NmeaStream:
         self._gst: tuple[Gst, int] | None = None
         self._gst_follows = False
         self._waiting = False  # the latest position for its GST
+        self._pvt: tuple[ubx.Pvt, int] | None = None  # of UBX: a position that waits, and its moment
+        self._pvt_parts: set[str] = set()  # messages that have come for it
+        self._pvt_follow: set[str] = set()  # that came for the one before
+        self._pvt_out_ns = -1  # time of the latest that is out
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Sample]:
         """What one read returned, and when: its last byte was there by ``arrival_ns``."""
@@ -118,11 +126,58 @@ class NmeaStream:
         self._burst_end_ns = frame.ended_ns
         if frame.kind is Kind.SENTENCE:
             return self._on_sentence(read(frame.content), frame)
+        if frame.kind is Kind.UBX and (kind := ubx.kind_of(frame.content)):
+            self._kinds[kind] = frame.ended_ns
+            return self._on_ubx(ubx.decode(frame.content), kind, frame.begun_ns)
         if frame.kind in _REASONS:
             self.tally.add(FIX, _REASONS[frame.kind])
         else:
             self.binary += len(frame.content)
         return []
+
+    def _on_ubx(self, reading: ubx.Reading | Rejection | None, kind: str, begun_ns: int) -> list[Sample]:
+        if reading is None:
+            return []
+        if isinstance(reading, Rejection):
+            self.tally.add(HEADING if kind == "NAV-RELPOSNED" else FIX, reading)
+            return []
+        if isinstance(reading, Heading):
+            return self._on_reading(reading, kind, begun_ns)
+        if isinstance(reading, ubx.Pvt):
+            samples = self._release_pvt()
+            self._pvt, self._pvt_parts = (reading, self._stamp(reading.time_ns, begun_ns)), set()
+        elif self._pvt is None or self._pvt[0].time_ns != reading.time_ns:
+            if reading.time_ns == self._pvt_out_ns:  # too late for it: the next one waits
+                self._pvt_follow.add(kind)
+            return []
+        else:
+            samples, (pvt, stamp_ns) = [], self._pvt
+            fields = reading._asdict()
+            if isinstance(reading, ubx.FinePosition) and "NAV-COV" in self._pvt_parts:
+                del fields["stddevs"]
+            self._pvt = pvt._replace(**fields), stamp_ns
+            self._pvt_parts.add(kind)
+        return samples + (self._pvt_out() if self._pvt_follow <= self._pvt_parts else [])
+
+    def _release_pvt(self) -> list[Sample]:
+        """The position of UBX whose other messages do not come."""
+        if self._pvt is None:
+            return []
+        self._pvt_follow = set(self._pvt_parts)
+        return self._pvt_out()
+
+    def _pvt_out(self) -> list[Sample]:
+        assert self._pvt is not None
+        (self._pvt_out_ns, *place, quality, stddevs), stamp_ns = self._pvt
+        self._pvt = None
+        if not self._position.accept("UBX", _BY_ACCURACY, stamp_ns):
+            return []
+        east, north, up = stddevs
+        kind = CovarianceType.UNKNOWN if math.isnan(east) else CovarianceType.DIAGONAL_KNOWN
+        up = 2.0 * max(east, north) if math.isnan(up) else up
+        known = (east**2, north**2, up**2) if kind is CovarianceType.DIAGONAL_KNOWN else (0.0, 0.0, 0.0)
+        latitude, longitude, altitude = place
+        return [FixSample(stamp_ns, latitude, longitude, altitude, STATUS_OF_QUALITY[quality], known, kind)]
 
     def _on_sentence(self, sentence: Sentence | Rejection, frame: Frame) -> list[Sample]:
         if isinstance(sentence, Rejection):
@@ -146,7 +201,7 @@ class NmeaStream:
     def flush(self) -> list[Sample]:
         """The line has fallen silent: what is pending goes on no more, and what still waits is out."""
         samples = [sample for frame in self._frames.resume() for sample in self._on_frame(frame)]
-        return samples + self._release()
+        return samples + self._release() + self._release_pvt()
 
     def _release(self) -> list[Sample]:
         """The position whose GST does not come: the line is silent, or goes on with another epoch."""

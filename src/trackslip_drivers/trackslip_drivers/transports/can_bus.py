@@ -77,7 +77,7 @@ class CanBus:
         """One by one: a frame is returned before the next is looked for."""
         message = self._bus.recv(READ_TIMEOUT_S)
         while message is not None:
-            frame = (_flagged_id(message), bytes(message.data))
+            frame = (flagged_id(message), bytes(message.data))
             if message.is_error_frame:
                 self._is_off = bus_state(*frame) is BusState.OFF
             yield frame, _stamp_ns(message)
@@ -101,7 +101,7 @@ def _keep_on_host(descriptor: int, group: str) -> None:
         shared.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + home)
 
 
-def _flagged_id(message: can.Message) -> int:
+def flagged_id(message: can.Message) -> int:
     """The id, with a flag for every kind of frame that is not an extended data frame."""
     if message.is_error_frame:
         return message.arbitration_id | ERROR_FLAG

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOG",
         type=Path,
         nargs="+",
-        help="CSV files or a directory of them; or a bag of ROS 2, or .bag files of ROS 1",
+        help="CSV files, logs of a CAN bus or GNSS receiver, or a directory of them; or a bag",
     )
     add(
         "--mapping",

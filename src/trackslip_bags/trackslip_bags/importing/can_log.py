@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of a CAN bus: candump, ASC, BLF, TRC by python-can, MF4 where asammdf is installed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from trackslip_bags.importing.log_kinds import kind_of
+from trackslip_bags.importing.recorded_devices import CanSection
+from trackslip_bags.importing.roles import ROLES
+from trackslip_bags.importing.samples import Samples, Values
+from trackslip_bags.importing.times import LIMIT_NS
+from trackslip_bags.sources import error_line
+from trackslip_common.config_files import load_parameters
+from trackslip_common.errors import InputError
+from trackslip_common.tally import Tally
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
+from trackslip_drivers.protocols.can_frames import ERROR_FLAG, FrameSet
+from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
+from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
+from trackslip_drivers.transports.can_bus import flagged_id
+
+_TOPICS = {SprocketSample: "sprockets", HydraulicsSample: "hydraulics", SwingSample: "swing"}
+_NS_PER_S = 1_000_000_000
+
+
+def read_can_logs(
+    paths: Sequence[Path], given: CanSection, vehicle: VehicleParameters | None
+) -> tuple[list[Samples], list[str]]:
+    """Samples of each topic that has roles, and notes on what was refused.
+
+    Raises:
+        InputError: a log cannot be read, files of the section do not fit, or no frame has a role.
+    """
+    defaults = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
+    p = replace(defaults, vehicle=vehicle or defaults.vehicle)
+    tally = Tally()
+    bus = ExcavatorCan(p, FrameSet(given.dbc, given.roles, p.vehicle), tally)
+    samples: list[Sample] = []
+    notes: list[str] = []
+    count = 0
+    for path in paths:
+        for arbitration_id, data, stamp_ns in _frames(path, given, notes):
+            count += 1
+            samples += bus.receive(arbitration_id, data, stamp_ns)
+    names = ", ".join(path.name for path in paths)
+    if not samples:
+        reason = bus.decoder.hint() or f"{count} frames give no sample"
+        raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
+    notes += [
+        f"{names}: {source}: {n} × {reason}"
+        for source, reasons in tally.by_source().items()
+        for reason, n in reasons.items()
+    ]
+    found = [[one for one in samples if type(one) is kind] for kind in _TOPICS]
+    return [_samples(topic, names) for topic in found if topic], notes
+
+
+def _frames(path: Path, given: CanSection, notes: list[str]) -> Iterator[tuple[int, bytes, int]]:
+    """(id as the driver has it, payload, ns) of each data frame of a log.
+
+    Raises:
+        InputError: it cannot be read, or a time is none.
+    """
+    _, words = kind_of(path)
+    count = 0
+    try:
+        with _open(path, words) as log:
+            for message in log:
+                if given.channel is not None and str(message.channel) != given.channel:
+                    continue
+                stamp_ns = round(message.timestamp * _NS_PER_S) + given.offset_ns
+                if not 0 <= stamp_ns < LIMIT_NS:
+                    raise InputError(
+                        f"{path}: a frame at {stamp_ns / _NS_PER_S:.3f} s; accepted: 0 to 2^31 s (start)"
+                    )
+                identifier = flagged_id(message)
+                if not identifier & ERROR_FLAG:
+                    count += 1
+                    yield identifier, bytes(message.data), stamp_ns
+    except InputError:
+        raise
+    except Exception as error:  # damaged bytes can raise anything in the readers
+        reason = error_line(error)
+        if not count:
+            raise InputError(f"{path}: the {words} cannot be read ({reason})") from error
+        notes.append(f"{path.name}: damaged behind frame {count} ({reason})")
+
+
+def _open(path: Path, words: str) -> Any:
+    if words.endswith("(candump)"):
+        return can.CanutilsLogReader(path)
+    if words.endswith("(ASC)"):
+        return can.ASCReader(path, relative_timestamp=False)
+    if words.endswith("(BLF)"):
+        return can.BLFReader(path)
+    if words.endswith("(TRC)"):
+        return can.TRCReader(path)
+    try:
+        return can.MF4Reader(path)
+    except NotImplementedError as error:
+        raise InputError(f"{path}: MF4 needs asammdf (pip install asammdf)") from error
+
+
+def _samples(found: Sequence[Any], source: str) -> Samples:
+    """Of one kind."""
+    topic = _TOPICS[type(found[0])]
+    columns = np.array([one[1:] for one in found], np.float64)
+    stamps_ns = np.array([one.stamp_ns for one in found], np.int64)
+    values: Values
+    if topic == "sprockets":
+        values = {"position": columns[:, :2], "velocity": columns[:, 2:]}
+    elif topic == "swing":
+        values = {"angle": columns[:, 0]}
+    else:
+        values = dict(zip(ROLES[topic].fields, columns.T, strict=True))
+    order = np.argsort(stamps_ns, kind="stable")
+    values = {name: array[order] for name, array in values.items()}
+    times = stamps_ns[order], stamps_ns[order]
+    return Samples(topic, topic, [ROLES[topic].frame], *times, values, source=source)

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""UBX messages of u-blox receivers: NAV-PVT, NAV-HPPOSLLH, NAV-COV and NAV-RELPOSNED, read by pyubx2.
+
+    NAV-PVT         position, its quality and accuracy
+    NAV-HPPOSLLH    the same position to 0.1 mm, with an accuracy as fine
+    NAV-COV         its covariance, north, east, down
+    NAV-RELPOSNED   from the moving base to the rover: the heading of a pair of antennas
+
+A message is accepted or has a reason why not; other messages are left aside.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from pyubx2 import UBXReader
+
+from trackslip_drivers.protocols.nmea import RTK_FIXED, RTK_FLOAT, Heading, Rejection, yaw_of_heading
+
+_MM = 1e-3
+_WORST_STDDEV = 1e4  # m
+_LEAP_MS = 18_000  # GPS ahead of UTC since 2017
+_DAY_MS = 86_400_000
+_NAV = 0x01
+_KINDS = {0x07: "NAV-PVT", 0x14: "NAV-HPPOSLLH", 0x36: "NAV-COV", 0x3C: "NAV-RELPOSNED"}
+_DEAD_RECKONING, _TWO_D, _THREE_D, _COMBINED = 1, 2, 3, 4  # kinds of a fix
+_FIXED = 2  # carrier phase; 1: float
+
+Stddevs = tuple[float, float, float]  # m, east, north, up; nan: unknown
+
+
+class Pvt(NamedTuple):
+    """Position and how it was found."""
+
+    time_ns: int  # of day, UTC
+    latitude: float  # °, north
+    longitude: float  # °, east
+    altitude: float  # m above the ellipsoid; nan: unknown
+    quality: int  # as that of GGA
+    stddevs: Stddevs
+
+
+class FinePosition(NamedTuple):
+    """The position of the Pvt of the same epoch, to 0.1 mm."""
+
+    time_ns: int
+    latitude: float
+    longitude: float
+    altitude: float
+    stddevs: Stddevs
+
+
+class Accuracy(NamedTuple):
+    """Standard deviations of the position of the same epoch."""
+
+    time_ns: int
+    stddevs: Stddevs
+
+
+Reading = Pvt | FinePosition | Accuracy | Heading
+
+
+def kind_of(frame: bytes) -> str:
+    """Which message a whole frame is; empty for those that are not used."""
+    return _KINDS.get(frame[3], "") if frame[2] == _NAV else ""
+
+
+def decode(frame: bytes) -> Reading | Rejection | None:
+    """A whole frame, whose checksum is right; None for messages that are not used."""
+    kind = kind_of(frame)
+    if not kind:
+        return None
+    try:
+        found = UBXReader.parse(frame)
+        return _DECODERS[kind](found)
+    except Exception:  # noqa: BLE001 (whatever the library raises of a message of the wrong length)
+        return Rejection.MALFORMED
+
+
+def _pvt(found: Any) -> Reading | Rejection:
+    if not found.gnssFixOk or found.fixType not in (_TWO_D, _THREE_D, _COMBINED):
+        return Rejection.DEAD_RECKONING if found.fixType == _DEAD_RECKONING else Rejection.NO_FIX
+    if found.invalidLlh:
+        return Rejection.NO_FIX
+    quality = {_FIXED: RTK_FIXED, 1: RTK_FLOAT}.get(found.carrSoln, 2 if found.diffSoln else 1)
+    altitude = math.nan if found.fixType == _TWO_D else found.height * _MM
+    place = _place(found, altitude)
+    return place or Pvt(_time_ns(found.iTOW), found.lat, found.lon, altitude, quality, _accuracy(found))
+
+
+def _fine(found: Any) -> Reading | Rejection:
+    if found.invalidLlh:
+        return Rejection.NO_FIX
+    altitude = found.height * _MM
+    place = _place(found, altitude)
+    return place or FinePosition(_time_ns(found.iTOW), found.lat, found.lon, altitude, _accuracy(found))
+
+
+def _covariance(found: Any) -> Reading | Rejection:
+    if not found.posCovValid:
+        return Rejection.NO_FIX
+    variances = (found.posCovEE, found.posCovNN, found.posCovDD)
+    if not all(0.0 < variance < _WORST_STDDEV**2 for variance in variances):
+        return Rejection.OUT_OF_RANGE
+    east, north, up = map(math.sqrt, variances)
+    return Accuracy(_time_ns(found.iTOW), (east, north, up))
+
+
+def _relative(found: Any) -> Reading | Rejection:
+    if not found.gnssFixOK:
+        return Rejection.NO_FIX
+    if not (found.relPosValid and getattr(found, "relPosHeadingValid", 0)):
+        return Rejection.NO_HEADING
+    if not found.isMoving:
+        return Rejection.NO_PAIR
+    if found.carrSoln != _FIXED:
+        return Rejection.NOT_FIXED
+    if not 0.0 <= found.relPosHeading <= 360.0:
+        return Rejection.OUT_OF_RANGE
+    stddev = math.radians(found.accHeading) if 0.0 < found.accHeading < 180.0 else 0.0
+    return Heading(_time_ns(found.iTOW), yaw_of_heading(found.relPosHeading), stddev)
+
+
+def _place(found: Any, altitude: float) -> Rejection | None:
+    in_range = abs(found.lat) <= 90.0 and abs(found.lon) <= 180.0
+    return None if in_range and not abs(altitude) > 1e5 else Rejection.OUT_OF_RANGE
+
+
+def _accuracy(found: Any) -> Stddevs:
+    """hAcc of each horizontal axis, which is on the safe side; 0 is unknown."""
+    horizontal, up = (
+        value * _MM if 0.0 < value * _MM < _WORST_STDDEV else math.nan for value in (found.hAcc, found.vAcc)
+    )
+    return horizontal, horizontal, up
+
+
+def _time_ns(time_of_week_ms: int) -> int:
+    """Time of day, UTC."""
+    return (time_of_week_ms - _LEAP_MS) % _DAY_MS * 1_000_000
+
+
+_DECODERS = {"NAV-PVT": _pvt, "NAV-HPPOSLLH": _fine, "NAV-COV": _covariance, "NAV-RELPOSNED": _relative}

@@ -1,0 +1,201 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of a CAN bus and of a GNSS receiver become bags, as the drivers would have recorded them."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+import yaml
+from fixtures import unseen_bus
+from pyubx2 import GET, UBXMessage
+
+from trackslip_bags.importing.importer import Imported, import_log
+from trackslip_bags.importing.mapping import read_mapping
+from trackslip_bags.reader import open_bag
+from trackslip_common.errors import InputError
+from trackslip_common.make import stamp_ns_of
+from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, sentence
+
+S = 1_000_000_000
+BEGIN_NS = 1_790_000_000 * S
+DAY_NS = 1_795_564_800 * S  # 2026-11-25
+BEFORE_MIDNIGHT_NS = 86_400 * S - S // 2
+WRITERS = {
+    "drive.log": can.CanutilsLogWriter,
+    "drive.asc": can.ASCWriter,
+    "drive.blf": can.BLFWriter,
+    "drive.trc": can.TRCWriter,
+}
+
+
+def write_bus(path: Path, channel: str | int = 0) -> Path:
+    """Two seconds of a bus, at our days."""
+    with WRITERS[f"drive{path.suffix}"](path) as log:
+        for stamp_ns, name, data in unseen_bus.frames(S, 3 * S):
+            log.on_message_received(
+                can.Message(
+                    timestamp=(BEGIN_NS + stamp_ns) / S,
+                    arbitration_id=name & ~STANDARD_FLAG,
+                    is_extended_id=False,
+                    data=data,
+                    channel=channel,
+                )
+            )
+    return path
+
+
+def imported(folder: Path, logs: list[Path], **sections: Any) -> tuple[Imported, dict[str, list[Any]]]:
+    """What the importer says, and the messages by topic."""
+    dbc, roles = unseen_bus.write(folder)
+    mapping = {"vehicle": "pc05", **sections}
+    if mapping.get("can") == {}:
+        mapping["can"] = {"dbc": dbc.name, "roles": roles.name}
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    found = import_log(logs, read_mapping(folder / "map.yaml"), folder / "bag")
+    messages: dict[str, list[Any]] = {}
+    with open_bag(folder / "bag") as bag:
+        for m in bag.messages():
+            messages.setdefault(m.topic.lstrip("/"), []).append(bag.deserialize(m.raw, m.type_name))
+    return found, messages
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_logs_of_a_bus_are_read_by_dbc_and_roles(tmp_path: Path, name: str) -> None:
+    _, messages = imported(tmp_path, [write_bus(tmp_path / name)], can={})
+    assert abs(len(messages["sprockets"]) - 100) <= 1
+    assert len(messages["hydraulics"]) >= 38
+    assert len(messages["swing"]) >= 38
+    velocities = np.array([m.velocity for m in messages["sprockets"]])
+    np.testing.assert_allclose(velocities, [unseen_bus.SPEEDS] * len(velocities), atol=0.01)
+    steps = np.diff([stamp_ns_of(m) for m in messages["sprockets"]])
+    np.testing.assert_allclose(steps, 0.02 * S, atol=0.002 * S)
+
+
+def test_times_of_candump_are_kept_and_moved_by_an_offset(tmp_path: Path) -> None:
+    log = write_bus(tmp_path / "drive.log")
+    given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "time_offset": -0.5}
+    _, messages = imported(tmp_path, [log], can=given)
+    first = stamp_ns_of(messages["sprockets"][0])
+    assert first == pytest.approx(BEGIN_NS + S - S // 2, abs=0.03 * S)
+
+
+def test_a_channel_that_has_no_frames_is_refused(tmp_path: Path) -> None:
+    log = write_bus(tmp_path / "drive.log", "can1")
+    given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can0"}
+    with pytest.raises(InputError, match=r"drive\.log: 0 frames give no sample"):
+        imported(tmp_path, [log], can=given)
+
+
+def test_a_damaged_log_is_read_up_to_there(tmp_path: Path) -> None:
+    log = write_bus(tmp_path / "drive.log")
+    log.write_bytes(log.read_bytes() + b"(17900 can0 what\n")
+    found, messages = imported(tmp_path, [log], can={})
+    assert len(messages["sprockets"]) >= 99
+    assert any("damaged behind frame" in note for note in found.notes)
+
+
+def epochs(*encoders: Any, begin_ns: int = BEFORE_MIDNIGHT_NS, count: int = 20) -> bytes:
+    """NMEA at 10 Hz, on a drive eastward."""
+    found = b""
+    for k in range(count):
+        at = Position(begin_ns + k * S // 10, 48.1, 11.6 + 1e-6 * k, 520.0, 4, 0.6, 0.01, 0.02, 90.0, 0.2)
+        found += b"".join(encode(at) for encode in encoders)
+    return found
+
+
+def rmc_of(day: str) -> Any:
+    def encode(at: Position) -> bytes:
+        time = gga(at).split(b",")[1].decode()
+        return sentence(f"GNRMC,{time},A,4806.0,N,01136.0,E,0.0,90.0,{day},,,R,V")
+
+    return encode
+
+
+@pytest.mark.parametrize("name", ["gnss.nmea", "gnss.log", "gnss.txt"])
+def test_logs_of_a_receiver_are_read_over_midnight(tmp_path: Path, name: str) -> None:
+    log = tmp_path / name
+    days = [rmc_of("251126"), rmc_of("261126")]
+    log.write_bytes(
+        epochs(days[0], gga, gst, hdt, count=5)
+        + epochs(days[1], gga, gst, hdt, begin_ns=86_400 * S, count=15)
+    )
+    found, messages = imported(tmp_path, [log], gnss={}, datum={"latitude": 48.1, "longitude": 11.6})
+    expected = [DAY_NS + BEFORE_MIDNIGHT_NS + k * S // 10 for k in range(20)]
+    assert [stamp_ns_of(m) for m in messages["fix"]] == expected
+    assert [stamp_ns_of(m) for m in messages["heading"]] == expected
+    assert messages["fix"][-1].position_covariance[0] == pytest.approx(1e-4)
+    assert messages["gnss_pose"][-1].pose.pose.position.x == pytest.approx(1.043, abs=0.01)
+    assert messages["heading"][0].orientation.z == pytest.approx(0.0)
+    assert found.notes == []
+
+
+def test_a_log_without_a_date_says_so_or_has_that_of_the_mapping(tmp_path: Path) -> None:
+    (tmp_path / "gnss.nmea").write_bytes(epochs(gga))
+    found, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss=None)
+    assert stamp_ns_of(messages["fix"][0]) == BEFORE_MIDNIGHT_NS
+    assert any("no date" in note for note in found.notes)
+    (folder := tmp_path / "dated").mkdir()
+    sections = yaml.safe_load("gnss: {date: 2026-11-25, time_offset: 0.25}")
+    found, messages = imported(folder, [tmp_path / "gnss.nmea"], **sections)
+    assert stamp_ns_of(messages["fix"][0]) == DAY_NS + BEFORE_MIDNIGHT_NS + S // 4
+    assert found.notes == []
+
+
+def test_ubx_is_read_with_its_date(tmp_path: Path) -> None:
+    fields = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
+    log = b""
+    for k in range(10):
+        tow = {"iTOW": 302_418_000 + 100 * k, "year": 2026, "month": 11, "day": 25}  # 12:00:00 UTC
+        log += UBXMessage("NAV", "NAV-PVT", GET, **tow, **fields).serialize()
+        log += UBXMessage("MON", "MON-VER", GET).serialize()
+    (tmp_path / "gnss.ubx").write_bytes(log)
+    _, messages = imported(tmp_path, [tmp_path / "gnss.ubx"], gnss={})
+    assert stamp_ns_of(messages["fix"][0]) == DAY_NS + 43_200 * S
+    assert len(messages["fix"]) == 10
+
+
+def test_logs_of_several_kinds_go_together(tmp_path: Path) -> None:
+    (folder := tmp_path / "logs").mkdir()
+    write_bus(folder / "drive.blf")
+    (folder / "gnss.nmea").write_bytes(epochs(rmc_of("211026"), gga, begin_ns=0))
+    (folder / "imu.csv").write_text("t,gz\n1,0.1\n2,0.2\n", encoding="utf-8")
+    imu = {"angular_velocity_z": {"column": "gz", "unit": "rad/s"}}
+    sections = {"can": {}, "gnss": {}, "topics": {"imu/data_raw": imu}, "time": {"column": "t", "unit": "s"}}
+    found, _ = imported(tmp_path, [folder], start=1_790_000_000.0, **sections)
+    counts = {topic: n for topic, n in found.counts.items() if topic not in ("/vehicle",)}
+    assert counts.keys() == {
+        *(f"/{name}" for name in ("sprockets", "hydraulics", "swing", "fix", "gnss_pose", "imu/data_raw"))
+    }
+
+
+@pytest.mark.parametrize(
+    ("sections", "message"),
+    [
+        ({"can": {"dbc": "no.dbc", "roles": "machine_roles.yaml"}}, "can.dbc: .*no.dbc"),
+        ({"can": {"dbc": "machine.dbc"}}, "can: key 'roles' is missing"),
+        ({"can": {}}, "no log of a CAN bus .* named"),
+        ({"gnss": {"date": "today"}}, "gnss.date: 'today' is not accepted"),
+        ({"gnss": {"file": "*.ubx"}}, r"no log of a GNSS receiver \(NMEA, UBX\) named '\*.ubx'"),
+        ({"gnss": {}, "topics": {}}, "no position and no heading .*GSV"),
+        ({}, "key 'topics' is missing"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, sections: Any, message: str) -> None:
+    (tmp_path / "gnss.nmea").write_bytes(sentence("GPGSV,3,1,11,03,03,111,00") * 5)
+    with pytest.raises(InputError, match=message) as caught:
+        imported(tmp_path, [tmp_path / "gnss.nmea"], **sections)
+    assert "\n" not in str(caught.value)
+
+
+def test_headings_without_positions_are_read(tmp_path: Path) -> None:
+    (tmp_path / "gnss.nmea").write_bytes(
+        b"".join(sentence(f"PSAT,HPR,1200{k:02d}.0,{90 - k}.0,0,0,N") for k in range(10))
+    )
+    _, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
+    yaws = [2.0 * math.atan2(m.orientation.z, m.orientation.w) for m in messages["heading"]]
+    np.testing.assert_allclose(yaws, np.radians(np.arange(10.0)), atol=1e-9)

@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""UBX messages of a receiver, alone and beside sentences: positions, accuracies, headings."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyubx2 import GET, UBXMessage
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.parameters import from_flat
+from trackslip_common.tally import Tally
+from trackslip_drivers.nmea_parameters import NmeaParameters
+from trackslip_drivers.protocols import ubx
+from trackslip_drivers.protocols.nmea import Heading, Rejection
+from trackslip_drivers.protocols.nmea_sentences import Position, gga
+from trackslip_drivers.protocols.nmea_stream import NmeaStream
+from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample
+
+S = 1_000_000_000
+P = from_flat(
+    NmeaParameters,
+    node_defaults("nmea_gnss", "nmea_gnss.yaml") | {"serial_port": "socket://receiver:5017"},
+    "nmea_gnss",
+)
+TOW = 216_018_000  # ms: 12:00:00 UTC of a Tuesday, with 18 leap seconds
+NOON = 43_200 * S
+
+
+def pvt(tow=TOW, **more):
+    given_fields = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "height": 520_000}
+    fields = given_fields | {"hAcc": 14, "vAcc": 20, "validTime": 1} | more
+    return UBXMessage("NAV", "NAV-PVT", GET, iTOW=tow, **fields).serialize()
+
+
+def fine(tow=TOW, **more):
+    fields = {"lat": 48.1000001, "lon": 11.6, "height": 520_000, "hAcc": 10.0, "vAcc": 15.0} | more
+    return UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=tow, **fields).serialize()
+
+
+def covariance(tow=TOW, **more):
+    fields = {"posCovValid": 1, "posCovNN": 1e-4, "posCovEE": 4e-4, "posCovDD": 9e-4} | more
+    return UBXMessage("NAV", "NAV-COV", GET, iTOW=tow, **fields).serialize()
+
+
+def relative(tow=TOW, **more):
+    flags = {"gnssFixOK": 1, "relPosValid": 1, "carrSoln": 2, "isMoving": 1, "relPosHeadingValid": 1}
+    fields = flags | {"relPosLength": 100, "relPosHeading": 30.0, "accHeading": 0.2} | more
+    return UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=tow, **fields).serialize()
+
+
+def test_position_and_its_accuracy():
+    found = ubx.decode(pvt())
+    assert isinstance(found, ubx.Pvt)
+    assert found[:5] == pytest.approx((NOON, 48.1, 11.6, 520.0, 4))
+    assert found.stddevs == pytest.approx((0.014, 0.014, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        (pvt(gnssFixOk=0), Rejection.NO_FIX),
+        (pvt(fixType=0), Rejection.NO_FIX),
+        (pvt(fixType=5), Rejection.NO_FIX),
+        (pvt(fixType=1), Rejection.DEAD_RECKONING),
+        (pvt(invalidLlh=1), Rejection.NO_FIX),
+        (pvt(lat=91.0), Rejection.OUT_OF_RANGE),
+        (fine(invalidLlh=1), Rejection.NO_FIX),
+        (covariance(posCovValid=0), Rejection.NO_FIX),
+        (covariance(posCovNN=0.0), Rejection.OUT_OF_RANGE),
+        (covariance(posCovNN=math.nan), Rejection.OUT_OF_RANGE),
+        (relative(gnssFixOK=0), Rejection.NO_FIX),
+        (relative(relPosHeadingValid=0), Rejection.NO_HEADING),
+        (relative(isMoving=0), Rejection.NO_PAIR),
+        (relative(carrSoln=1), Rejection.NOT_FIXED),
+        (UBXMessage("NAV", "NAV-DOP", GET, iTOW=TOW).serialize(), None),
+    ],
+)
+def test_message_is_refused_for_what_it_states(message, expected):
+    assert ubx.decode(message) is expected
+
+
+@pytest.mark.parametrize(
+    ("given_flags", "status", "quality"),
+    [
+        ({"carrSoln": 2}, FixStatus.RTK, 4),
+        ({"carrSoln": 1}, FixStatus.RTK, 5),
+        ({"carrSoln": 0, "diffSoln": 1}, FixStatus.DIFFERENTIAL, 2),
+        ({"carrSoln": 0}, FixStatus.SINGLE, 1),
+    ],
+)
+def test_solution_decides_the_status(given_flags, status, quality):
+    found = ubx.decode(pvt(**given_flags))
+    assert isinstance(found, ubx.Pvt)
+    assert found.quality == quality
+    (sample,) = NmeaStream(P, Tally()).feed(pvt(**given_flags), S)
+    assert sample.status is status
+
+
+def test_heading_is_that_of_the_moving_base():
+    found = ubx.decode(relative())
+    assert found == Heading(NOON, pytest.approx(math.radians(60.0)), pytest.approx(math.radians(0.2)))
+
+
+def epochs(*encoders, count=20):
+    """Samples of messages at 10 Hz."""
+    stream, samples = NmeaStream(P, Tally()), []
+    for k in range(count):
+        burst = b"".join(encode(TOW + 100 * k) for encode in encoders)
+        samples += stream.feed(burst, 5 * S + k * S // 10)
+    samples += stream.flush()
+    assert not stream.tally.total
+    return [s for s in samples if isinstance(s, FixSample)], [
+        s for s in samples if isinstance(s, HeadingSample)
+    ]
+
+
+def of_gga(tow):
+    return gga(Position(NOON + (tow - TOW) * 1_000_000, 48.1, 11.6, 520.0, 4))
+
+
+@pytest.mark.parametrize("encoders", [(pvt,), (pvt, of_gga), (of_gga, pvt), (of_gga, pvt, fine), (pvt, fine)])
+def test_one_fix_an_epoch(encoders):
+    fixes, _ = epochs(*encoders)
+    assert len(fixes) == 20
+    steps = [b.stamp_ns - a.stamp_ns for a, b in itertools.pairwise(fixes)]
+    assert steps == [S // 10] * 19
+    assert {fix.covariance_type for fix in fixes[1:]} == {CovarianceType.DIAGONAL_KNOWN}
+
+
+@pytest.mark.parametrize("encoders", [(pvt, fine, covariance), (pvt, covariance, fine)])
+def test_the_finest_position_and_the_covariance_are_used(encoders):
+    fixes, _ = epochs(*encoders)
+    assert [fix.latitude for fix in fixes[2:]] == pytest.approx([48.1000001] * 18, abs=1e-10)
+    np.testing.assert_allclose([fix.variances for fix in fixes[2:]], [(4e-4, 1e-4, 9e-4)] * 18, rtol=1e-6)
+
+
+def test_heading_has_the_epoch_of_its_fix():
+    fixes, headings = epochs(pvt, relative)
+    assert [h.stamp_ns for h in headings] == [f.stamp_ns for f in fixes]
+    assert headings[0].stddev == pytest.approx(math.radians(0.2))
+
+
+def test_an_accuracy_of_zero_is_unknown():
+    (fix,) = NmeaStream(P, Tally()).feed(pvt(hAcc=0, vAcc=0), S)
+    assert (fix.covariance_type, fix.variances) == (CovarianceType.UNKNOWN, (0.0, 0.0, 0.0))
+
+
+@given(st.sampled_from([0x07, 0x14, 0x36, 0x3C]), st.binary(max_size=120))
+def test_any_payload_is_survived(name, payload):
+    ubx.decode(b"\xb5\x62\x01" + bytes((name,)) + len(payload).to_bytes(2, "little") + payload + b"\0\0")
