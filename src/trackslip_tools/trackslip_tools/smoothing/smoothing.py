@@ -98,16 +98,16 @@ def _estimates(window: Window, config: Records) -> Records:
 
 @compiled
 def _smooth_back(window: Window, last: int, config: Records) -> None:
-    c, states = config[0], window.best
+    c, end = config[0], window.states[0, last]
     n = c.size
-    x, P = states[last].mean[:n].copy(), states[last].covariance[:n, :n].copy()
+    x, P = end.mean[:n].copy(), end.covariance[:n, :n].copy()
     for k in range(last, 0, -1):
-        before, update = states[k - 1], window.updates[k]
+        before, state, update = window.states[0, k - 1], window.states[0, k], window.updates[k]
         filtered = before.mean[:n].copy(), before.covariance[:n, :n].copy()
         if update.follows:
-            dt = (states[k].stamp_ns - before.stamp_ns) * 1e-9
-            F = linearize(filtered[0], filtered[1], states[k], dt, c)[1]
-            fade_offsets(F, states[k], dt, c)
+            dt = (state.stamp_ns - before.stamp_ns) * 1e-9
+            F = linearize(filtered[0], filtered[1], state, dt, c)[1]
+            fade_offsets(F, state, dt, c)
             for i in range(n):
                 if update.renewed >> i & 1:
                     F[i] = 0.0
