@@ -33,6 +33,8 @@ ON_VEHICLE = {
     "can",
     "cantools",
     "pynmeagps",
+    "pyrtcm",
+    "pyubx2",
     "pymap3d",
 }
 OF_RECORDER = {"mcap", "numpy", "yaml", "lz4", "zstandard"}

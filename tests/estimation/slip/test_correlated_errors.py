@@ -193,8 +193,8 @@ def test_what_precise_fixes_do_not_jitter_by_lasts(lasting: float, least: float,
     way = np.column_stack((0.5 * t, 0.1 * t))
     fixes = way + slow + math.sqrt(1.0 - lasting) * 0.01 * rng.normal(size=(t.size, 2))
     for fix, driven in zip(fixes, 1.01 * way, strict=True):
-        learn_jitter(offset, fix, driven, 0.1, 1e-4)
-    assert least <= lasting_share(offset) <= most
+        learn_jitter(offset, fix, driven, 0.1, 1e-4, C)
+    assert least <= lasting_share(offset, C) <= most
 
 
 def test_ten_fixes_a_second_whose_errors_last_leave_the_estimate_consistent() -> None:
@@ -222,9 +222,9 @@ def test_ten_fixes_a_second_whose_errors_last_leave_the_estimate_consistent() ->
 def found(fixes: FloatArray, stddev: float, period: float) -> Any:
     """Record of ``RECEIVER`` after fixes of a machine that stands."""
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
-    reset_receiver(receiver[0])
+    reset_receiver(receiver[0], C)
     for k, fix in enumerate(fixes):
-        add_fix(receiver[0], masses[0], fix, stddev, 0.0, S + round(k * period * S))
+        add_fix(receiver[0], masses[0], fix, stddev, 0.0, S + round(k * period * S), C)
     return receiver[0]
 
 
