@@ -119,7 +119,7 @@ def test_soil_and_fixes_are_shown(state: LiveState) -> None:
     state.process("soil", messages.soil(sand=0.7, clay=0.2, loam=0.06, peat=0.04), 0.0)
     state.process("box_pose", messages.fix(1.0, 2.0), 0.0)
     frame = as_json(state.tick(0.0, 0.0))
-    assert frame["classes"] == [["sand", 0.7], ["clay", 0.2], ["loam", 0.06]]
+    assert frame["classes"] == [["sand", 0.7, True], ["clay", 0.2, False], ["loam", 0.06, False]]
     assert frame["new_fixes"] == [[1.0, 2.0]]
     assert len(frame["outlines"]["box"][0]) == 5
     assert "new_fixes" not in state.tick(0.1, 0.1)

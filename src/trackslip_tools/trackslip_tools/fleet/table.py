@@ -9,6 +9,7 @@ from typing import Any
 
 from trackslip_common.errors import ExitCode
 from trackslip_tools.fleet.entry import Entry
+from trackslip_tools.replay.soil_output import is_sure
 from trackslip_tools.terminal_text import table, wrapped
 
 NOTHING = "–"
@@ -40,12 +41,14 @@ def _refused(summary: Mapping[str, Any]) -> str:
 
 
 def _soil(summary: Mapping[str, Any]) -> str:
-    """The likeliest class."""
-    classes = (summary.get("soil") or {}).get("classes")
+    """The likeliest class, marked where it is not sure."""
+    soil = summary.get("soil") or {}
+    classes = soil.get("classes")
     if not classes:
         return NOTHING
     name = max(classes, key=classes.__getitem__)
-    return f"{name.replace('_', ' ')} {100.0 * classes[name]:.0f} %"
+    text = f"{name.replace('_', ' ')} {100.0 * classes[name]:.0f} %"
+    return text if is_sure(classes[name], bool(soil.get("identifiable"))) else f"undetermined ({text})"
 
 
 _EXITS = {ExitCode.DONE: "0 done", ExitCode.FAILED: "1 failed", ExitCode.BAD_INPUT: "2 bad input"}

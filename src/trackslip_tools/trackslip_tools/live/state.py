@@ -25,7 +25,7 @@ from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.live.strips import Strips, row_of
 from trackslip_tools.live.trail import Trail
-from trackslip_tools.report.events import Event, Events
+from trackslip_tools.report.events import SURE, Event, Events
 from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
@@ -178,7 +178,9 @@ class LiveState:
             ],
             "setup": self._setup or _setup_of(lights),
             "left_out": self._lights.left_out,
-            "classes": [[printable(name), *finite((p,))] for name, p in likely] if has_soil else [],
+            "classes": [[printable(name), *finite((p,)), p >= SURE] for name, p in likely]
+            if has_soil
+            else [],
         }
 
     def _places(self, now_s: float) -> dict[str, Any]:

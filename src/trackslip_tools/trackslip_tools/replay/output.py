@@ -38,6 +38,7 @@ from trackslip_tools.replay.parts import Begin, Part
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_summary
+from trackslip_tools.replay.troubles import trouble_lines
 from trackslip_tools.terminal_text import wrapped
 
 _MOST_EVENTS = 12  # listed
@@ -196,6 +197,7 @@ def text(result: Replay, elapsed_s: float) -> str:
         lines.append("final  " + "  ".join(f"{name} {value:.4f}" for name, value in final.items()))
         if result.no_estimate:
             lines.append(f"no estimate of the heading: {result.no_estimate}")
+    lines += _troubles(result)
     lines += map(str, result.withheld)
     lines += [result.start] if result.start else []
     lines += _happened(result)
@@ -205,6 +207,17 @@ def text(result: Replay, elapsed_s: float) -> str:
     if result.soil is not None:
         lines += soil_lines(result.soil)
     return "\n".join([finding(result.setup), *map(wrapped, lines)])
+
+
+def _troubles(result: Replay) -> list[str]:
+    """Tracks that stalled or got stuck, and the longest time without fixes."""
+    lines = trouble_lines(result.soil.forces, result.start_ns) if result.soil is not None else []
+    if result.longest_gap is not None:
+        begin, end = result.longest_gap
+        lines.append(
+            f"longest time without an accepted fix {end - begin:.1f} s, from {begin:.1f} to {end:.1f} s"
+        )
+    return lines
 
 
 def _happened(result: Replay) -> list[str]:

@@ -45,6 +45,7 @@ from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.swing import SwingErrors
 from trackslip_tools.replay.tilt import TiltErrors
+from trackslip_tools.replay.troubles import FixGaps
 from trackslip_tools.replay.withheld import Withheld, WithheldErrors
 
 KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align=True)
@@ -79,6 +80,7 @@ class Replay:
     withheld: list[Withheld] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
     start: str = ""  # what it started from, where that is not the parameters alone
+    longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
     setup: Setup = field(default_factory=Setup)  # whether the sensors agree
 
     def has_failed(self, *, force: bool) -> bool:
@@ -112,6 +114,7 @@ class Collector:
         self._comparer, self._compares, self._local = LiveComparer(), compares, LocalOdometry()
         self.processed = Processed(Counter(), self._rejected)
         self._learned: list[Known] = []
+        self._gaps, self._newest_ns = FixGaps(), 0
         self._before: list[Happened] = []  # of runs that ended
         self._happened: list[Happened] = []
 
@@ -120,6 +123,9 @@ class Collector:
         estimates = part.estimates
         self._keep(estimates)
         self._learned += part.learned
+        self._gaps.add(part.arrivals, part.results)
+        if len(estimates):
+            self._newest_ns = max(self._newest_ns, int(estimates["stamp_ns"].max()))
         if part.again is not None:
             self._before, self._happened = self._before + self._happened, []
         self._happened = list(part.happened)
@@ -152,6 +158,7 @@ class Collector:
             stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
         )
         found.start_ns = stream.start_ns
+        found.longest_gap = self._gaps.longest(self._newest_ns, stream.start_ns)
         found.reference, found.series = self._reference, self._series.series()
         found.slip_rmse = self._slips.rmse
         found.swing_rmse = self._swing.rmse

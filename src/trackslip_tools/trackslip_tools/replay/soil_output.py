@@ -11,6 +11,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS
 from trackslip_tools.replay.soil import SoilReplay
+from trackslip_tools.report.events import SURE
 
 
 def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
@@ -47,6 +48,11 @@ def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
     return content
 
 
+def is_sure(probability: float, is_identifiable: bool) -> bool:
+    """Whether the likeliest class may be called the soil."""
+    return is_identifiable and probability >= SURE
+
+
 def soil_lines(result: SoilReplay) -> list[str]:
     """The same for a terminal."""
     lines = []
@@ -66,5 +72,8 @@ def soil_lines(result: SoilReplay) -> list[str]:
         lines.append(f"  not identifiable: {found.reason}")
     likely = sorted(last.classes.items(), key=lambda item: -item[1])[:3]
     if likely:
+        lines += (
+            [] if is_sure(likely[0][1], found.identifiable) else ["  the class is undetermined; likeliest:"]
+        )
         lines.append("  " + "  ".join(f"{name} {100 * p:.0f} %" for name, p in likely))
     return lines if result.live is None else [*lines, str(result.live)]

@@ -6,19 +6,25 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.motion import Motion
+from trackslip_tools.replay.troubles import SIDES
 from trackslip_tools.report.events import SURE, Event
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
-from trackslip_tools.report.story import SIDES, trouble_spells, troubles_text
+from trackslip_tools.report.story import trouble_spells, troubles_text
 from trackslip_tools.report.verdict import State, Verdict
 
 _GAP_S = 1.0  # a longer time between two estimates is nobody's
 _NONE = "–"
+_LASTING_S = 0.5  # s for which a slip must last
+
+
+FloatArray = NDArray[np.float64]
 
 
 class Travel(NamedTuple):
@@ -89,15 +95,32 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
     known = states.moving[:, np.newaxis] & (sigmas <= limits.slip_stddev)
     if not known.any():
         return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} %")
-    size = np.where(known, np.abs(states.slips[:, :2]), -1.0)
+    times = run.recording.seconds(states.path.stamps_ns)
+    slips = np.column_stack(
+        [lasting_slips(times, np.where(known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
+    )
+    if not np.isfinite(slips).any():
+        return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LASTING_S:g} s")
+    size = np.where(np.isfinite(slips), np.abs(slips), -1.0)
     k, side = np.unravel_index(np.argmax(size), size.shape)
-    at_s = run.recording.seconds(states.path.stamps_ns[k : k + 1])[0]
+    at_s = times[k]
     spread = 2.0 * PERCENT * sigmas[k, side]
     return Fact(
         name,
-        f"{PERCENT * states.slips[k, side]:.0f} %",
+        f"{PERCENT * slips[k, side]:.0f} %",
         f"{SIDES[side]} track at {at_s:.1f} s, ± {spread:.0f} %",
     )
+
+
+def lasting_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
+    """(n,) medians over ``_LASTING_S`` of (n,) slips at times in s; nan where one of them is unknown."""
+    period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    size = round(_LASTING_S / period) | 1 if period > 0.0 else 1
+    if size >= len(slips):
+        size = 1
+    middles = np.median(np.lib.stride_tricks.sliding_window_view(slips, size), axis=1)
+    rim = np.full(size // 2, np.nan)
+    return np.concatenate((rim, middles, rim))
 
 
 def _troubles(run: Run) -> Fact:

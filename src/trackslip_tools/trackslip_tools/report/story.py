@@ -16,6 +16,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.silence import lost_after, usual_period
 from trackslip_estimation.soil.stall import Trouble
 from trackslip_tools.replay.inputs import SPROCKETS
+from trackslip_tools.replay.troubles import SIDES, WORDS
 from trackslip_tools.report.events import Event, Events, without_numbers
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
@@ -25,10 +26,10 @@ from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, lasting
 
 FloatArray = NDArray[np.float64]
 
-SIDES = ("left", "right")
-WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
 _THERE, _MISSING = Look(BLUE, "messages"), Look(ORANGE, "missing")
 _CALM_S = 5.0  # without a refusal, after which the gate has calmed down
+_MANY = 0.1  # of a source's measurements: more that are refused are a warning
+_START_S, _END_S = 10.0, 3.0  # s in which nodes begin and end
 _LIGHTS = {
     int(Level.OK): Look(GREEN, "ok"),
     int(Level.WARN): Look(AMBER, "warning"),
@@ -186,8 +187,22 @@ def events_of(run: Run) -> list[Event]:
         *_explanations(run),
         *_soils(run),
     )
-    found = [*replayed, *run.recording.events]
+    found = [*replayed, *_without_rims(run)]
     return sorted(found, key=lambda event: event.time_ms)
+
+
+def _without_rims(run: Run) -> list[Event]:
+    """What lights reported; of nodes that begin or end, one line each."""
+    first, last = 1e3 * _START_S, 1e3 * (run.recording.stop_s - _END_S)
+    begin = [event for event in run.recording.events if event.time_ms < first]
+    end = [event for event in run.recording.events if event.time_ms > max(last, first)]
+    between = [event for event in run.recording.events if event not in (*begin, *end)]
+    folded = []
+    for own, word in ((begin, "start-up"), (end, "shut-down")):
+        folded += (
+            [own[0]._replace(level=Level.OK, text=f"{word}: {len(own)} reports of nodes")] if own[1:] else own
+        )
+    return [*folded, *between]
 
 
 def _event(at_s: float, level: Level, text: str) -> Event:
@@ -224,10 +239,13 @@ def _refusals(run: Run) -> Iterator[Event]:
     gated = reports[reports["outcome"] == Outcome.GATED]
     for number, source in enumerate(run.details.sources):
         times = np.sort(run.recording.seconds(gated["stamp_ns"][gated["source"] == number]))
+        seen = run.recording.seconds(reports["stamp_ns"][reports["source"] == number])
         for group in np.split(times, np.flatnonzero(np.diff(times) > _CALM_S) + 1):
             if len(group):
                 text = f"gate refuses {len(group)} of {source} within {np.ptp(group):.1f} s"
-                yield _event(float(group[0]), Level.WARN, text)
+                near = (seen > group[0] - _CALM_S) & (seen < group[-1] + _CALM_S)
+                share = len(group) / max(int(near.sum()), 1)
+                yield _event(float(group[0]), Level.WARN if share > _MANY else Level.OK, text)
 
 
 def _explanations(run: Run) -> Iterator[Event]:

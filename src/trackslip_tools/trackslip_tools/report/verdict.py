@@ -25,6 +25,7 @@ class State(Enum):
 
     OK = "ok"
     ATTENTION = "attention"
+    INFORMATION = "information"  # worth knowing; nothing to be done
     UNKNOWN = "not checked"
 
 
@@ -156,7 +157,8 @@ def _consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> 
     if times > limits.most_consistency:
         return _checked(False, value, f"{words}: it is too sure.")
     if times < limits.least_consistency:
-        return _checked(False, value, f"{words}: it is too modest.")
+        words = f"{words}: sensors are better than stated (harmless)"
+        return Verdict(State.INFORMATION, value, f"{words}.")
     return _checked(True, value, f"{words}.")
 
 
@@ -189,7 +191,7 @@ def _soil(run: Run, _: VerdictLimits) -> Verdict:
     value = f"K {100.0 * last['shear_modulus']:.2f} cm, F_max {1e-3 * last['max_tractive_effort']:.1f} kN"
     if last["identifiable"]:
         return _checked(True, value, "The driving determines K and F_max separately.")
-    return _checked(False, value, f"Not separated yet: {numbers.reason or 'no reason given'}.")
+    return Verdict(State.INFORMATION, value, f"Not separated yet: {numbers.reason or 'no reason given'}.")
 
 
 def _rates(run: Run, limits: VerdictLimits) -> Verdict:

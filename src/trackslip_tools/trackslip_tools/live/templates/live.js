@@ -262,8 +262,10 @@ function show_lights(lights) {
 
 function show_classes(classes) {
   matched(by_id("classes"), classes.length, () => element("li", "", element("span"), element("span"))).forEach((item, k) => {
-    const [name, chance] = classes[k]
-    item.firstChild.textContent = name.replaceAll("_", " ")
+    const [name, chance, is_sure] = classes[k]
+    item.className = is_sure ? "sure" : ""
+    const mark = k === 0 && !is_sure ? "undetermined; likeliest: " : ""
+    item.firstChild.textContent = mark + name.replaceAll("_", " ")
     item.lastChild.textContent = chance === null ? "–" : `${(100 * chance).toFixed(0)} %`
   })
 }

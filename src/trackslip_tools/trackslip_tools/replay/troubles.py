@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a user should know of a run besides estimates: tracks in trouble, longest time without fixes."""
+
+import numpy as np
+
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.records import POSE
+from trackslip_estimation.soil.stall import Trouble
+from trackslip_tools.replay.arrivals import Rows
+from trackslip_tools.report.spells import spells
+
+SIDES = ("left", "right")
+WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
+_LEAST_S = 0.5  # s of a trouble that is worth a line
+
+
+def trouble_lines(forces: Rows, start_ns: int) -> list[str]:
+    """A line for each stretch in which a track stalled or got stuck; s from the bag's first message."""
+    times = (forces["stamp_ns"] - start_ns) * 1e-9
+    lines = []
+    for k, side in enumerate(SIDES):
+        for start, stop, state, _ in spells(times, forces["trouble"][:, k]):
+            if state != Trouble.NONE and stop - start >= _LEAST_S:
+                word = WORDS[Trouble(state)]
+                lines.append(
+                    f"{side} track {word} for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
+                )
+    return lines
+
+
+class FixGaps:
+    """The longest time without an accepted fix, over the parts of a replay."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+        self._longest_ns = (0, 0)
+
+    def add(self, arrivals: Rows, results: Rows) -> None:
+        """More of the bag."""
+        accepted = (arrivals["kind"] == POSE) & (results["outcome"] == Outcome.ACCEPTED)
+        stamps = np.sort(arrivals["stamp_ns"][accepted]).tolist()
+        for stamp_ns in stamps:
+            self._end(stamp_ns)
+            self._last_ns = max(stamp_ns, self._last_ns or stamp_ns)
+
+    def longest(self, stop_ns: int, start_ns: int) -> tuple[float, float] | None:
+        """Begin and end, s from ``start_ns``; the end of a run counts; None: no fix was accepted."""
+        if self._last_ns is None:
+            return None
+        self._end(stop_ns)
+        begin, end = self._longest_ns
+        return (begin - start_ns) * 1e-9, (end - start_ns) * 1e-9
+
+    def _end(self, stamp_ns: int) -> None:
+        begin, end = self._longest_ns
+        if self._last_ns is not None and stamp_ns - self._last_ns > end - begin:
+            self._longest_ns = self._last_ns, stamp_ns

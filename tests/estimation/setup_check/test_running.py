@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The setup check of a running estimator: causes come within two minutes, and go once they are mended."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from fixtures.setup_drives import make_drive
+
+from trackslip_common.errors import InputError
+from trackslip_estimation.setup_check.log import Log
+from trackslip_estimation.setup_check.running import Background, RunningCheck
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+
+NAMED_S, GONE_S = 100.0, 60.0
+
+
+@pytest.fixture(scope="module")
+def parameters() -> SlipEstimatorParameters:
+    values: dict[str, Any] = {
+        "vehicle.kinematics.rolling_radius": 0.35,
+        "vehicle.kinematics.tread": 2.0,
+        "vehicle.kinematics.contact_length": 2.5,
+        "pose_sources": ["gnss_pose"],
+        "sources.gnss_pose.lever_arm_x": 0.5,
+        "sources.gnss_pose.lever_arm_y": 0.2,
+    }
+    return load_slip_parameters(values)
+
+
+def measurements(log: Log, begin_s: float, signs: tuple[float, float], gyro: float) -> Iterator[Measurement]:
+    """Of a drive, in the order of stamps."""
+    found: list[Measurement] = []
+    for t, (left, right) in zip(log.tracks.t, log.tracks.speeds, strict=True):
+        found.append(Sprockets("sprockets", _ns(begin_s + t), signs[0] * left, signs[1] * right))
+    for t, rate in zip(log.gyros[0].t, log.gyros[0].rates[:, 2], strict=True):
+        found.append(YawRate("imu/data_raw", _ns(begin_s + t), gyro * rate, 2e-5))
+    covariance = np.diag((4e-4, 4e-4, 1e-4))
+    places, headings = log.fixes[0].places, log.compasses[0].headings
+    for t, place, heading in zip(log.fixes[0].t, places, headings, strict=True):
+        pose = np.array((*place, heading))
+        found.append(PoseFix("gnss_pose", _ns(begin_s + t), pose, covariance))
+    return iter(sorted(found, key=lambda m: m.stamp_ns))
+
+
+def _ns(t: float) -> int:
+    return 1_700_000_000_000_000_000 + round(t * 1e9)
+
+
+def causes_after(check: RunningCheck, given: Iterator[Measurement], stop_s: float) -> set[str]:
+    for m in given:
+        if m.stamp_ns > _ns(stop_s):
+            break
+        check.add(m)
+    return {cause.cause for cause in check.evaluate().causes}
+
+
+@pytest.mark.parametrize(
+    ("signs", "gyro", "cause"),
+    [((-1.0, 1.0), 1.0, "left_track_sign"), ((1.0, 1.0), -1.0, "gyro_sign")],
+)
+def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
+    parameters: SlipEstimatorParameters, signs: tuple[float, float], gyro: float, cause: str
+) -> None:
+    check, drive = RunningCheck(parameters), make_drive()
+    assert causes_after(check, measurements(drive, 0.0, signs, gyro), NAMED_S) == {cause}
+    mended = measurements(drive, NAMED_S + 0.5, (1.0, 1.0), 1.0)
+    assert causes_after(check, mended, NAMED_S + GONE_S) == set()
+
+
+def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> None:
+    check = RunningCheck(parameters)
+    assert causes_after(check, measurements(make_drive(1), 0.0, (1.0, 1.0), 1.0), NAMED_S) == set()
+
+
+def test_before_anything_is_measured_there_is_no_cause(parameters: SlipEstimatorParameters) -> None:
+    assert RunningCheck(parameters).evaluate().causes == ()
+
+
+def test_a_failure_of_an_evaluation_is_reported(parameters: SlipEstimatorParameters) -> None:
+    failures: list[Exception] = []
+    check = RunningCheck(parameters)
+
+    def fail() -> Any:
+        raise InputError("no")
+
+    check.evaluate = fail  # type: ignore[method-assign]
+    background = Background(check, failures.append)
+    background.start()
+    background.join()
+    assert [str(failure) for failure in failures] == ["no"]
