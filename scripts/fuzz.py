@@ -47,6 +47,7 @@ TARGETS = {
     "watson_lines": Target("fuzz_serial"),
     "watson_frames": Target("fuzz_serial"),
     "nmea_sentences": Target("fuzz_serial", longest=160),
+    "ubx_messages": Target("fuzz_serial", longest=400),
     "can_frames": Target("fuzz_can"),
     "bag_files": Target("fuzz_files", share=50, longest=4096),
     "recovered_bags": Target("fuzz_files", share=50, longest=4096),

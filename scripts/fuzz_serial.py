@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
+from pyubx2 import GET, UBXMessage, calc_checksum
 
 from fuzz_script import pieces, script
 from trackslip_common.config_files import node_defaults
@@ -16,7 +17,7 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import nmea_sentences, sick_telegram
 from trackslip_drivers.protocols import sick_commands as commands
-from trackslip_drivers.protocols.nmea import LONGEST_LINE
+from trackslip_drivers.protocols.gnss_frames import LONGEST
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.protocols.sick_crc import sick_crc
 from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan
@@ -233,7 +234,7 @@ def nmea() -> Target:
             whole = nmea_sentences.sentence(text) if content.isascii() else content + b"\n"
             for sample in stream.feed(whole, now_ns):
                 assert np.isfinite(sample[1]), sample
-            assert stream.bytes_held <= LONGEST_LINE, f"{stream.bytes_held} bytes held"
+            assert stream.bytes_held <= LONGEST, f"{stream.bytes_held} bytes held"
             stream.flush()
         stream.feed(b"\n", now_ns)
         samples = stream.feed(good[0] + good[1], now_ns + 1000 * MS)
@@ -243,5 +244,42 @@ def nmea() -> Target:
     return one_input, [b"\n".join(bodies), good[0] + good[1], b"GNTHS,12.5,A\nGNHDT,,T\nPASHR,POS,1"]
 
 
+def ubx() -> Target:
+    """UBX messages with a right checksum, or as they come; then a good fix must be found."""
+    p = defaults(NmeaParameters, "nmea_gnss")
+    at = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
+    good = nmea_sentences.gga(at) + nmea_sentences.gst(at)
+    names = (b"\x01\x07", b"\x01\x14", b"\x01\x36", b"\x01\x3c", b"\x02\x15")
+
+    def one_input(data: bytes) -> None:
+        stream = NmeaStream(p, Tally())
+        now_ns = 0
+        for kind, content in pieces(data):
+            now_ns += 40 * MS
+            whole = ubx_frame(names[kind] + content) if kind < len(names) else content
+            for sample in stream.feed(whole, now_ns):
+                assert np.isfinite(sample[1]), sample
+            assert stream.bytes_held <= LONGEST, f"{stream.bytes_held} bytes held"
+        samples = stream.feed(good, now_ns + 5000 * MS) + stream.flush()
+        assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples), "good fix not found"
+
+    fields = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
+    heading = {"gnssFixOK": 1, "relPosValid": 1, "carrSoln": 2, "isMoving": 1, "relPosHeadingValid": 1}
+    messages = (
+        UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **fields),
+        UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
+        UBXMessage("NAV", "NAV-COV", GET, iTOW=20_000, posCovValid=1, posCovNN=1e-4, posCovEE=1e-4),
+        UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=20_000, relPosHeading=30.0, **heading),
+    )
+    seeds = [script((k, message.payload)) for k, message in enumerate(messages)]
+    return one_input, [*seeds, b"".join(seeds)]
+
+
+def ubx_frame(content: bytes) -> bytes:
+    """Class, id and payload with what stands around them."""
+    body = content[:2] + (len(content) - 2).to_bytes(2, "little") + content[2:]
+    return b"".join((b"\xb5\x62", body, calc_checksum(body)))
+
+
 _ALL = (sick_telegrams, sick_session, sick_device, watson_lines, watson_frames)
-TARGETS = {target.__name__: target for target in _ALL} | {"nmea_sentences": nmea}
+TARGETS = {target.__name__: target for target in _ALL} | {"nmea_sentences": nmea, "ubx_messages": ubx}
