@@ -145,6 +145,14 @@ def test_a_position_stated_twice_is_used_once(encoders):
     assert not parser.tally.total
 
 
+def test_another_talker_goes_on_at_once():
+    parser = stream()
+    later = [EPOCHS[-1] + k * S // 10 for k in range(1, 51)]
+    fixes = told(parser, EPOCHS, (gpgga,)) + told(parser, later, (gga,), first=50)
+    assert len(fixes) == 100
+    assert parser.repeated == 0
+
+
 def test_another_heading_is_used_when_the_first_ceases():
     parser = stream()
     told(parser, EPOCHS, (gga, pashr, hdt))

@@ -24,13 +24,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from hostile_bags import READERS_OF_BAGS
+from hostile_devices import READERS_OF_DEVICES
 from hostile_readers import READERS_OF_TEXTS, Reader
 from hostile_text import hostile
 from trackslip_common.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "hostile"
-READERS = READERS_OF_TEXTS | READERS_OF_BAGS
+READERS = READERS_OF_TEXTS | READERS_OF_BAGS | READERS_OF_DEVICES
 FILES = 500
 LONGEST_S = 10
 WAITING = 10  # times as long a file may take where others have the processors

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from pyubx2 import GET, UBXMessage, calc_checksum
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import Parameters, from_flat
@@ -17,7 +18,7 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols import sick_commands as commands
-from trackslip_drivers.protocols.nmea import LONGEST_LINE
+from trackslip_drivers.protocols.gnss_frames import LONGEST
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
@@ -210,6 +211,8 @@ _ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
     *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.hdt, nmea_sentences.pashr),
 )
 SENTENCES = [encode(AT) for encode in _ENCODERS]
+AFTER = AT._replace(time_ns=90_000_000_000)  # of an epoch that no input has
+LATER = nmea_sentences.gga(AFTER) + nmea_sentences.gst(AFTER)
 BODIES = [message[1:].partition(b"*")[0] for message in SENTENCES]
 fields = st.one_of(
     st.binary(max_size=12), st.sampled_from(sorted({f for body in BODIES for f in body.split(b",")}))
@@ -230,8 +233,45 @@ def test_good_fix_after_any_sentences_is_found(said: list[bytes]) -> None:
         whole = nmea_sentences.sentence(content.decode("ascii")) if is_text else content + b"\n"
         for sample in stream.feed(whole, now_ns):
             assert np.isfinite(sample[1]), sample
-        assert stream.bytes_held <= LONGEST_LINE
+        assert stream.bytes_held <= LONGEST
         stream.flush()
     stream.feed(b"\n", now_ns)
-    samples = stream.feed(SENTENCES[0] + SENTENCES[1], now_ns + 1000 * MS)
+    samples = stream.feed(LATER, now_ns + 1000 * MS)
     assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples)
+
+
+_FIELDS = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
+_HEADING = {"gnssFixOK": 1, "relPosValid": 1, "carrSoln": 2, "isMoving": 1, "relPosHeadingValid": 1}
+MESSAGES = (
+    UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **_FIELDS),
+    UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
+    UBXMessage("NAV", "NAV-COV", GET, iTOW=20_000, posCovValid=1, posCovNN=1e-4, posCovEE=1e-4),
+    UBXMessage("NAV", "NAV-RELPOSNED", GET, version=1, iTOW=20_000, relPosHeading=30.0, **_HEADING),
+)
+PAYLOADS = [message.payload for message in MESSAGES]
+NAMES = (b"\x01\x07", b"\x01\x14", b"\x01\x36", b"\x01\x3c", b"\x02\x15")
+ubx = st.lists(
+    st.tuples(st.integers(0, len(NAMES)), st.one_of(st.sampled_from(PAYLOADS), st.binary(max_size=120))),
+    max_size=8,
+)
+
+
+@given(ubx)
+@example(list(enumerate(PAYLOADS)))
+def test_good_fix_after_any_binary_messages_is_found(said: list[Piece]) -> None:
+    """Whole with a right checksum, or as they come."""
+    stream, now_ns = NmeaStream(NMEA, Tally()), 0
+    for kind, content in said:
+        now_ns += 40 * MS
+        whole = ubx_frame(NAMES[kind] + content) if kind < len(NAMES) else content
+        for sample in stream.feed(whole, now_ns):
+            assert np.isfinite(sample[1]), sample
+        assert stream.bytes_held <= LONGEST
+    samples = stream.feed(LATER, now_ns + 5000 * MS) + stream.flush()
+    assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples)
+
+
+def ubx_frame(content: bytes) -> bytes:
+    """Class, id and payload with what stands around them."""
+    body = content[:2] + (len(content) - 2).to_bytes(2, "little") + content[2:]
+    return b"".join((b"\xb5\x62", body, calc_checksum(body)))

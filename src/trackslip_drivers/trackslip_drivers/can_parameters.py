@@ -46,6 +46,7 @@ class CanDriverParameters(WithVehicle):
     frame_prefix: str = parameter("before base_link, such as 'one/' where there are several machines")
     dbc_file: str = parameter("contract of the frames; a path, or a name in config/")
     roles_file: str = parameter("what its signals are for; a path, or a name in config/")
+    canopen_start: bool = parameter("whether nodes of CANopen that wait for it are started")
     time_offset: float = parameter("added to the stamp of every frame", unit="s")
     max_sprocket_speed: float = parameter("a reading that moved faster is refused", unit="rad/s", gt=0.0)
     velocity_window: int = parameter("readings in the velocity fit", ge=2, le=50)

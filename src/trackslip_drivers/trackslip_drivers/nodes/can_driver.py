@@ -14,6 +14,7 @@ from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParam
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.can_errors import BusState, bus_state
 from trackslip_drivers.protocols.can_frames import BUS, ERROR_FLAG, load_frames
+from trackslip_drivers.protocols.canopen import START_ALL, start_of
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan, Sample
 from trackslip_drivers.records import HydraulicsSample, SprocketSample, SwingSample
 from trackslip_drivers.stamping import StampEvent
@@ -63,11 +64,15 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         return CanBus(self.settings.can_interface, self.settings.can_channel, self._options)
 
     def begin(self) -> None:
-        """Positions go on over the time in which the bus was closed."""
+        """Positions go on over the time in which the bus was closed; encoders of CANopen are started."""
         self._can.resume()
+        if self.settings.canopen_start and self._link is not None:
+            self._link.write(START_ALL)
 
     def receive(self, data: CanFrame, arrival_ns: int) -> None:
         """One frame."""
+        if self.settings.canopen_start and (start := start_of(*data)) and self._link is not None:
+            self._link.write(start)
         if data[0] & ERROR_FLAG:
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:

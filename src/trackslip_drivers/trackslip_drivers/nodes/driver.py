@@ -37,6 +37,7 @@ _STALE_PERIODS = 10
 _LOOK = 0.1  # s between looks at whether the link's condition has changed
 _OPENING = 2.0  # s, for which a port that was opened need not deliver
 RECENT = 5.0  # s for which a rejection shows
+_PAUSE = 5.0  # s without data after which nothing is said of what they lacked
 _RATE_OVER = 0.5  # s, the least that a rate is counted over
 _HOST_CLOCK = "host clock"
 
@@ -185,10 +186,10 @@ class DriverNode(TrackslipNode[P]):
         if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING:
             return WARN, f"{where}: opened, nothing yet"
         talk = f" ({self.talk()})" if self.talk() else ""
+        if state.silent_s < _PAUSE and (lack := self.lack()):
+            return ERROR, f"{where}: {lack}"
         if state.silent_s > 0.5 * limit_s or not state.has_heard:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
-        if lack := self.lack():
-            return ERROR, f"{where}: {lack}"
         reason = self._rejected[0] or "nothing whole yet"
         if reason in self.passing:
             return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"

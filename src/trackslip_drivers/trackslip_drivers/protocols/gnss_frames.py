@@ -23,6 +23,7 @@ from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, LONGEST_LINE
 _UBX, _RTCM, _SENTENCE, _LF = b"\xb5\x62", 0xD3, ord("$"), ord("\n")
 _ENDS_NOISE = re.compile(rb"[$\xb5\xd3\n]")
 _NO_TEXT = re.compile(rb"[^\x20-\x7e\r\t]")
+_ADDRESS = re.compile(rb"\$[A-Z]{2}")  # how a sentence begins
 _LONGEST_UBX = 4096  # bytes of a payload; of raw measurements of a hundred signals 3.2 kB
 LONGEST = _LONGEST_UBX + 8
 _STALL_NS = 300_000_000  # without a byte, after which a binary message does not go on
@@ -162,7 +163,7 @@ class FrameCutter:
     def _end_noise(self, kind: Kind) -> Iterator[Frame]:
         """What came before a message, or as a line: a sentence that is cut short has no line end."""
         is_text = _NO_TEXT.search(self._noise) is None
-        if self._overlong or (is_text and self._noise[:1] == b"$"):
+        if self._overlong or (is_text and _ADDRESS.match(self._noise)):
             kind = Kind.OVERLONG
         elif not is_text:
             kind = Kind.NOISE

@@ -111,7 +111,7 @@ class NmeaStream:
         self._gst: tuple[Gst, int] | None = None
         self._gst_follows = False
         self._waiting = False  # the latest position for its GST
-        self._pvt: tuple[ubx.Pvt, int] | None = None  # of UBX: a position that waits, and its moment
+        self._pvt: tuple[ubx.Pvt, int, int] | None = None  # of UBX: a position, its moment, its arrival
         self._pvt_parts: set[str] = set()  # messages that have come for it
         self._pvt_follow: set[str] = set()  # that came for the one before
         self._pvt_out_ns = -1  # time of the latest that is out
@@ -145,17 +145,18 @@ class NmeaStream:
             return self._on_reading(reading, kind, begun_ns)
         if isinstance(reading, ubx.Pvt):
             samples = self._release_pvt()
-            self._pvt, self._pvt_parts = (reading, self._stamp(reading.time_ns, begun_ns)), set()
+            self._pvt = reading, self._stamp(reading.time_ns, begun_ns), begun_ns
+            self._pvt_parts = set()
         elif self._pvt is None or self._pvt[0].time_ns != reading.time_ns:
             if reading.time_ns == self._pvt_out_ns:  # too late for it: the next one waits
                 self._pvt_follow.add(kind)
             return []
         else:
-            samples, (pvt, stamp_ns) = [], self._pvt
+            samples, (pvt, stamp_ns, arrival_ns) = [], self._pvt
             fields = reading._asdict()
             if isinstance(reading, ubx.FinePosition) and "NAV-COV" in self._pvt_parts:
                 del fields["stddevs"]
-            self._pvt = pvt._replace(**fields), stamp_ns
+            self._pvt = pvt._replace(**fields), stamp_ns, arrival_ns
             self._pvt_parts.add(kind)
         return samples + (self._pvt_out() if self._pvt_follow <= self._pvt_parts else [])
 
@@ -168,9 +169,9 @@ class NmeaStream:
 
     def _pvt_out(self) -> list[Sample]:
         assert self._pvt is not None
-        (self._pvt_out_ns, *place, quality, stddevs), stamp_ns = self._pvt
+        (self._pvt_out_ns, *place, quality, stddevs), stamp_ns, begun_ns = self._pvt
         self._pvt = None
-        if not self._position.accept("UBX", _BY_ACCURACY, stamp_ns):
+        if not self._position.accept("UBX", _BY_ACCURACY, stamp_ns, begun_ns):
             return []
         east, north, up = stddevs
         kind = CovarianceType.UNKNOWN if math.isnan(east) else CovarianceType.DIAGONAL_KNOWN
@@ -213,10 +214,10 @@ class NmeaStream:
     def _on_reading(self, reading: Reading, source: str, begun_ns: int) -> list[Sample]:
         stamp_ns = self._stamp(reading.time_ns, begun_ns)
         if isinstance(reading, Heading):
-            if not self._direction.accept(source, reading.stddev > 0.0, stamp_ns):
+            if not self._direction.accept(source, reading.stddev > 0.0, stamp_ns, begun_ns):
                 return []
             return [HeadingSample(stamp_ns, reading.yaw, reading.stddev or self._p.heading_stddev)]
-        if isinstance(reading, Gga) and not self._position.accept(source, 0, stamp_ns):
+        if isinstance(reading, Gga) and not self._position.accept(source, 0, stamp_ns, begun_ns):
             return []
         if isinstance(reading, Gst):
             return self._on_gst(reading, stamp_ns)

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Encoders on CANopen: their PDOs by a DBC, and the start that they wait for."""
+
+import pytest
+from fixtures.unseen_bus import drive, machine
+
+from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
+from trackslip_drivers.protocols.canopen import START_ALL, start_of
+
+S = 1_000_000_000
+DBC = """VERSION ""
+BS_:
+BU_: Left Right
+BO_ 389 LeftPdo1: 4 Left
+ SG_ Position : 0|32@1+ (1,0) [0|0] "counts" X
+BO_ 390 RightPdo1: 4 Right
+ SG_ Position : 0|32@1+ (1,0) [0|0] "counts" X
+"""
+ROLES = """roles:
+  left_position: {signal: LeftPdo1.Position, counts_per_turn: 8192, wraps_at: 33554432}
+  right_position: {signal: RightPdo1.Position, counts_per_turn: 8192, wraps_at: 33554432, sign: -1}
+"""
+
+
+def test_positions_of_encoders_are_sprockets_over_their_wrap(tmp_path):
+    speed = 2.0  # rad/s
+    sent = []
+    for k in range(200):
+        counts = round(speed * 0.01 * k * 8192 / 6.283185307) - 500
+        stamp_ns = S + k * S // 100
+        sent += [
+            (stamp_ns, 389 | STANDARD_FLAG, (counts % 33554432).to_bytes(4, "little")),
+            (stamp_ns, 390 | STANDARD_FLAG, (-counts % 33554432).to_bytes(4, "little")),
+        ]
+    samples = drive(machine(tmp_path, ROLES, DBC), sent)
+    assert len(samples) >= 195
+    assert samples[-1].left_velocity == pytest.approx(speed, rel=0.01)
+    assert samples[-1].right_velocity == pytest.approx(speed, rel=0.01)
+    assert samples[-1].left_position - samples[0].left_position == pytest.approx(
+        speed * 0.01 * (len(samples) - 1), abs=0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "node"),
+    [
+        (0x705, b"\x00", 5),
+        (0x77F, b"\x00", 127),
+        (0x705, b"\x7f", 5),
+        (0x705, b"\xff", 5),
+        (0x705, b"\x05", None),
+        (0x700, b"\x00", None),
+        (0x705, b"", None),
+        (0x705, b"\x00\x00", None),
+        (0x185, b"\x00", None),
+    ],
+)
+def test_a_node_that_waits_is_started(name, data, node):
+    expected = None if node is None else (STANDARD_FLAG, bytes((1, node)))
+    assert start_of(name | STANDARD_FLAG, data) == expected
+    assert start_of(name, data) is None  # of 29 bits: no CANopen
+
+
+def test_the_start_at_first_is_for_all_nodes():
+    assert (STANDARD_FLAG, bytes((1, 0))) == START_ALL
