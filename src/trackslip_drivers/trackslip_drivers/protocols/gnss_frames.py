@@ -78,6 +78,8 @@ class FrameCutter:
         """What one read returned; its last byte was there by ``arrival_ns``."""
         if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
             yield from self.resume()
+        if not data:
+            return
         self._pending += data
         self._reads.append((len(self._pending), arrival_ns))
         yield from self._cut()
