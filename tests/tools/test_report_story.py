@@ -64,11 +64,16 @@ def test_the_largest_slip_is_one_that_is_known(emulated_run: Run) -> None:
     assert emulated_run.states is not None
     states = emulated_run.states
     k = len(states.slips) // 2
+    lasting = slice(k, k + 200)  # 2 s
     wild = states.slips.copy()
-    wild[k, 0] = -3.0
+    wild[lasting, 0] = -3.0
     unsure = states.slip_covariances.copy()
-    unsure[k, 0, 0] = 1.0
+    unsure[lasting, 0, 0] = 1.0
     changed = dataclasses.replace(emulated_run)
+    spike = states.slips.copy()
+    spike[k, 0] = -3.0
+    changed.__dict__["states"] = dataclasses.replace(states, slips=spike)
+    assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
     changed.__dict__["states"] = dataclasses.replace(states, slips=wild, slip_covariances=unsure)
     assert facts(changed)["Largest slip"].value == facts(emulated_run)["Largest slip"].value
     changed.__dict__["states"] = dataclasses.replace(states, slips=wild)

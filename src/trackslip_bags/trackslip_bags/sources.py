@@ -161,8 +161,9 @@ def open_file(path: Path) -> tuple[Source | None, str]:
         content = salvage(path)
     except OSError as error:
         return None, f"{path.name}: {error.strerror}"
-    note = f"{path.name}: {content.problem or reason}"
-    return (SalvagedFile(content) if content.topics else None), note
+    if not content.topics:
+        return None, f"{path.name}: {reason}"
+    return SalvagedFile(content), f"{path.name}: {content.problem or reason}"
 
 
 def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
