@@ -227,6 +227,13 @@ def test_stamp_is_the_epoch_whatever_the_delay():
     assert max(map(abs, errors)) < 1.0
 
 
+def test_an_empty_read_moves_no_stamp():
+    parser = stream()
+    parser.feed(b"", 0)
+    (sample,) = parser.feed(gga(at(EPOCHS[0])), 5 * S + 20 * MS)
+    assert sample.stamp_ns == 5 * S
+
+
 def test_day_ends_without_a_jump():
     epochs = [(DAY - 2 * S + k * S // 10) % DAY for k in range(50)]
     assert max(map(abs, errors_ms(told(stream(), epochs, (gga, gst))))) < 0.1
