@@ -145,6 +145,12 @@ def test_a_position_stated_twice_is_used_once(encoders):
     assert not parser.tally.total
 
 
+def test_another_talker_after_one_fix_goes_on_at_once():
+    parser = stream()
+    fixes = told(parser, EPOCHS[:1], (gpgga,)) + told(parser, EPOCHS[1:], (gga,), first=1)
+    assert len(fixes) == len(EPOCHS)
+
+
 def test_another_talker_goes_on_at_once():
     parser = stream()
     later = [EPOCHS[-1] + k * S // 10 for k in range(1, 51)]
