@@ -145,6 +145,12 @@ def test_a_position_stated_twice_is_used_once(encoders):
     assert not parser.tally.total
 
 
+def test_another_talker_after_one_fix_goes_on_at_once():
+    parser = stream()
+    fixes = told(parser, EPOCHS[:1], (gpgga,)) + told(parser, EPOCHS[1:], (gga,), first=1)
+    assert len(fixes) == len(EPOCHS)
+
+
 def test_another_talker_goes_on_at_once():
     parser = stream()
     later = [EPOCHS[-1] + k * S // 10 for k in range(1, 51)]
@@ -225,6 +231,13 @@ def test_stamp_is_the_epoch_whatever_the_delay():
     errors = errors_ms(told(stream(), epochs, (gga, gst), lambda k: int(delays[k])))
     assert len(errors) == 500
     assert max(map(abs, errors)) < 1.0
+
+
+def test_an_empty_read_moves_no_stamp():
+    parser = stream()
+    parser.feed(b"", 0)
+    (sample,) = parser.feed(gga(at(EPOCHS[0])), 5 * S + 20 * MS)
+    assert sample.stamp_ns == 5 * S
 
 
 def test_day_ends_without_a_jump():

@@ -21,7 +21,7 @@ class EpochSource:
         self._name = ""
         self._rank = -1
         self._stamp_ns = self._arrival_ns = -math.inf
-        self._period_ns = 0.0  # between the latest two epochs
+        self._period_ns = 0.0  # between the latest two epochs; 0: unknown
 
     def accept(self, name: str, rank: int, stamp_ns: int, arrival_ns: int) -> bool:
         """Whether a measurement is used.
@@ -44,6 +44,6 @@ class EpochSource:
         if not is_next:
             self.repeated += 1
             return False
-        self._period_ns = min(after_ns, _TIMEOUT_NS)
+        self._period_ns = after_ns if after_ns <= _TIMEOUT_NS else 0.0
         self._stamp_ns = stamp_ns
         return True

@@ -76,6 +76,8 @@ class FrameCutter:
 
     def feed(self, data: bytes, arrival_ns: int) -> Iterator[Frame]:
         """What one read returned; its last byte was there by ``arrival_ns``."""
+        if not data:
+            return
         if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
             yield from self.resume()
         if not data:
