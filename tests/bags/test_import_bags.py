@@ -254,5 +254,5 @@ def test_a_mapping_of_columns_is_not_for_a_bag(log: Path, tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"a bag, and .* names columns; accepted: topics with 'from'"):
         imported(log, tmp_path, mapping)
     (tmp_path / "log.csv").write_text("t\n0\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"no bag, and .* names topics of one"):
+    with pytest.raises(InputError, match=r"no bag, and .* has topics of one"):
         imported(tmp_path / "log.csv", tmp_path)
