@@ -80,8 +80,6 @@ class FrameCutter:
             return
         if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
             yield from self.resume()
-        if not data:
-            return
         self._pending += data
         self._reads.append((len(self._pending), arrival_ns))
         yield from self._cut()

@@ -87,13 +87,14 @@ def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
                     if shares:
                         S[j, i] += h * o.shared[j, k]
     K = _gain(P, B, S, o)
+    if shares:
+        B -= o.shared
     for i in range(m):
         for k in range(n):
-            gain = K[i, k]
-            x[k] += gain * o.innovation[i]
-            if gain != 0.0:
-                for j in range(n):
-                    P[k, j] -= gain * (B[i, j] - (o.shared[i, j] if shares else 0.0))
+            x[k] += K[i, k] * o.innovation[i]
+        for j in range(n):
+            for k in range(n):
+                P[j, k] -= K[i, k] * B[i, j]
     _complete(P, K, o)
 
 
@@ -139,9 +140,9 @@ def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
 
 @inlined
 def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
-    """P, which is (I − K H) P, becomes the covariance after the update."""
+    """P, which is ((I − K H) P)ᵀ, becomes the covariance after the update."""
     m, n = K.shape
-    rest, D, shares = _shown_by_columns(P, o.jacobian), o.shared, o.shared.shape[0] > 0
+    rest, D, shares = _shown_by(P, o.jacobian), o.shared, o.shared.shape[0] > 0
     if shares:
         D = _kept_of(K, o)
     for i in range(m):
@@ -174,7 +175,7 @@ def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
 
 @compiled
 def _shown_by(P: FloatArray, H: FloatArray) -> FloatArray:
-    """(m, n) H P, P symmetric; the zeros of H cost nothing."""
+    """(m, n) H P; the zeros of H cost nothing."""
     m, n = H.shape
     product = np.zeros((m, n))
     for i in range(m):
@@ -183,18 +184,4 @@ def _shown_by(P: FloatArray, H: FloatArray) -> FloatArray:
             if h != 0.0:
                 for j in range(n):
                     product[i, j] += h * P[k, j]
-    return product
-
-
-@compiled
-def _shown_by_columns(P: FloatArray, H: FloatArray) -> FloatArray:
-    """(m, n) (P Hᵀ)ᵀ of any P."""
-    m, n = H.shape
-    product = np.zeros((m, n))
-    for i in range(m):
-        for k in range(n):
-            h = H[i, k]
-            if h != 0.0:
-                for j in range(n):
-                    product[i, j] += h * P[j, k]
     return product

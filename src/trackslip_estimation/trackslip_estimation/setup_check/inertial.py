@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The inertial unit against the tracks: frozen, biased, of another unit, or turned in its mounting."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -394,8 +393,3 @@ def upside_down(gyro: Gyro, log_odds: float) -> Cause:
     return Cause(
         "imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0))
     )
-
-
-def other_gyros(log: Log, first: Gyro | None) -> Sequence[Gyro]:
-    """All but the one that is used first."""
-    return [g for g in log.gyros if first is None or g.name != first.name]
