@@ -195,7 +195,7 @@ def _log_time(window: Window, p: int, k: int, c: Config) -> float:
 def _correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
     """By which w of events of the machine is less, where fixes of the source err to one side."""
     errs_aside = is_correlated(window.states[p, k - 1], window.measurements[k].source, c)
-    return float(c.bank.correlated_doubt if errs_aside else 0.0)
+    return float(c.bank.correlated_penalty if errs_aside else 0.0)
 
 
 @compiled

@@ -34,7 +34,7 @@ class BankParameters(Parameters):
     often_outliers: float = parameter(
         "share of outliers of a source that has had some recently", gt=0.0, lt=1.0
     )
-    correlated_doubt: float = parameter(
+    correlated_penalty: float = parameter(
         "ln of the odds against an event of the machine where fixes err to one side", ge=0.0
     )
     least_jump: float = parameter("size of a jump or an offset at the least", unit="m", gt=0.0)

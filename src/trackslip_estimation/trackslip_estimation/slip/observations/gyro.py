@@ -9,7 +9,7 @@
 
 Inside its gate a reading is used in full; with less weight where only the largest noise that may be explains
 it; beyond that it is refused, until the gate has widened (``gate``). What passes only because the gate is
-wide says that the state was wrong: the bias, or the rate of the upper structure, is doubted by what ν shows.
+wide says that the state was wrong: the variance of the bias, or of σ̇, is inflated by what ν shows.
 
 In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
 slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
@@ -17,7 +17,7 @@ turning and slip counts for no more than at the start. What it would do on no gr
 tracks, is never used: a gyro upside down shows that.
 
 A gyro is compared with steady speeds of the sprockets: their rounding would be in its innovation and in its
-Jacobian both, and bias what it teaches of turning.
+Jacobian both, and bias what is learned of turning.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ there is no C.
 
 Odometry and tracks show nothing of s_o, which fixes do: it is considered. Inside the gate an increment is
 used in full; with less weight where only the largest track error explains it; beyond it is refused, until
-the source has insisted for long enough (``gate``). Where increments of a second or two agree that both tracks
+the source has disagreed for long enough (``gate``). Where increments of a second or two agree that both tracks
 slip more or less than what is known allows, they run on other ground: i₀ is open again.
 """
 
@@ -210,7 +210,7 @@ def _weigh_slip(
     own: float,
     c: Config,
 ) -> None:
-    """i₀ is open again where increments of late agree on another one, and with it the way that they tell of.
+    """i₀ is open again where increments of late agree on another one, and with it the way that they show.
 
     ``innovation`` of the speed ahead, m/s; ``own``: variance of what is another one in each increment.
     """

@@ -6,7 +6,7 @@
     h    what the state and the sprockets say of both (``models``)
 
 They are used inside their gate, which widens while they and the state disagree (``gate``). What passes only
-because the gate is wide says that the state was wrong: what it knows of slip is doubted by ν νᵀ.
+because the gate is wide says that the state was wrong: the covariance of slip is inflated by ν νᵀ.
 """
 
 from __future__ import annotations
@@ -80,14 +80,14 @@ def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: U
     if update.nis <= limit:
         state.consistent_ns[measurement.source] = measurement.stamp_ns
     else:
-        _doubt_slips(P, o.innovation, c)
+        _inflate_slips(P, o.innovation, c)
         update.prior_covariance[:] = P
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
 
 
 @compiled
-def _doubt_slips(P: FloatArray, innovation: FloatArray, c: Config) -> None:
+def _inflate_slips(P: FloatArray, innovation: FloatArray, c: Config) -> None:
     """P, widened by what an innovation of both slips shows; what else was learned stays."""
     if has_velocity_errors(c):
         P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
