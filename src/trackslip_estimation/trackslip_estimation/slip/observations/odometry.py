@@ -18,8 +18,8 @@ there is no C.
 
 Odometry and tracks show nothing of s_o, which fixes do: it is considered. Inside the gate an increment is
 used in full; with less weight where only the largest track error explains it; beyond it is refused, until
-the source has disagreed for long enough (``gate``). Where increments of a second or two agree that both tracks
-slip more or less than what is known allows, they run on other ground: i₀ is open again.
+the source has disagreed for long enough (``gate``). Where increments of a second or two agree that both
+tracks slip more or less than what is known allows, they run on other ground: i₀ is open again.
 """
 
 from __future__ import annotations
