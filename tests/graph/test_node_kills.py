@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes of a driving graph are killed or held, and started again as a launch file would do it."""
 
-import json
 import os
 import random
 import signal
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.drives_in_sight import to_and_fro
 from fixtures.patience import PATIENCE
 
 from trackslip_bags.input_filters import InputFilters
@@ -33,27 +33,11 @@ DRIVE_S = 3600.0  # the longest there is
 TRUTH_WITHIN_S = 600.0  # for the emulator to work it out on a busy host
 LATE_S = 0.05  # by which a starved emulator sends the truth late; its bytes have wrong stamps then
 SETTLED_S = 5.0
-AHEAD = (
-    (4, 0.0, 0.0),
-    (10, 2.0, 2.0),
-    (6, 1.2, 2.2),
-    (8, 2.0, 2.0),
-    (7, 2.2, 1.2),
-    (4, 1.9, 1.9),
-    (3, 0.0, 0.0),
-)
 VICTIMS = (
     *("can_driver", "watson_imu", "sick_pls"),
     *("box_localizer", "slip_estimator", "soil_estimator", "record"),
 )
 OUTPUTS = ("sprockets", "imu/data_raw", "scan", "box_pose", "odometry", "soil")
-
-
-def to_and_fro():
-    """A drive that comes back to where it began, and so stays in the laser's sight however long it is."""
-    back = [(duration, -left, -right) for duration, left, right in reversed(AHEAD)]
-    segments = [dict(zip(("duration", "left", "right"), row, strict=True)) for row in (*AHEAD, *back)]
-    return json.dumps({"name": "to_and_fro", "soil": "sand", "segments": segments})
 
 
 @dataclass(frozen=True)
@@ -91,7 +75,7 @@ class Graph:
         self.estimates = self._heard["odometry"]
         self.counted = self.published = 0
         drive = programs.folder / "to_and_fro.yaml"
-        drive.write_text(to_and_fro(), encoding="utf-8")
+        drive.write_text(to_and_fro("sand"), encoding="utf-8")
         programs.node("emulator", scenario=str(drive), duration=DRIVE_S, device_directory=str(devices), **can)
         observer.wait(lambda: (devices / "sick").exists(), "the devices", TRUTH_WITHIN_S)
         self._running = {name: self._start(name) for name in VICTIMS}

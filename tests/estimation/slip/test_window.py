@@ -21,7 +21,7 @@ MS = 1_000_000
 @given(st.lists(st.tuples(st.integers(0, 60), st.integers(0, 2)), max_size=40))
 def test_a_window_orders_what_comes(given_: list[tuple[int, int]]) -> None:
     """By stamp, then by source; what is there already is found."""
-    window = make_window(64)
+    window = make_window(64, 1)
     kept: list[tuple[int, int]] = []
     for stamp, source in given_:
         arrival = window.measurements[-1:]

@@ -108,8 +108,8 @@ class SlipEstimator:
         """
         self._window_ns, self._start = window_ns, learned
         self._happened: list[Happened] = []
-        self.window: Window = make_window(_CAPACITY, script)
         self._use(parameters)
+        self.window: Window = make_window(_CAPACITY, int(self.config["poses"][0]), script)
         self.process_records(to_records((), self.sources))  # compiles now, not at the first measurement
 
     @property

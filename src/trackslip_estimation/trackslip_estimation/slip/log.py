@@ -26,7 +26,7 @@ from trackslip_estimation.slip.window import (
     copy_first,
     enlarged,
     keep_tail,
-    make_window,
+    make_like,
 )
 
 _BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
@@ -161,8 +161,7 @@ def script_of(log: Log, p: SlipEstimatorParameters) -> Records:
 
 def _begin(start: Window, entries: int) -> Window:
     """A window with room for so many entries after the first one of ``start``."""
-    script = start.script if start.status["scripted"][0] else None
-    window = make_window(entries + 1 + SPARE, script)
+    window = make_like(start, entries + 1 + SPARE)
     window.status["played"] = window.status["begun"] = start.status["played"]
     copy_first(window, start)
     window.status["started"], window.status["count"], window.status["known"] = True, 1, 1

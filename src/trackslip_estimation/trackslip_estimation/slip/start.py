@@ -57,7 +57,7 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
         if measurements[k].kind == SPROCKETS:
             remember(state, measurements[k], c)
     status.known = 0
-    drop(window, entry)
+    drop(window, entry, entry)
     begin_row(window, 0, c)
     _set_start(window.states[0, 0], measurements[0], c)
     add_first_fix(window, c)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from trackslip_common.clock_monitor import NEVER_NS, Clock
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record, Table, dtype_of, make_table
-from trackslip_estimation.slip.correlated_errors import MASSES, MOST_RECEIVERS, RECEIVER, Masses, Receiver
+from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, Masses, Receiver
 from trackslip_estimation.slip.records import (
     BRANCH,
     ESTIMATE,
@@ -83,8 +83,8 @@ class Window(NamedTuple):
     pool_states: Table[State]  # (POOL,) branches with children while they are weighed
     pool_branches: Table[Branch]
     pool_updates: Table[Update]
-    receivers: Table[Receiver]  # (capacity, MOST_RECEIVERS) of ``RECEIVER``: errors of fixes
-    masses: Table[Masses]  # (capacity, MOST_RECEIVERS) of ``MASSES``; of receivers that gave coarse fixes
+    receivers: Table[Receiver]  # (capacity, r) of ``RECEIVER``: errors of the fixes of each pose source
+    masses: Table[Masses]  # (capacity, r) of ``MASSES``; of receivers that gave coarse fixes
     other: Table[EstimateRecord]  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
     script: Table[EventRecord]  # (n,) of ``EVENT``
 
@@ -99,8 +99,11 @@ class Window(NamedTuple):
         return int(self.status["count"][0])
 
 
-def make_window(capacity: int, script: Records | None = None) -> Window:
-    """An empty one; ``script``: (n,) of ``EVENT``, by which it has one branch, and no event but these."""
+def make_window(capacity: int, receivers: int, script: Records | None = None) -> Window:
+    """An empty one for so many sources of poses.
+
+    ``script``: (n,) of ``EVENT``, by which it has one branch, and no event but these.
+    """
     window = Window(
         make_table(Status, WINDOW, 1),
         make_table(MeasurementRecord, MEASUREMENT, capacity),
@@ -112,8 +115,8 @@ def make_window(capacity: int, script: Records | None = None) -> Window:
         make_table(State, STATE, POOL),
         make_table(Branch, BRANCH, POOL),
         make_table(Update, UPDATE, POOL),
-        make_table(Receiver, RECEIVER, capacity, MOST_RECEIVERS),
-        make_table(Masses, MASSES, capacity, MOST_RECEIVERS),
+        make_table(Receiver, RECEIVER, capacity, receivers),
+        make_table(Masses, MASSES, capacity, receivers),
         make_table(EstimateRecord, ESTIMATE, 1),
         make_table(EventRecord, EVENT, 0) if script is None else cast("Table[EventRecord]", script),
     )
@@ -122,10 +125,15 @@ def make_window(capacity: int, script: Records | None = None) -> Window:
     return window
 
 
+def make_like(window: Window, capacity: int) -> Window:
+    """An empty one for the same estimator."""
+    script = window.script if window.status["scripted"][0] else None
+    return make_window(capacity, window.receivers.shape[1], script)
+
+
 def enlarged(window: Window) -> Window:
     """The same with room for twice as many entries."""
-    script = window.script if window.status["scripted"][0] else None
-    larger, count = make_window(2 * len(window.measurements), script), window.count
+    larger, count = make_like(window, 2 * len(window.measurements)), window.count
     larger.status[:] = window.status
     last = len(window.measurements)
     larger.measurements[:last] = window.measurements
@@ -154,11 +162,11 @@ def is_weighed(measurement: MeasurementRecord) -> bool:
 
 
 @compiled
-def copy_receivers(window: Window, k: int, before: int) -> None:
-    """Those of entry k become those of the entry ``before``."""
-    for n in range(MOST_RECEIVERS):
+def copy_receivers(window: Window, k: int, before: int, masses: bool) -> None:
+    """Those of entry k become those of the entry ``before``, with their masses or without."""
+    for n in range(window.receivers.shape[1]):
         window.receivers[k, n] = window.receivers[before, n]
-        if window.receivers[k, n].known != 0:
+        if masses and window.receivers[k, n].known != 0:
             window.masses[k, n] = window.masses[before, n]
 
 
@@ -223,21 +231,36 @@ def insert(window: Window, k: int) -> None:
 
 
 @compiled
-def drop(window: Window, entries: int) -> None:
-    """Remove the first entries."""
+def drop(window: Window, entries: int, whole: int) -> None:
+    """Remove the first entries, and of the rows before ``whole`` all that no row from there on looks back to."""
     status = window.status[0]
     count = status.count - entries
     for i in range(count):
         window.measurements[i] = window.measurements[i + entries]
     for i in range(min(count, status.known - entries)):
-        window.updates[i], window.counts[i] = window.updates[i + entries], window.counts[i + entries]
-        copy_receivers(window, i, i + entries)
+        old = i + entries
+        stays = old >= whole
+        window.counts[i] = window.counts[old]
+        copy_receivers(window, i, old, stays)
+        if stays:
+            window.updates[i] = window.updates[old]
         for s in range(window.counts[i]):
-            window.states[s, i] = window.states[s, i + entries]
-            window.branches[s, i] = window.branches[s, i + entries]
-            window.branches[s, i].snapshot = max(window.branches[s, i].snapshot - entries, 0)
+            if stays or _is_snapshot(window, whole, s, old):
+                window.states[s, i] = window.states[s, old]
+                window.branches[s, i] = window.branches[s, old]
+                window.branches[s, i].snapshot = max(window.branches[s, i].snapshot - entries, 0)
     status.count = count
     status.known -= entries
+
+
+@compiled
+def _is_snapshot(window: Window, k: int, s: int, of: int) -> bool:
+    """Whether a branch of row k looks back to the branch s of the row ``of``."""
+    for b in range(window.counts[k]):
+        branch = window.branches[b, k]
+        if branch.snapshot == of and branch.slot == s:
+            return True
+    return False
 
 
 @compiled
@@ -254,7 +277,7 @@ def keep_tail(window: Window) -> None:
     """Remove the entries that no further row is made from."""
     status = window.status[0]
     last, status.begun = status.count - 1, status.played
-    drop(window, last if status.scripted else oldest_needed(window, last))
+    drop(window, last if status.scripted else oldest_needed(window, last), last)
 
 
 @compiled
@@ -281,8 +304,7 @@ def trim(window: Window, c: Config) -> bool:
     oldest_ns = status.clock.head_ns - c.window_ns
     while settled + 1 + kept_samples < status.count and window.measurements[settled + 1].stamp_ns < oldest_ns:
         settled += 1
-    if status.started:
-        settled = oldest_needed(window, settled)
-    if settled > 0:
-        drop(window, settled)
+    oldest = oldest_needed(window, settled) if status.started else settled
+    if oldest > 0:
+        drop(window, oldest, settled)
     return not is_full(window)

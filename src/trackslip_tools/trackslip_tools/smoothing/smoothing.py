@@ -27,7 +27,7 @@ from trackslip_estimation.slip.outputs import fill_estimate
 from trackslip_estimation.slip.own_errors import fade_offsets
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
-from trackslip_estimation.slip.window import Records, Window, copy_first, make_window
+from trackslip_estimation.slip.window import Records, Window, copy_first, make_like
 
 
 class Smoothed(NamedTuple):
@@ -72,7 +72,7 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
 
 def _first_row(window: Window) -> Window:
     """A window of the first entry only."""
-    first = make_window(2, window.script)
+    first = make_like(window, 2)
     first.status["played"] = window.status["begun"]
     copy_first(first, window)
     return first

@@ -42,7 +42,7 @@ def follow_receivers(window: Window, k: int, c: Config) -> None:
     """
     state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
     m = window.measurements[k]
-    copy_receivers(window, k, k - 1)
+    copy_receivers(window, k, k - 1, True)
     number = number_of(m.source, c) if is_weighed(m) else -1
     for n in range(c.poses):
         of = window.receivers[k, n]

@@ -12,8 +12,7 @@ from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.log import run_whole
 from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import EVENT
-from trackslip_estimation.slip.window import Window, copy_first, make_window
+from trackslip_estimation.slip.window import Window, copy_first, make_like
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.kernels import SLIPS, bound, compare, scratch, variances
 from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParameters
@@ -79,7 +78,8 @@ def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
 
 def _filtered(setting: Setting, trial: Trial) -> Window:
     """The states of a run, after its start."""
-    begin, drive = make_window(2, np.zeros(0, EVENT)), setting.drive  # nothing else happens
+    drive = setting.drive
+    begin = make_like(drive.begin, 2)
     copy_first(begin, drive.begin)
     begin.best["mean"][0], begin.best["covariance"][0] = trial.start
     return run_whole(trial.rows.measurements, begin, setting.config)
