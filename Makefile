@@ -18,7 +18,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives cases test faults soak units lint ament bench fuzz bags numbers figures docs clean
+.PHONY: help setup checks demo bars drives cases test slow faults soak units lint ament bench fuzz bags numbers figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
@@ -66,6 +66,9 @@ ament: setup ## ROS's own linters, with the agreed configuration
 
 faults: checks ## a hundred faults of all sensors, of the GNSS receiver, and a hundred kills, in a row against the real nodes; half an hour
 	@$(ENTER) exec $(VENV)/python -m pytest -s -m soak
+
+slow: checks ## tests that take more than some seconds, and a few hours together (ARGS='-k tune')
+	@$(ENTER) exec $(VENV)/python -m pytest -n 2 --dist loadgroup --timeout=7200 -m slow $(ARGS)
 
 units: checks ## the command of each systemd unit for half a minute in the read-only file system of its service
 	@$(ENTER) exec $(VENV)/python -m pytest -m slow tests/graph/test_units.py

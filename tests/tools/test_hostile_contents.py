@@ -236,14 +236,14 @@ def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, 
     with file.open("wb") as stream:
         writer = Writer(stream)
         writer.start("ros2")
-        for k in range(20_000):
+        for k in range(5_000):
             schema = writer.register_schema(f"a/msg/B{k}", "ros2msg", b"int32 x")
             channel = writer.register_channel(f"/t{k}", "cdr", schema)
             if k % 5000 == 0:
                 writer.add_message(channel, 10**18 + k, b"\0\1\0\0\1\0\0\0", 10**18 + k)
         writer.finish()  # type: ignore[no-untyped-call]
     if has_metadata:
-        topics = [{"topic_metadata": {"name": f"/t{k}"}, "message_count": 0} for k in range(20_000)]
+        topics = [{"topic_metadata": {"name": f"/t{k}"}, "message_count": 0} for k in range(5_000)]
         information = {"topics_with_message_count": topics, "relative_file_paths": [file.name]}
         information |= {"starting_time": {"nanoseconds_since_epoch": 1}, "duration": {"nanoseconds": 1}}
         (tmp_path / "metadata.yaml").write_text(yaml.dump({"rosbag2_bagfile_information": information}))

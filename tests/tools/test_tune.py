@@ -168,7 +168,7 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
 @pytest.mark.parametrize(
     ("drives", "factor", "evaluations"),
     [
-        pytest.param(SLALOMS, 0.1, 60, id="slaloms"),
+        pytest.param(SLALOMS, 0.1, 60, id="slaloms", marks=LONG),
         pytest.param(TRIALS, 0.1, 300, id="trials_too_small", marks=LONG),
         pytest.param(TRIALS, 10.0, 300, id="trials_too_large", marks=LONG),
     ],

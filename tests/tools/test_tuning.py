@@ -155,6 +155,7 @@ def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp
     assert numbers(result)["left_out"][1]["bag"] == "bag1"
 
 
+@pytest.mark.slow
 def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
     drive: Callable[..., Any], tmp_path: Path
 ) -> None:
