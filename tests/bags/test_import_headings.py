@@ -16,8 +16,10 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.conversions import heading_fix, swing_angle
 from trackslip_estimation.slip.measurements import HeadingFix
+from trackslip_estimation.slip.parameters import load_slip_parameters
 
-UNKNOWN = 1e-4  # of a source: where the message has no variance
+COMPASS = load_slip_parameters({"heading_sources": ["heading"]}).compasses()["heading"]
+UNKNOWN = COMPASS.stddev**2  # where the message has no variance
 EAST, NORTH = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 
@@ -31,7 +33,7 @@ def imported(folder: Path, log: Path, topics: dict[str, Any], **more: Any) -> tu
 
 def headings(messages: list[Any]) -> list[tuple[float, float]]:
     """Yaw and variance of each, as the estimator reads it."""
-    fixes = [heading_fix(message, "heading", UNKNOWN) for message in messages]
+    fixes = [heading_fix(message, "heading", COMPASS) for message in messages]
     assert all(isinstance(one, HeadingFix) for one in fixes)
     return [(one.heading, one.variance) for one in fixes if isinstance(one, HeadingFix)]
 

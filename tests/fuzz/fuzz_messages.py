@@ -177,9 +177,7 @@ def slip_topics() -> dict[str, Topic]:
         SET_POSE: Topic(pose, lambda m: conversions.pose_fix(m, SET_POSE), packed=False),
         "slip_seed": Topic("trackslip_msgs/msg/TrackSlip", lambda m: conversions.slip_fix(m, "slip_seed")),
         "swing": Topic(joints, lambda m: conversions.swing_angle(m, "swing", 1e-4), (SWING_JOINT,)),
-        "heading": Topic(
-            imu, lambda m: conversions.heading_fix(m, "heading", compass.stddev**2), packed=False
-        ),
+        "heading": Topic(imu, lambda m: conversions.heading_fix(m, "heading", compass), packed=False),
         "visual_odometry": Topic(
             "nav_msgs/msg/Odometry", lambda m: conversions.odometry_pose(m, "visual_odometry", camera)
         ),

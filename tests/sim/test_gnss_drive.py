@@ -139,13 +139,12 @@ def test_thirty_seconds_of_rtk_float_keep_the_bar(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["imu", "quaternion"])
 def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kind: str) -> None:
-    p = _parameters()
+    p = _parameters(**{"sources.heading.convention": "compass", "sources.heading.sign": -1})
     path = fixed if kind == "imu" else _with_quaternions(fixed, tmp_path / "bag")
     with open_bag(path) as bag:
         messages = [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["/heading"])]
         inputs = read_inputs(bag, p, InputFilters(), ())
-    variance = p.compasses()["heading"].stddev ** 2
-    expected = [heading_fix(message, "heading", variance) for message in messages]
+    expected = [heading_fix(message, "heading", p.compasses()["heading"]) for message in messages]
     rows = inputs.measurements({name: k for k, name in enumerate(p.timeouts_ns())})
     found = rows[rows["kind"] == HEADING]
     assert len(found) == len(expected) > 300
@@ -200,8 +199,8 @@ def _layer() -> dict[str, Any]:
     return dict(node_parameters(read_yaml(path), "slip_estimator", str(path)))
 
 
-def _parameters() -> SlipEstimatorParameters:
-    return load_slip_parameters(_layer())
+def _parameters(**changed: object) -> SlipEstimatorParameters:
+    return load_slip_parameters(_layer(), changed)
 
 
 def _with_quaternions(source: Path, path: Path) -> Path:

@@ -142,6 +142,16 @@ class OdometryPoseFields(NamedTuple):
     twist_absent: Annotated[float, At("twist.covariance", (0,))]
 
 
+class VelocityFields(NamedTuple):
+    """Of geometry_msgs/TwistWithCovarianceStamped: the horizontal part."""
+
+    stamp_ns: StampNs
+    v_x: Annotated[float, At("twist.twist.linear.x")]  # m/s
+    v_y: Annotated[float, At("twist.twist.linear.y")]
+    covariance: Annotated[FloatArray, At("twist.covariance", (0, 1, 6, 7), (2, 2))]  # (m/s)²; 0 unknown
+    absent: Annotated[float, At("twist.covariance", (0,))]  # −1: there is none
+
+
 class NavSatFields(NamedTuple):
     """Of sensor_msgs/NavSatFix."""
 
@@ -259,6 +269,7 @@ RECORDS: dict[str, RecordClass] = {
     "sensor_msgs/msg/JointState": SprocketFields,
     "sensor_msgs/msg/Imu": ImuFields,
     "geometry_msgs/msg/PoseWithCovarianceStamped": PoseFields,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": VelocityFields,
     "nav_msgs/msg/Odometry": OdometryFields,
     "sensor_msgs/msg/NavSatFix": NavSatFields,
     "geometry_msgs/msg/QuaternionStamped": QuaternionFields,

@@ -32,6 +32,7 @@ TOPICS = {
     "scan": Topic("sensor_msgs/msg/LaserScan", Flow.SENSOR),
     "fix": Topic("sensor_msgs/msg/NavSatFix", Flow.SENSOR),
     "heading": Topic("sensor_msgs/msg/Imu", Flow.SENSOR, ("geometry_msgs/msg/QuaternionStamped",)),
+    "fix_velocity": Topic("geometry_msgs/msg/TwistWithCovarianceStamped", Flow.SENSOR),
     "box_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "gnss_pose": Topic("geometry_msgs/msg/PoseWithCovarianceStamped", Flow.RELIABLE),
     "gnss_localizer/datum": Topic("sensor_msgs/msg/NavSatFix", Flow.LATCHED),
@@ -62,6 +63,7 @@ TOPICS = {
 }
 
 ODOMETRY, LOCAL_ODOMETRY, ATTITUDE = "odometry", "odometry/local", "attitude"
+FIX_VELOCITY = "fix_velocity"
 TRACK_SLIP, FORCES, SOIL = "track_slip", "track_forces", "soil"
 MACHINE_STATE, SWING_ESTIMATE, DIAGNOSTICS = "machine_state", "swing/estimate", "diagnostics"
 TRUE_ODOMETRY, TRUE_SLIP, TRUE_SWING = "truth/odometry", "truth/track_slip", "truth/swing"

@@ -183,7 +183,8 @@ def quaternion(yaw: float) -> object:
 def test_messages_of_both_kinds(yaw: float) -> None:
     stamped = {"header": header(make, 5 * S, "antenna")}
     plain = make("geometry_msgs/msg/QuaternionStamped", **stamped, quaternion=quaternion(yaw))
-    found = heading_fix(plain, SOURCE, 1e-4)
+    compass = with_headings(**{"sources.heading.stddev": 0.01}).compasses()[SOURCE]
+    found = heading_fix(plain, SOURCE, compass)
     assert (found.stamp_ns, found.heading, found.variance) == (5 * S, pytest.approx(yaw), 1e-4)
     for first, stated, expected in ((0.0, 0.0, 1e-4), (1e6, 4e-6, 4e-6), (-1.0, 0.0, 0.0)):
         covariance = np.diag((first, first, stated)).ravel()
@@ -191,11 +192,30 @@ def test_messages_of_both_kinds(yaw: float) -> None:
         imu = make(
             "sensor_msgs/msg/Imu", **stamped, orientation=quaternion(yaw), orientation_covariance=covariance
         )
-        found = heading_fix(imu, SOURCE, 1e-4)
+        found = heading_fix(imu, SOURCE, compass)
         if first == -1.0:
             assert found is Refusal.NO_ORIENTATION
         else:
             assert (found.heading, found.variance) == (pytest.approx(yaw), expected)
+
+
+@pytest.mark.parametrize(
+    ("convention", "sign", "shown"),
+    [
+        ("enu", 1, 0.3),
+        ("enu", -1, -0.3),
+        ("compass", 1, math.pi / 2 - 0.3),
+        ("compass", -1, 0.3 - math.pi / 2),
+    ],
+)
+def test_angles_of_any_convention_become_headings_from_east(convention: str, sign: int, shown: float) -> None:
+    stated = {"sources.heading.convention": convention, "sources.heading.sign": sign}
+    compass = with_headings(**stated).compasses()[SOURCE]
+    plain = make(
+        "geometry_msgs/msg/QuaternionStamped", header=header(make, 5 * S, "a"), quaternion=quaternion(shown)
+    )
+    found = heading_fix(plain, SOURCE, compass)
+    assert math.remainder(found.heading - 0.3, math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_source_of_an_unknown_kind_of_message_is_refused() -> None:

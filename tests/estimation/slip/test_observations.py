@@ -19,7 +19,7 @@ from trackslip_estimation.slip.levers import lever, to_sensor, turn_about
 from trackslip_estimation.slip.models.model import FIX_DELAY, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.records import HEADING, MEASUREMENT, ON_SWING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import HEADING, MEASUREMENT, ON_SWING, POSE, SLIPS, VELOCITY, YAW_RATE
 from trackslip_estimation.slip.update import observe
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +31,7 @@ ALL: dict[str, Any] = {
     "yaw_rate_sources": ["imu/data_raw", "imu_top"],
     "heading_sources": ["compass"],
     "slip_sources": ["slip_seed"],
+    "velocity_sources": ["doppler", "doppler_top", "radar", "radar_top"],
     "sources.imu_data_raw.use_orientation": True,
     "sources.gnss.lever_arm_x": 0.8,
     "sources.gnss.lever_arm_y": -0.3,
@@ -40,6 +41,14 @@ ALL: dict[str, Any] = {
     "sources.mast.lever_arm_z": 2.5,
     "sources.imu_top.mount": "upper",
     "sources.compass.mount": "upper",
+    **{
+        f"sources.{name}.{key}": value
+        for name in ("doppler", "doppler_top", "radar", "radar_top")
+        for key, value in (("lever_arm_x", 0.8), ("lever_arm_y", -0.3), ("lever_arm_z", 2.0))
+    },
+    **{f"sources.{name}.mount": "upper" for name in ("doppler_top", "radar_top")},
+    **{f"sources.{name}.axes": "body" for name in ("radar", "radar_top")},
+    **{f"sources.{name}.mounting_yaw": 3.0 for name in ("radar", "radar_top")},
 }
 KINDS = [
     (POSE, "gnss", 3),
@@ -49,6 +58,10 @@ KINDS = [
     (YAW_RATE, "imu/data_raw", 1),
     (YAW_RATE, "imu_top", 1),
     (SLIPS, "slip_seed", 2),
+    (VELOCITY, "doppler", 2),
+    (VELOCITY, "doppler_top", 2),
+    (VELOCITY, "radar", 2),
+    (VELOCITY, "radar_top", 2),
 ]
 
 
@@ -99,7 +112,7 @@ def test_h_is_the_derivative_of_what_is_measured(
         apart = innovation(start - unit) - innovation(start + unit)
         if rows != 2:
             apart[-1] = wrap(float(apart[-1])) if kind != YAW_RATE else apart[-1]
-        loose = 3e-3 if tilted and kind in (POSE, HEADING) and k == SWING else 1e-6
+        loose = 3e-3 if tilted and kind in (POSE, HEADING, VELOCITY) and k == SWING else 1e-6
         np.testing.assert_allclose(H[:, k], apart / (2.0 * step), atol=loose, err_msg=f"state {k}")
 
 

@@ -11,11 +11,19 @@ from trackslip_common.message_fields import FrameFields
 from trackslip_common.message_reading import read
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import message_class, topic_class
+from trackslip_common.topics import FIX_VELOCITY
 from trackslip_estimation.nodes.static_mountings import StaticMountings
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE, Measurement
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.sources import HEADING_MESSAGES, OdometrySource, Refusal, named
+from trackslip_estimation.slip.sources import (
+    HEADING_MESSAGES,
+    HeadingSource,
+    OdometrySource,
+    Refusal,
+    VelocitySource,
+    named,
+)
 
 
 class MeasurementSources:
@@ -37,7 +45,7 @@ class MeasurementSources:
         for source in named(p.pose_sources):
             self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
-            on_heading = partial(self._on_heading, source=source, variance=compass.stddev**2)
+            on_heading = partial(self._on_heading, source=source, compass=compass)
             self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading, packed=False)
         for source, angle in p.angles().items():
             on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
@@ -45,6 +53,9 @@ class MeasurementSources:
         for source, stated in p.odometries().items():
             on_odometry = partial(self._on_odometry, source=source, stated=stated)
             self._listen(topic_class("odometry"), source, on_odometry)
+        for source, velocity in p.velocities().items():
+            on_velocity = partial(self._on_velocity, source=source, stated=velocity)
+            self._listen(topic_class(FIX_VELOCITY), source, on_velocity)
         for source in named(p.slip_sources):
             self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
@@ -86,14 +97,17 @@ class MeasurementSources:
         self._pose_set.publish(message)
         self._on_pose(message, SET_POSE)
 
-    def _on_heading(self, message: Any, source: str, variance: float) -> None:
-        self._use(source, conversions.heading_fix(message, source, variance))
+    def _on_heading(self, message: Any, source: str, compass: HeadingSource) -> None:
+        self._use(source, conversions.heading_fix(message, source, compass))
 
     def _on_swing(self, message: Any, source: str, variance: float) -> None:
         self._process(conversions.swing_angle(message, source, variance))
 
     def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
         self._use(source, conversions.odometry_pose(message, source, stated))
+
+    def _on_velocity(self, message: Any, source: str, stated: VelocitySource) -> None:
+        self._use(source, conversions.velocity_fix(message, source, stated))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))

@@ -141,7 +141,8 @@ def _log(
                 compasses.append(Compass(name, t, values[:, 2], pose.use_heading, is_above=pose.above))
         elif kind == HEADING and name in headings:
             own = headings[name]
-            compasses.append(Compass(name, t, values[:, 0] - own.offset, True, False, own.offset, own.above))
+            counted = (own.offset, own.convention, own.sign)
+            compasses.append(Compass(name, t, values[:, 0] - own.offset, True, False, *counted, own.above))
         elif kind == ON_SWING and name in angles:
             swing = t, values[:, 0] - angles[name].offset
     if swing is not None:

@@ -127,14 +127,17 @@ def _kinds(drive: Drive, decision: Decision, bias: float) -> tuple[int, int]:
     ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows.astype(np.int64)]
     reverse = np.where(ways @ decision.assignment.distance < 0.0, np.pi, 0.0)
     courses = unmirrored(steps, is_mirrored=decision.is_mirrored)
-    headings = _headings(steps, decision.heading)
+    headings = _headings(steps, decision.heading, 2.0 * drive.compass.offset)
     logs = np.array([[direction_log(c - h - reverse) for h in headings] for c in courses])
     mirror, convention = np.unravel_index(int(np.argmax(logs)), logs.shape)
     return int(mirror), int(convention)
 
 
-def _headings(steps: Courses, sense: float) -> list[FloatArray]:
-    return [steps.headings] if sense > 0.0 else [np.pi / 2.0 - steps.headings, -steps.headings]
+def _headings(steps: Courses, sense: float, twice_offset: float) -> list[FloatArray]:
+    """As they are, or counted otherwise: the offset, which is taken off, stays as it is."""
+    if sense > 0.0:
+        return [steps.headings]
+    return [np.pi / 2.0 - steps.headings - twice_offset, -steps.headings - twice_offset]
 
 
 def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, convention: int) -> Cause:
@@ -179,10 +182,8 @@ def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, 
         )[mirror]
         return Cause(MIRRORS[mirror], topic, evidence, odds_of(log), remedy)
     evidence = ("the heading counts from north, clockwise", "the heading counts clockwise")[convention]
-    remedy = (
-        "Call the column 'heading' instead of 'yaw' in the mapping",
-        "Turn its sign: in the mapping 'scale: -1' at yaw",
-    )[convention]
+    assert drive.compass is not None
+    remedy = remedies.heading_convention(drive.compass, is_from_north=convention == 0)
     return Cause(
         signs.HEADING, topic, f"{evidence}: it turns against tracks, gyro and course", odds_of(log), remedy
     )

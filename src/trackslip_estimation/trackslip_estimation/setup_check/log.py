@@ -70,6 +70,8 @@ class Compass:
     is_used: bool = True  # by the estimator; else it is evidence only
     of_poses: bool = True  # else of a topic of its own, whose offset is stated, and applied
     offset: float = 0.0  # rad
+    convention: str = "enu"  # as stated, and applied
+    sign: int = 1
     is_above: bool = False
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import FloatArray, Gyro, group_of
+from trackslip_estimation.setup_check.log import Compass, FloatArray, Gyro, group_of
 
 
 def parameter(name: str, value: float | str | bool) -> str:
@@ -47,6 +47,19 @@ def gyro_scale(gyro: Gyro, factor: float) -> str:
         f"State the gyro's own unit in the mapping (angular_velocity_z: unit), or set "
         f"{parameter(f'{group_of(gyro.name)}.scale', gyro.scale * factor)}"
     )
+
+
+def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
+    """Headings that count from north, clockwise, or only the other way round than stated."""
+    group = group_of(compass.name)
+    if compass.of_poses:
+        renamed = "Call the column 'heading' instead of 'yaw' in the mapping"
+        return renamed if is_from_north else "Turn its sign: in the mapping 'scale: -1' at yaw"
+    if not is_from_north:
+        return f"Set {parameter(f'{group}.sign', -compass.sign)}; of an imported log, sign: -1 in its mapping"
+    other = "compass" if compass.convention == "enu" else "enu"
+    of_log = "'heading' instead of 'yaw'" if other == "compass" else "'yaw' instead of 'heading'"
+    return f"Set {parameter(f'{group}.convention', other)}; of an imported log, call the column {of_log}"
 
 
 def mounting(gyro: Gyro, fix: FloatArray) -> str:

@@ -86,6 +86,8 @@ class Config(Record):
     heading_floor: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_ceiling: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_offset: Annotated[FloatArray, MOST_SOURCES]  # rad
+    velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
+    body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether its velocities are along axes of its own
     compass: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether it is a source of headings
     repeat_times: Annotated[FloatArray, MOST_SOURCES]  # s, for which fixes err alike by where they are
     standing_share: Annotated[FloatArray, MOST_SOURCES]
@@ -200,6 +202,11 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         k = numbers[name]
         c["heading_offset"][k] = angle.offset
         c["fault_rate"][k], c["jump_rate"][k] = angle.fault_rate, angle.jump_rate
+    for name, velocity in p.velocities().items():
+        k = numbers[name]
+        c["levers"][k], c["velocity_floor"][k] = velocity.lever, velocity.velocity_floor
+        c["body_axes"][k], c["heading_offset"][k] = velocity.axes == "body", velocity.mounting_yaw
+        c["fault_rate"][k] = velocity.fault_rate
     above = [numbers[name] for name, source in p.mounted().items() if source.above]
     c["above"][above] = 1
     for name, pose in p.poses().items():

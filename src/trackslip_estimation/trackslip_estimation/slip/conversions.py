@@ -27,6 +27,7 @@ from trackslip_common.message_fields import (
     SlipFields,
     SprocketFields,
     SwingFields,
+    VelocityFields,
 )
 from trackslip_common.message_reading import frame_number, read
 from trackslip_common.orientations import heading_of
@@ -41,10 +42,18 @@ from trackslip_estimation.slip.measurements import (
     SlipFix,
     Sprockets,
     SwingAngle,
+    VelocityFix,
     YawRate,
 )
 from trackslip_estimation.slip.mounting import quaternion_of, turned, turned_variances, up_by
-from trackslip_estimation.slip.sources import ODOMETRY_FIELDS, OdometrySource, Refusal, YawRateSource
+from trackslip_estimation.slip.sources import (
+    ODOMETRY_FIELDS,
+    HeadingSource,
+    OdometrySource,
+    Refusal,
+    VelocitySource,
+    YawRateSource,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -113,25 +122,40 @@ def slip_fix(message: Any, source: str) -> SlipFix:
     return SlipFix(source, m.stamp_ns, np.array((m.left_slip, m.right_slip)), m.slips_covariance)
 
 
-def heading_fix(message: Any, source: str, default_variance: float) -> HeadingFix | Refusal:
+def heading_fix(message: Any, source: str, compass: HeadingSource) -> HeadingFix | Refusal:
     """From sensor_msgs/Imu, or geometry_msgs/QuaternionStamped, which has no variance.
 
     A variance of zero means unknown, a first element of −1 that there is no orientation (REP-145).
     """
     if hasattr(message, "quaternion"):
         q = read(QuaternionFields, message)
-        return HeadingFix(source, q.stamp_ns, heading_of(q), default_variance)
+        return HeadingFix(source, q.stamp_ns, compass.from_east(heading_of(q)), compass.stddev**2)
     m = read(OrientationFields, message)
     if m.absent == ABSENT:
         return Refusal.NO_ORIENTATION
-    variance = m.variance_z if m.variance_z != 0.0 else default_variance
-    return HeadingFix(source, m.stamp_ns, heading_of(m), variance)
+    variance = m.variance_z if m.variance_z != 0.0 else compass.stddev**2
+    return HeadingFix(source, m.stamp_ns, compass.from_east(heading_of(m)), variance)
 
 
 def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
     """From sensor_msgs/JointState, without a variance. A joint that is missing reads nan, and is refused."""
     m = read(SwingFields, message)
     return SwingAngle(source, m.stamp_ns, m.angle, variance)
+
+
+def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityFix | Refusal:
+    """From geometry_msgs/TwistWithCovarianceStamped, at the instant of its velocity.
+
+    A variance of zero means unknown, a first element of −1 that there is no velocity.
+    """
+    m = read(VelocityFields, message)
+    if m.absent == ABSENT:
+        return Refusal.NO_VELOCITY
+    covariance = m.covariance.copy()
+    for i in range(2):
+        if covariance[i, i] == 0.0:
+            covariance[i, i] = stated.stddev**2
+    return VelocityFix(source, m.stamp_ns - stated.latency_ns, np.array((m.v_x, m.v_y)), covariance)
 
 
 def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Refusal:

@@ -106,6 +106,16 @@ class SwingAngle:
 
 
 @dataclass(frozen=True, eq=False)
+class VelocityFix:
+    """Velocity of a sensor over the ground: east and north, or along the axes of a sensor on the machine."""
+
+    source: str
+    stamp_ns: int
+    velocity: FloatArray  # (2,) m/s
+    covariance: FloatArray  # (2, 2) (m/s)²; from ``UNOBSERVED`` on the second axis is open
+
+
+@dataclass(frozen=True, eq=False)
 class OdometryPose:
     """Pose of a laser or camera in its own odom frame, which drifts; only what it moved counts."""
 
@@ -117,8 +127,10 @@ class OdometryPose:
     variances: FloatArray  # (2, 3) linear and angular, of twist or pose, as the source's parameters want
 
 
-Measurement: TypeAlias = Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | OdometryPose | SwingAngle
-KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, OdometryPose, SwingAngle)  # for isinstance
+Measurement: TypeAlias = (
+    Sprockets | YawRate | PoseFix | SlipFix | HeadingFix | OdometryPose | SwingAngle | VelocityFix
+)
+KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, OdometryPose, SwingAngle, VelocityFix)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
+from trackslip_common.topics import FIX_VELOCITY
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
@@ -33,6 +34,7 @@ from trackslip_estimation.slip.sources import (
     PoseSource,
     Source,
     SwingSource,
+    VelocitySource,
     YawRateSource,
     group_name,
     named,
@@ -43,11 +45,12 @@ FloatArray = NDArray[np.float64]
 
 NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)
-GNSS_POSE = "gnss_pose"  # the topic whose lever arm the vehicle states
+GNSS_POSE = "gnss_pose"  # a topic whose lever arm the vehicle states, as FIX_VELOCITY's
 _ANTENNA = "vehicle.sensors.antenna"
 _MOUNTS = {
     "box_pose": "box",
     GNSS_POSE: "antenna",
+    FIX_VELOCITY: "antenna",
     "heading": "antenna",
     "imu/data_raw": "imu",
 }  # topics of them
@@ -95,6 +98,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     )
     odometry_sources: tuple[str, ...] = parameter(
         "topics of Odometry of a laser or camera: what it moved counts, never where it is; '' names none"
+    )
+    velocity_sources: tuple[str, ...] = parameter(
+        "topics of TwistWithCovarianceStamped: velocity of an antenna or a radar; '' names none"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
@@ -186,7 +192,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         mounted = {
             topic: {"mount": values.get(f"vehicle.sensors.mounts.{of}")} for topic, of in _MOUNTS.items()
         }
-        mounted[GNSS_POSE] |= antenna
+        for topic in (GNSS_POSE, FIX_VELOCITY):
+            mounted[topic] |= antenna
         if _ENCODER not in values:  # nothing is stated of what there is not
             lists.pop(SWINGS, None)
         mounted |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
@@ -232,7 +239,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     def mounted(self) -> dict[str, Mounted]:
         """By topic, what may sit on the upper structure."""
-        return {**self.poses(), **self.gyros(), **self.compasses()}
+        return {**self.poses(), **self.gyros(), **self.compasses(), **self.velocities()}
 
     @property
     def swings(self) -> bool:
@@ -269,6 +276,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def odometries(self) -> dict[str, OdometrySource]:
         """By topic."""
         return self.of_kind("odometry_sources")
+
+    def velocities(self) -> dict[str, VelocitySource]:
+        """By topic."""
+        return self.of_kind("velocity_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
         """Of each source but the sprockets, by topic."""

@@ -24,15 +24,17 @@ from trackslip_estimation.slip.measurements import (
     SlipFix,
     Sprockets,
     SwingAngle,
+    VelocityFix,
     YawRate,
 )
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MotionRecord, SpeedsRecord
 
-MOST_SOURCES = 12  # gyros, poses, slips, headings and odometries together
+MOST_SOURCES = 12  # of all kinds together
 MOST_ODOMETRIES = 2
 
-SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ODOMETRY, ON_SWING = range(7)  # kinds, in the order at one stamp
+# kinds, in the order at one stamp
+SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ODOMETRY, ON_SWING, VELOCITY = range(8)
 
 
 class MeasurementRecord(Record):
@@ -47,7 +49,7 @@ class MeasurementRecord(Record):
     right_angle: float
     value: Annotated[
         FloatArray, 3
-    ]  # z of all others: rad/s about z, x, y; m, m, rad; left and right slip; rad
+    ]  # z of all others: rad/s about z, x, y; m, m, rad; left and right slip; rad; m/s, m/s
     noise: Annotated[FloatArray, (3, 3)]  # R, as its source states it; of odometry, variances in two rows
     turn: Annotated[FloatArray, 4]  # of odometry, whose value is a place: quaternion x, y, z, w
     frame: int  # and number of its odom frame
@@ -359,6 +361,9 @@ def to_records(measurements: Sequence[Measurement], sources: Mapping[str, int]) 
         elif isinstance(m, SwingAngle):
             record["kind"], record["source"] = ON_SWING, sources[m.source]
             record["value"][0], record["noise"][0, 0] = m.angle, m.variance
+        elif isinstance(m, VelocityFix):
+            record["kind"], record["source"] = VELOCITY, sources[m.source]
+            record["value"][:2], record["noise"][:2, :2] = m.velocity, m.covariance
         elif isinstance(m, OdometryPose):
             record["kind"], record["source"] = ODOMETRY, sources[m.source]
             record["value"], record["turn"], record["frame"] = m.place, m.turn, m.frame

@@ -7,17 +7,23 @@ for ``/``: ``imu/data_raw`` has ``sources.imu_data_raw.sign``. What is not given
 says of the kind. Another kind: its list and dataclass in ``KINDS``, its block in that file.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, Parameters, parameter
 from trackslip_common.vehicle import MOUNTS, UPPER
 from trackslip_estimation.slip.mounting import Rotation, quaternion_of, rotation
+
+A = TypeVar("A", float, NDArray[np.float64])
 
 _MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
 _FAULT_RATE = "rate at which it begins to be off, repeat itself or scatter"
@@ -165,6 +171,7 @@ class Refusal(Enum):
     NO_POSE = "whose covariance says that it has no pose"
 
 
+CONVENTIONS = ("enu", "compass")  # of headings: from east, counter-clockwise; from north, clockwise
 HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/msg/QuaternionStamped"}
 
 
@@ -178,6 +185,11 @@ class HeadingSource(Mounted):
     )
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
     jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
+    convention: str = parameter(
+        "how its angles count: enu: from east, counter-clockwise; compass: from north, clockwise",
+        choices=CONVENTIONS,
+    )
+    sign: int = parameter("1, or -1 for angles that count the other way round than that", choices=(1, -1))
     offset: float = parameter(
         "direction in base_link of what it shows, counter-clockwise: π/2 for a pair that points left",
         unit="rad",
@@ -193,6 +205,11 @@ class HeadingSource(Mounted):
         le=10.0,
     )
 
+    def from_east(self, angle: A) -> A:
+        """An angle of its messages, rad, or an array of them, from east, counter-clockwise."""
+        angle = self.sign * angle
+        return math.pi / 2.0 - angle if self.convention == "compass" else angle
+
 
 SWINGS = "swing_sources"
 
@@ -207,6 +224,41 @@ class SwingSource(Source):
         "what it shows while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
     )
     stddev: float = parameter("of one reading", unit="rad", gt=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VelocitySource(Mounted):
+    """Velocity over the ground: a GNSS receiver's, or a radar's."""
+
+    axes: str = parameter(
+        "what x and y of its velocity are along: map: east and north; body: forward and left of the sensor",
+        choices=("map", "body"),
+    )
+    mounting_yaw: float = parameter(
+        "with axes: body, direction in base_link that its x axis points to, counter-clockwise",
+        unit="rad",
+        ge=-6.2832,
+        le=6.2832,
+    )
+    lever_arm_x: float = parameter("place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0)
+    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
+    lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)
+    latency: float = parameter(
+        "by which its stamps are later than the instant of its velocity", unit="s", ge=-1.0, le=10.0
+    )
+    stddev: float = parameter("where its message gives no variance", unit="m/s", gt=0.0)
+    velocity_floor: float = parameter("smallest standard deviation that is believed", unit="m/s", gt=0.0)
+    fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
+
+    @property
+    def lever(self) -> tuple[float, float, float]:
+        """Place of the sensor in base_link, m."""
+        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
+
+    @property
+    def latency_ns(self) -> int:
+        """Latency in ns."""
+        return round(self.latency * 1e9)
 
 
 COVARIANCES = ("twist", "pose", "declared")  # in the order of ``increments``
@@ -261,6 +313,7 @@ KINDS: Mapping[str, type[Source]] = {
     "heading_sources": HeadingSource,
     SWINGS: SwingSource,
     "odometry_sources": OdometrySource,
+    "velocity_sources": VelocitySource,
 }
 
 

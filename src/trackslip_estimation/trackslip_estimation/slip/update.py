@@ -8,8 +8,8 @@
     update        record of ``UPDATE``: what became of the measurement
 
 ``observations`` has what each kind says of the state: innovation, Jacobian, noise, and the states that it
-leaves alone. Poses, headings and swing angles are weighed by the bank (``weighing``), the others pass a gate
-that widens (``gate``). What is refused leaves mean and covariance as they were.
+leaves alone. Poses, headings, swing angles and velocities are weighed by the bank (``weighing``), the others
+pass a gate that widens (``gate``). What is refused leaves mean and covariance as they were.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from trackslip_estimation.slip.observations.odometry import use_odometry
 from trackslip_estimation.slip.observations.pose import observe_pose
 from trackslip_estimation.slip.observations.slips import observe_slips, use_slips
 from trackslip_estimation.slip.observations.swing import observe_swing
-from trackslip_estimation.slip.records import HEADING, ODOMETRY, ON_SWING, POSE, SLIPS, YAW_RATE
+from trackslip_estimation.slip.observations.velocity import observe_velocity
+from trackslip_estimation.slip.records import HEADING, ODOMETRY, ON_SWING, POSE, SLIPS, VELOCITY, YAW_RATE
 from trackslip_estimation.slip.tilt import tilt_by
 from trackslip_estimation.slip.weighing import use_weighed
 
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 def use(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """The state, given the measurement."""
     kind = measurement.kind
-    if kind in (POSE, HEADING, ON_SWING):
+    if kind in (POSE, HEADING, ON_SWING, VELOCITY):
         use_weighed(state, measurement, c, update)
         return
     hear(state, measurement, c)
@@ -62,6 +63,8 @@ def observe(state: State, measurement: MeasurementRecord, c: Config) -> Observat
         return observe_heading(state, measurement, c)
     if kind == ON_SWING:
         return observe_swing(state, measurement, c)
+    if kind == VELOCITY:
+        return observe_velocity(state, measurement, c)
     if kind == SLIPS:
         return observe_slips(state, measurement, c)
     return observe_rate(state, measurement, c)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.measurements import Fault
+from trackslip_estimation.slip.measurements import UNOBSERVED, Fault
 from trackslip_estimation.slip.records import (
     HEADING,
     MANUAL,
@@ -27,6 +27,7 @@ from trackslip_estimation.slip.records import (
     ON_SWING,
     SLIPS,
     SPROCKETS,
+    VELOCITY,
     YAW_RATE,
 )
 
@@ -42,7 +43,7 @@ HIGHEST = 1e5  # m, of an altitude
 LARGEST_ANGLE = 1e3  # rad, of a heading
 LARGEST_COUNT = 1e9  # rad, of a sprocket position: a year of driving is 3e8
 FASTEST_TURN = 100.0  # rad/s; gyros reach 35
-FASTEST = 100.0  # m/s, of what odometry saw move
+FASTEST = 100.0  # m/s, of anything
 LARGEST_FORCE = 1e4  # m/s²
 LARGEST_SLIP = 1e3
 FARTHEST_STDDEV = 1e4  # m
@@ -76,7 +77,20 @@ def fault_of(measurement: MeasurementRecord, c: Config) -> int:
         return max(_of_imu(measurement), _of_variance(R[0, 0], FASTEST_TURN**2))
     if kind in (HEADING, ON_SWING):
         return max(_of_number(z[0], LARGEST_ANGLE), _of_variance(R[0, 0], _LARGEST_ANGLE_VARIANCE))
+    if kind == VELOCITY:
+        rows = rows_of_velocity(measurement, c)
+        fault = _of_number(z[0], FASTEST)
+        if rows > 1:
+            fault = max(fault, _of_number(z[1], FASTEST))
+        return fault if fault > 0 else _of_covariance(R, rows, FASTEST**2)
     return _of_pose(measurement, c)
+
+
+@compiled
+def rows_of_velocity(measurement: MeasurementRecord, c: Config) -> int:
+    """2, or 1 of a sensor in axes of the machine that does not observe its second one."""
+    one = c.body_axes[measurement.source] == 1 and measurement.noise[1, 1] >= UNOBSERVED
+    return 1 if one else 2
 
 
 @compiled

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses, headings and swing angles under one branch of the bank: evidence, noise and update; compiled.
+"""Poses, headings, swing angles and velocities under one branch of the bank: evidence and update; compiled.
 
     ν, H, R   the observation (``observations``)                            (m,), (m, n), (m, m)
     S         covariance of the innovation, H P Hᵀ + R                      (m, m)
@@ -50,6 +50,7 @@ from trackslip_estimation.slip.observations.heading import observe_heading
 from trackslip_estimation.slip.observations.odometry import Drive, by_track_error
 from trackslip_estimation.slip.observations.pose import has_offset, observe_pose, stated_noise
 from trackslip_estimation.slip.observations.swing import observe_swing
+from trackslip_estimation.slip.observations.velocity import observe_velocity
 from trackslip_estimation.slip.own_errors import (
     inflate_offset,
     is_correlated,
@@ -58,7 +59,7 @@ from trackslip_estimation.slip.own_errors import (
     prepare_offset,
     spread_of,
 )
-from trackslip_estimation.slip.records import HEADING, POSE
+from trackslip_estimation.slip.records import HEADING, POSE, VELOCITY
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
 if TYPE_CHECKING:
@@ -125,6 +126,8 @@ def _observe(state: State, measurement: MeasurementRecord, c: Config) -> Observa
         return observe_pose(state, measurement, c)
     if measurement.kind == HEADING:
         return observe_heading(state, measurement, c)
+    if measurement.kind == VELOCITY:
+        return observe_velocity(state, measurement, c)
     return observe_swing(state, measurement, c)
 
 
@@ -147,7 +150,9 @@ def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int
     """Source of poses whose sensor stays where it is as the heading, or the swing, is corrected; −1: none."""
     if measurement.kind == POSE:
         return int(measurement.source)
-    if measurement.kind == HEADING:
+    if measurement.kind in (HEADING, VELOCITY):
+        if c.poses == 0:
+            return -1
         latest = latest_pose_source(state, c)
         return latest if c.above[latest] == c.above[measurement.source] else -1
     return int(c.swing_place)
@@ -206,7 +211,7 @@ def _weigh(
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
     alone = not stands_still(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
-        update.evidence, update.outcome = _density_of_scatter(measurement.kind, m), _GATED
+        update.evidence, update.outcome = _density_of_scatter(measurement.kind, m, c), _GATED
         return R, False, alone
     density = density_of_one(L, o.innovation)
     if not coarse:
@@ -228,7 +233,8 @@ def _weigh(
     update.evidence = evidence
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
-        state.rests_on = -1
+        if measurement.kind != VELOCITY:
+            state.rests_on = -1
     return R, True, alone
 
 
@@ -244,20 +250,23 @@ def _compare_with_last(state: State, measurement: MeasurementRecord, update: Upd
 
 @compiled
 def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray, c: Config) -> float:
-    """ln of the density of an outlier: an angle of any, a place off by any size not smaller than expected."""
-    if kind != POSE:
+    """ln of the density of an outlier: any angle, or a place or a velocity off by no less than expected."""
+    if kind not in (POSE, VELOCITY):
         return -_LOG_TURN
-    squared, expected = 0.0, 0.0
-    for axis in (X, Y):
+    squared, expected, m = 0.0, 0.0, o.innovation.size
+    for axis in range(min(m, YAW)):
         squared += o.innovation[axis] ** 2
         expected += predicted[axis, axis] + o.noise[axis, axis]
-    heading = _LOG_TURN if o.innovation.size > YAW else 0.0
-    return log_density_of_any_size(max(squared, expected), c) - heading
+    if m == 1:
+        return -math.log(2.0 * c.bank.outlier_sizes * math.sqrt(max(squared, expected)))
+    return log_density_of_any_size(max(squared, expected), c) - (_LOG_TURN if m > YAW else 0.0)
 
 
 @compiled
-def _density_of_scatter(kind: int, m: int) -> float:
-    """ln of the density of a measurement of a source that scatters: any place of an area, any angle."""
+def _density_of_scatter(kind: int, m: int, c: Config) -> float:
+    """ln of the density of a measurement of a source that scatters: any place of an area, angle or speed."""
+    if kind == VELOCITY:
+        return -math.log(math.pi * c.speed_limit**2 if m > 1 else 2.0 * c.speed_limit)
     if kind != POSE:
         return -_LOG_TURN
     return -math.log(AREA) - (_LOG_TURN if m > YAW else 0.0)

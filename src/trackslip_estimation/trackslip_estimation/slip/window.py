@@ -32,6 +32,7 @@ from trackslip_estimation.slip.records import (
     SPROCKETS,
     STATE,
     UPDATE,
+    VELOCITY,
     Branch,
     EstimateRecord,
     EventRecord,
@@ -158,7 +159,7 @@ def copy_first(window: Window, other: Window) -> None:
 def is_weighed(measurement: MeasurementRecord) -> bool:
     """Whether branches are weighed by a measurement."""
     kind = measurement.kind
-    return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING))
+    return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING, VELOCITY))
 
 
 @compiled

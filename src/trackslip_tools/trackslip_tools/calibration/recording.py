@@ -162,10 +162,10 @@ def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
     def values(rows: Rows) -> FloatArray:
         variances = np.full(len(rows), stated.stddev**2)
         if not is_imu:
-            return np.column_stack((headings_of(rows), variances))
+            return np.column_stack((stated.from_east(headings_of(rows)), variances))
         variances = np.where(rows["variance_z"] != 0.0, rows["variance_z"], variances)
         there = rows["absent"] != ABSENT
-        return np.column_stack((np.where(there, headings_of(rows), np.nan), variances))
+        return np.column_stack((np.where(there, stated.from_east(headings_of(rows)), np.nan), variances))
 
     return _Wanted(topic, OrientationFields if is_imu else QuaternionFields, values, (_FARTHEST,) * 2)
 

@@ -29,6 +29,7 @@ from trackslip_common.message_fields import (
     SlipFields,
     SprocketFields,
     SwingFields,
+    VelocityFields,
 )
 from trackslip_common.message_reading import RecordClass
 from trackslip_common.orientations import headings_of, poses_of
@@ -43,6 +44,7 @@ from trackslip_estimation.slip.records import (
     POSE,
     SLIPS,
     SPROCKETS,
+    VELOCITY,
     YAW_RATE,
 )
 from trackslip_estimation.slip.sources import (
@@ -52,13 +54,14 @@ from trackslip_estimation.slip.sources import (
     OdometrySource,
     Refusal,
     SwingSource,
+    VelocitySource,
     YawRateSource,
 )
 
 Rows = NDArray[np.void]
 
 # More kinds: its source is the command; new parameters; the estimator is started again.
-IS_COMMAND, IS_RELOAD, IS_START = ON_SWING + 1, ON_SWING + 2, ON_SWING + 3
+IS_COMMAND, IS_RELOAD, IS_START = VELOCITY + 1, VELOCITY + 2, VELOCITY + 3
 
 _FIELDS = MEASUREMENT.names or ()
 ARRIVAL = np.dtype(
@@ -114,6 +117,11 @@ def odometry_reader(odometry: OdometrySource) -> SourceReader:
     return SourceReader(ODOMETRY, OdometryPoseFields, odometry, (field, refusal) if field else None)
 
 
+def velocity_reader(velocity: VelocitySource) -> SourceReader:
+    """Of a receiver's or a radar's velocity."""
+    return SourceReader(VELOCITY, VelocityFields, velocity, ("absent", Refusal.NO_VELOCITY))
+
+
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
     """(n,) MEASUREMENT of (n,) ARRIVAL from ``sources``; ``numbers``: those that the estimator gives them."""
     found = np.empty(len(rows), MEASUREMENT)
@@ -164,7 +172,7 @@ def _fill_slips(rows: Rows, read: Rows, _: Any) -> None:
 
 
 def _fill_headings(rows: Rows, read: Rows, compass: HeadingSource) -> None:
-    rows["value"][:, 0], rows["noise"][:, 0, 0] = headings_of(read), compass.stddev**2
+    rows["value"][:, 0], rows["noise"][:, 0, 0] = compass.from_east(headings_of(read)), compass.stddev**2
     if "absent" in (read.dtype.names or ()):
         stated = read["variance_z"] != 0.0
         rows["noise"][stated, 0, 0] = read["variance_z"][stated]
@@ -182,6 +190,16 @@ def _fill_odometry(rows: Rows, read: Rows, odometry: OdometrySource) -> None:
         rows["noise"][:, :2] = read[name]
 
 
+def _fill_velocities(rows: Rows, read: Rows, velocity: VelocitySource) -> None:
+    """As ``conversions.velocity_fix`` does, to the last bit."""
+    rows["stamp_ns"] -= velocity.latency_ns
+    rows["value"][:, 0], rows["value"][:, 1] = read["v_x"], read["v_y"]
+    rows["noise"][:, :2, :2] = read["covariance"]
+    for i in range(2):
+        stated = rows["noise"][:, i, i]
+        rows["noise"][:, i, i] = np.where(stated != 0.0, stated, velocity.stddev**2)
+
+
 _FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     SPROCKETS: _fill_sprockets,
     YAW_RATE: _fill_yaw_rates,
@@ -190,4 +208,5 @@ _FILL: dict[int, Callable[[Rows, Rows, Any], None]] = {
     HEADING: _fill_headings,
     ODOMETRY: _fill_odometry,
     ON_SWING: _fill_swings,
+    VELOCITY: _fill_velocities,
 }

@@ -34,7 +34,7 @@ from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, Report
 from trackslip_common.message_reading import frame_number
 from trackslip_common.parameters import reloadable
 from trackslip_common.tally import Tally
-from trackslip_common.topics import ODOMETRY, TOPICS, TRACK_SLIP, TRUE_SWING
+from trackslip_common.topics import FIX_VELOCITY, ODOMETRY, TOPICS, TRACK_SLIP, TRUE_SWING
 from trackslip_estimation.slip.measurements import (
     FORGET,
     FREEZE,
@@ -58,6 +58,7 @@ from trackslip_tools.replay.arrivals import (
     heading_reader,
     odometry_reader,
     swing_reader,
+    velocity_reader,
     yaw_rate_reader,
 )
 from trackslip_tools.replay.comparable import LINE
@@ -294,6 +295,7 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
         readers[topic] = heading_reader(types.get(topic, ""), compass)
     readers |= {topic: swing_reader(angle) for topic, angle in p.angles().items()}
     readers |= {topic: odometry_reader(odometry) for topic, odometry in p.odometries().items()}
+    readers |= {topic: velocity_reader(velocity) for topic, velocity in p.velocities().items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 
@@ -314,6 +316,7 @@ def _require_types(
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
     expected |= dict.fromkeys(p.angles(), TRUE_SWING)
     expected |= dict.fromkeys(p.odometry_sources, ODOMETRY)
+    expected |= dict.fromkeys(p.velocity_sources, FIX_VELOCITY)
     require_one_type(bag, names)
     for topic, name in names.items():
         known, found = TOPICS.get(expected.get(name, name)), bag.topics[topic].type_name

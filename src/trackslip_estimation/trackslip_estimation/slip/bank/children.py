@@ -47,7 +47,7 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.own_errors import is_correlated
-from trackslip_estimation.slip.records import HEADING, HISTORY, MOST_SOURCES, ON_SWING, POSE
+from trackslip_estimation.slip.records import HEADING, HISTORY, MOST_SOURCES, ON_SWING, POSE, VELOCITY
 from trackslip_estimation.slip.weighing import log_density_of_any_size
 from trackslip_estimation.slip.window import POOL, Window
 
@@ -172,6 +172,8 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     if m.kind != POSE:
         if contradicts:
             _have_angle_children(window, p, k, c)
+            if m.kind == VELOCITY:
+                _have_earlier_children(window, p, k, contradicts, False, c)
         return
     if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
         _child(window, p, k, REPEATS, 0, False, now + log_rate(REPEATS, source, c), c)
@@ -223,7 +225,7 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
 def _have_earlier_children(
     window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
 ) -> None:
-    """Children in which an event happened since the snapshot, and shows in a fix now."""
+    """Children in which an event happened since the snapshot, and shows in a fix or a velocity now."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     e, source, drove = window.branches[p, k], m.source, _driven_since(window, p, k) > c.bank.least_driven
     elapsed_ns = m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns
@@ -257,7 +259,7 @@ def _driven_since(window: Window, p: int, k: int) -> float:
 
 @compiled
 def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
-    """Children of branch p at a heading or an angle of the upper structure that contradicts it."""
+    """Children of branch p at a heading, a swing angle or a velocity that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, now = m.source, _log_time(window, p, k, c)
     if before.fault[source] == IS_SOUND:
@@ -266,7 +268,7 @@ def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         _child(window, p, k, SCATTERS, 0, False, now + log_rate(SCATTERS, source, c), c)
         if c.offsets[source] >= 0:
             _child(window, p, k, OFFSET, 0, False, now + log_rate(OFFSET, source, c), c)
-    if m.kind == ON_SWING or may_swing(before, source, c):
+    if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
         _child(window, p, k, SWUNG, MEASURED, False, now + log_rate(MOVED, source, c), c)
     if m.kind == HEADING:
         _child(window, p, k, TURNED, MEASURED, False, now + log_rate(MOVED, source, c), c)

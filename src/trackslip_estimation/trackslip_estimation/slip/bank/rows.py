@@ -38,7 +38,7 @@ from trackslip_estimation.slip.events import (
     latest_pose_source,
 )
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.records import POSE
+from trackslip_estimation.slip.records import POSE, VELOCITY
 from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample
@@ -175,7 +175,8 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
     for s in range(window.counts[k]):
         branch, state = window.branches[s, k], window.states[s, k]
         update = update_of(window, s, k)
-        branch.weighed += 1
+        if measurement.kind != VELOCITY:  # each shows what happened since the last one
+            branch.weighed += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and state.fault[measurement.source] == IS_SOUND and measurement.kind == POSE
         if branch.fresh == 1 or agrees or branch.weighed >= c.bank.look_back:

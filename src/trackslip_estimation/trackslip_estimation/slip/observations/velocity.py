@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The horizontal velocity of a sensor, as a GNSS receiver's Doppler or a ground radar measures it; compiled.
+
+    z    velocity along east and north, or along the axes of a radar                  (2,) or (1,), m/s
+    u    velocity of the sensor along the heading and to its left: v + ω × p, with the swing where it
+         sits above, and with the rates of roll and pitch                             (2,), m/s
+    h    q R(φ) u; of a radar R(−mounting) u
+    q    e^(−σ²/2), σ² the variance of the heading
+
+q R(φ) u is the mean of a rotation by a Gaussian angle, and its derivative is what that shares with the state
+(exact moments). What the rotation adds beyond H, R includes: so a heading of which little is known does not
+pass for a slip. R also includes the rounding of the counts, and the sideways motion that no state holds.
+
+A velocity shows slip and, of a machine that moves, heading: with an unknown heading, the direction of motion
+decides between the branches of the bank, and the sign of the sprockets between forward and backward.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.update import Observation, observe_alone
+from trackslip_estimation.slip.levers import sensor_place, swung_place
+from trackslip_estimation.slip.models import slope
+from trackslip_estimation.slip.models.dispatch import (
+    body_jacobian,
+    body_twist,
+    has_velocity_errors,
+    horizontal_twist,
+)
+from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
+from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.usable import LEAST_VARIANCE, rows_of_velocity
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
+FloatArray = NDArray[np.float64]
+
+
+class Rotation(NamedTuple):
+    """From the machine's axes into those of the measurement."""
+
+    cos: float
+    sin: float
+    mean: float  # q
+    along: float  # variance beyond H along the rotated velocity, over its square
+    across: float  # the same across it
+
+
+@compiled
+def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
+    """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 where the second axis is open."""
+    source, x, m = measurement.source, state.mean[: c.size], rows_of_velocity(measurement, c)
+    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    turn = _rotation(state, source, c)
+    u, w = _velocity(state, left, right, source, c), np.empty(2)
+    w[0], w[1] = turn.cos * u[0] - turn.sin * u[1], turn.sin * u[0] + turn.cos * u[1]
+    D, H = _jacobian(state, left, right, source, c), np.empty((2, x.size))
+    H[0], H[1] = turn.cos * D[0] - turn.sin * D[1], turn.sin * D[0] + turn.cos * D[1]
+    if c.body_axes[source] == 0:
+        H[0, YAW] -= w[1]
+        H[1, YAW] += w[0]
+    elif c.above[source] == 1:
+        H[0, SWING] += w[1]
+        H[1, SWING] -= w[0]
+    R = measurement.noise[:m, :m].copy()
+    for i in range(m):
+        R[i, i] = max(R[i, i], c.velocity_floor[source] ** 2, LEAST_VARIANCE)
+    beyond = np.empty(2)
+    beyond[0], beyond[1] = -turn.sin, turn.cos
+    R += (_sideways(state, left, right, c) * np.outer(beyond, beyond))[:m, :m]
+    if state.coasting and not has_velocity_errors(c):
+        R += c.speed_limit**2 * np.eye(m)
+    beyond[0], beyond[1] = -w[1], w[0]
+    R += (turn.along * np.outer(w, w) + turn.across * np.outer(beyond, beyond))[:m, :m]
+    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
+        e = rounding(interval, c.encoder_resolution)
+        for on_left, on_right in ((e, 0.0), (0.0, e)):
+            more = _velocity(state, left + on_left, right + on_right, source, c)
+            by = (more - _velocity(state, left - on_left, right - on_right, source, c)) / 2.0
+            beyond[0], beyond[1] = turn.cos * by[0] - turn.sin * by[1], turn.sin * by[0] + turn.cos * by[1]
+            R += np.outer(beyond, beyond)[:m, :m]
+    nu = measurement.value[:m] - turn.mean * w[:m]
+    return observe_alone(nu, turn.mean * H[:m].copy(), R)
+
+
+@compiled
+def _rotation(state: State, source: int, c: Config) -> Rotation:
+    if c.body_axes[source] == 1:
+        angle = -c.heading_offset[source]
+        if c.above[source] == 1:
+            angle -= state.mean[SWING]
+        return Rotation(math.cos(angle), math.sin(angle), 1.0, 0.0, 0.0)
+    angle, variance = state.mean[YAW], state.covariance[YAW, YAW]
+    q = math.exp(-variance / 2.0)
+    along = (1.0 - q * q) ** 2 / 2.0
+    across = max((1.0 - q**4) / 2.0 - variance * q * q, 0.0)
+    return Rotation(math.cos(angle), math.sin(angle), q, along, across)
+
+
+@compiled
+def _velocity(state: State, left: float, right: float, source: int, c: Config) -> FloatArray:
+    """u (2,); along the ground, not level, where it is measured in axes of the machine."""
+    x, level, u = state.mean[: c.size], state.attitude.level, np.empty(2)
+    if c.body_axes[source] == 1:
+        v_x, v_y, rate = body_twist(x, left, right, state, c)
+        ahead, aside, by_ahead, by_aside = swung_place(x[SWING] if c.swings else 0.0, source, c)
+    else:
+        v_x, v_y, rate = horizontal_twist(x, left, right, state, c)
+        ahead, aside, by_ahead, by_aside = sensor_place(level, x[SWING] if c.swings else 0.0, source, c)
+    u[0], u[1] = v_x - rate * aside, v_y + rate * ahead
+    if c.above[source] == 1:
+        u[0] += x[SWING_RATE] * by_ahead
+        u[1] += x[SWING_RATE] * by_aside
+    p, q = state.attitude.rates[0], state.attitude.rates[1]
+    if state.attitude.known == 1 and math.isfinite(p + q):
+        u[0] += q * c.levers[source, 2]
+        u[1] -= p * c.levers[source, 2]
+    return u
+
+
+@compiled
+def _jacobian(state: State, left: float, right: float, source: int, c: Config) -> FloatArray:
+    """(2, n) derivative of u by the state."""
+    x, level = state.mean[: c.size], state.attitude.level
+    J, D = body_jacobian(x, left, right, state, c), np.empty((2, x.size))
+    swing = x[SWING] if c.swings else 0.0
+    x_swung, y_swung, _, _ = swung_place(swing, source, c)
+    forward, sideways, across = level.forward, level.sideways, level.across
+    if c.body_axes[source] == 1:
+        rate = body_twist(x, left, right, state, c)[2]
+        ahead, aside, by_ahead, by_aside = swung_place(swing, source, c)
+        forward = sideways = across = 0.0
+    else:
+        rate = horizontal_twist(x, left, right, state, c)[2]
+        ahead, aside, by_ahead, by_aside = sensor_place(level, swing, source, c)
+        slope.horizontal_jacobian(J, level)
+    D[0], D[1] = J[0] - aside * J[2], J[1] + ahead * J[2]
+    if c.above[source] == 1:
+        from_axis = x_swung - c.swing_axis[0], y_swung - c.swing_axis[1]
+        bend_ahead = -from_axis[0] * (1.0 + forward) - from_axis[1] * across
+        bend_aside = -from_axis[1] * (1.0 + sideways)
+        D[0, SWING] += x[SWING_RATE] * bend_ahead - rate * by_aside
+        D[1, SWING] += x[SWING_RATE] * bend_aside + rate * by_ahead
+        D[0, SWING_RATE] += by_ahead
+        D[1, SWING_RATE] += by_aside
+    return D
+
+
+@compiled
+def _sideways(state: State, left: float, right: float, c: Config) -> float:
+    """Variance of the speed of C to the left that no state holds, (m/s)²."""
+    if state.coasting:
+        return c.speed_limit**2
+    if not has_velocity_errors(c):
+        return 0.0
+    squares = c.rolling_radius**2 * (left * left + right * right) / 4.0
+    return float(c.adaptation.sideways**2 * state.adaptation.track_variance * squares)
