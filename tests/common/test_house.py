@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Imports run one way, pure code knows no ROS; each file has its licence."""
+"""Imports run one way, pure code knows no ROS, records have types; each file has its licence."""
 
 import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -36,6 +37,19 @@ ON_VEHICLE = {
     "pyrtcm",
     "pyubx2",
     "pymap3d",
+}
+RECORDS = {
+    "average",
+    "c",
+    "config",
+    "known",
+    "load",
+    "measurement",
+    "p",
+    "sample",
+    "state",
+    "thrust",
+    "watch",
 }
 OF_RECORDER = {"mcap", "numpy", "yaml", "lz4", "zstandard"}
 
@@ -120,6 +134,32 @@ def test_only_nodes_import_ros() -> None:
         for module in sources()
         if ".nodes" not in module
         and (found := {name for name in imports(module, deep=True) if ROS.fullmatch(name.split(".")[0])})
+    }
+    assert wrong == {}
+
+
+def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
+    """Of each function: its name, whether it is compiled, and what it takes and returns, by name."""
+    for node in ast.walk(ast.parse(sources()[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef):
+            marks = {mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)}
+            arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+            hints = {"return": node.returns, **{argument.arg: argument.annotation for argument in arguments}}
+            written = {name: ast.unparse(hint) for name, hint in hints.items() if hint is not None}
+            yield node.name, bool(marks & {"compiled", "inlined"}), written
+
+
+@pytest.mark.parametrize("of", ["attitude", "box", "gnss", "soil", "terramechanics"])
+def test_records_have_types_in_signatures(of: str) -> None:
+    """Of kernels all, of others those that are passed on to kernels: an editor finds where a field is."""
+    own = [module for module in sources() if module.startswith(f"trackslip_estimation.{of}.")]
+    assert own
+    wrong = {
+        (module, function, name): hint
+        for module in own
+        for function, is_compiled, hints in signatures(module)
+        for name, hint in hints.items()
+        if re.search(r"\bAny\b", hint) and (is_compiled or name in RECORDS)
     }
     assert wrong == {}
 

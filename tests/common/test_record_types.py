@@ -2,12 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Declarations of records become dtypes."""
 
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
 import pytest
 
+from trackslip_common.parameter_record import record_of
+from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
+from trackslip_common.vehicle import Vehicle
+from trackslip_common.vehicle_files import WithVehicle, load_vehicle
 
 
 class Part(Record):
@@ -33,6 +38,36 @@ class More(Whole):
     """One with fields of its own behind."""
 
     last: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size(Parameters):
+    """A group."""
+
+    count: int = parameter("a number")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers(Parameters):
+    """With a group, and another that may be absent."""
+
+    size: Size
+    share: float = parameter("a number")
+    absent: Size | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine(Numbers, WithVehicle):
+    """With a text and a vehicle, which no record holds as they are."""
+
+    frame: str = parameter("a text")
+
+
+class MachineRecord(Numbers, Record):
+    """What compiled code takes of them, and what it makes of them."""
+
+    vehicle: Vehicle
+    square: float
 
 
 def test_a_declaration_has_the_dtype_of_its_fields_in_their_order() -> None:
@@ -62,3 +97,19 @@ def test_a_table_is_an_array_of_records() -> None:
     assert table.shape == (2, 3)
     table[1, 2]["number"] = 7
     assert table["number"].tolist() == [[0, 0, 0], [0, 0, 7]]
+
+
+def test_parameters_become_a_record_but_for_groups_that_may_be_absent() -> None:
+    p = Numbers(size=Size(count=3), share=0.5, absent=Size(count=4))
+    size = np.dtype([("count", np.int64)], align=True)
+    assert dtype_of(Numbers) == np.dtype([("size", size), ("share", np.float64)], align=True)
+    assert record_of(Numbers, p)[0].item() == ((3,), 0.5)
+
+
+def test_a_record_has_those_parameters_that_it_declares_and_its_vehicle_whole() -> None:
+    vehicle = load_vehicle("pc05")
+    p = Machine(size=Size(count=3), share=0.5, absent=None, vehicle=vehicle, frame="base_link")
+    record = record_of(MachineRecord, p)[0]
+    assert (record["size"]["count"], record["share"], record["square"]) == (3, 0.5, 0.0)
+    assert record["vehicle"]["tread"] == vehicle.whole().tread
+    assert record["vehicle"]["mass"] == vehicle.whole().mass

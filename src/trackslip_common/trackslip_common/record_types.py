@@ -15,6 +15,7 @@ field. At run time it gets a record of an array of ``LEVEL``. Python reads the s
 fields.
 """
 
+from types import UnionType
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -34,6 +35,7 @@ from numpy.typing import NDArray
 from trackslip_common.parameters import Parameters
 
 RecordT = TypeVar("RecordT")
+DeclaredT = TypeVar("DeclaredT", bound="Record | Parameters")
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -74,14 +76,20 @@ else:
         """An array of records, of one or more dimensions."""
 
 
-def dtype_of(declared: type[Record] | type[Parameters]) -> np.dtype[np.void]:
+def dtype_of(declared: type[DeclaredT]) -> np.dtype[np.void]:
     """The aligned dtype of a declaration, or of a group of parameters that are numbers, in their order.
+
+    Groups that may be absent are left out.
 
     Raises:
         TypeError: a field is neither a number, nor an array of numbers, nor a record, nor a table of records.
     """
     hints = get_type_hints(declared, include_extras=True)
-    fields = [_field(name, hint) for name, hint in hints.items() if get_origin(hint) is not ClassVar]
+    fields = [
+        _field(name, hint)
+        for name, hint in hints.items()
+        if get_origin(hint) is not ClassVar and not isinstance(hint, UnionType)
+    ]
     return np.dtype(fields, align=True)
 
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.parameter_record import record_of
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.ground_load import (
@@ -24,14 +23,14 @@ from trackslip_estimation.soil.ground_load import (
 )
 from trackslip_estimation.soil.interpolation import SAMPLE
 from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, element_places, shares
-from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.burden import Burden
 from trackslip_sim.truth.settings import load_settings
 
 P = load_soil_parameters()
 VEHICLE = P.vehicle.whole()
-NUMBERS = record_of(P)[0]
+NUMBERS = make_config(P)[0]
 CENTRE = VEHICLE.centre_of_gravity
 KNOWN = centre_of(P.vehicle)
 CAB = load_soil_parameters({"vehicle": "pc05_cab"})
@@ -107,7 +106,7 @@ def test_a_downhill_nose_is_pulled_forward_and_presses_in_front() -> None:
 
 def test_without_cohesion_the_strength_goes_with_the_load() -> None:
     dry = load_soil_parameters({"load.friction_share": 1.0, "load.friction_share_stddev": 0.0})
-    load = load_at(0.25, 0.0, p=record_of(dry)[0])
+    load = load_at(0.25, 0.0, p=make_config(dry)[0])
     assert load["strength"].tolist() == pytest.approx((2.0 * load["normal"] / VEHICLE.weight).tolist())
     assert not load["strength_variance"].any()
     assert load_at(0.25, 0.0)["strength_variance"].min() > 0.0

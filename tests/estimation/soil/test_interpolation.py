@@ -11,7 +11,14 @@ import pytest
 
 from trackslip_common.parameter_record import record_of
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.interpolation import SAMPLE, add, is_ready, new_interpolator, pop_oldest
+from trackslip_estimation.soil.interpolation import (
+    SAMPLE,
+    InterpolationParameters,
+    add,
+    is_ready,
+    new_interpolator,
+    pop_oldest,
+)
 from trackslip_estimation.soil.records import (
     ACCEPTED,
     SOIL_INPUT,
@@ -24,7 +31,7 @@ from trackslip_estimation.soil.records import (
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 P = load_soil_parameters().moments
-NUMBERS = record_of(P)
+NUMBERS = record_of(InterpolationParameters, P)
 MS = 1_000_000
 HERE = PoseWithCovariance(np.zeros(3), 1e-6 * np.eye(3))
 

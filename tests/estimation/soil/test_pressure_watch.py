@@ -10,11 +10,18 @@ from fixtures.soil_samples import Sample
 
 from trackslip_common.parameter_record import record_of
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.pressure_watch import NO_FAULT, WATCH, PressureFault, evaluate, named_faults
+from trackslip_estimation.soil.pressure_watch import (
+    NO_FAULT,
+    WATCH,
+    PressureFault,
+    WatchParameters,
+    evaluate,
+    named_faults,
+)
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 P = load_soil_parameters()
-NUMBERS = record_of(P.watch)
+NUMBERS = record_of(WatchParameters, P.watch)
 STEP = 0.01  # s
 STRAIGHT = (45e5, 45e5, 0.3, 0.3, Motion.STRAIGHT)  # Pa, Pa, track speeds m/s
 LEFT_TURN = (-17e5, 120e5, 0.16, 0.35, Motion.TURNING)

@@ -13,7 +13,6 @@ from fixtures.soil_samples import Sample
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
-from trackslip_common.parameter_record import record_of
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -21,7 +20,7 @@ from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
 from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
-from trackslip_estimation.soil.soil_parameters import load_soil_parameters
+from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
@@ -77,7 +76,7 @@ class Ride:
     """Moments of 0.1 s for a seeder."""
 
     def __init__(self) -> None:
-        self._seeder, self._numbers, self._now_ns = np.zeros(1, SEEDER)[0], record_of(P)[0], 0
+        self._seeder, self._numbers, self._now_ns = np.zeros(1, SEEDER)[0], make_config(P)[0], 0
         self.known: Thrust | None = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from fixtures.soil_samples import Sample, level_load
 
-from trackslip_common.parameter_record import record_of
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.dynamics import MU_L, MU_R, new_dynamics, step
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilState
-from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
+from trackslip_estimation.soil.soil_parameters import (
+    SoilEstimatorParameters,
+    load_soil_parameters,
+    make_config,
+)
 from trackslip_sim.machine.hydraulics import START_NS, Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.record import Truth
@@ -72,7 +75,7 @@ class Filter:
     """Sub-model 2, and steps of 0.01 s for it."""
 
     def __init__(self, p: SoilEstimatorParameters = P) -> None:
-        self._state, self._numbers = new_dynamics(p.dynamics), record_of(p)
+        self._state, self._numbers = new_dynamics(p.dynamics), make_config(p)
 
     @property
     def mu(self) -> np.ndarray:

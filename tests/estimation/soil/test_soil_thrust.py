@@ -9,6 +9,7 @@ from trackslip_common.parameter_record import record_of
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.thrust import (
     THRUST,
+    ThrustParameters,
     hold_thrust,
     measure_thrust,
     motor_of,
@@ -28,7 +29,7 @@ class Meter:
     """Pressures to thrusts, with offsets that are learned on the way."""
 
     def __init__(self) -> None:
-        self._numbers, self._motor = record_of(P.thrust)[0], motor_of(P.vehicle.whole())[0]
+        self._numbers, self._motor = record_of(ThrustParameters, P.thrust)[0], motor_of(P.vehicle.whole())[0]
         self.offsets = new_offsets(P.thrust)[0]
 
     def learn(self, pressures: np.ndarray | None) -> bool:

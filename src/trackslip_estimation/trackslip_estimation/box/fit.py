@@ -15,6 +15,7 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,22 @@ class Optimum:
     freedom: int
 
 
+class Descent(NamedTuple):
+    """Where the cost is least."""
+
+    pose: FloatArray  # (3,)
+    information: FloatArray  # (3, 3)
+    cost: float
+
+
+class Posterior(NamedTuple):
+    """What the beams say of the pose of the box in the laser frame."""
+
+    pose: FloatArray  # (3,) mean
+    covariance: FloatArray  # (3, 3)
+    log_evidence: float  # log E: the likelihood integrated over these poses, up to a constant
+
+
 def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
     """Poses (M, 3) with these headings, moved so that outline and mean range match the beams.
 
@@ -100,13 +117,14 @@ def most_likely(
     start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float, steps: int = 20
 ) -> Optimum:
     """At most so many steps of damped Gauss–Newton from a pose (3,) near the box."""
-    pose, information, cost = _descend(start, target(box, beams, range_stddev), steps)
-    return Optimum(pose, information + FAINT * np.eye(3), cost, len(beams.ranges) + 2 - 3)
+    least = _descend(start, target(box, beams, range_stddev), steps)
+    information = least.information + FAINT * np.eye(3)
+    return Optimum(least.pose, information, least.cost, len(beams.ranges) + 2 - 3)
 
 
 @compiled
-def _descend(start: FloatArray, beams: Target, steps: int) -> tuple[FloatArray, FloatArray, float]:
-    """As ``most_likely``: a pose (3,), its information (3, 3) and cost."""
+def _descend(start: FloatArray, beams: Target, steps: int) -> Descent:
+    """As ``most_likely``."""
     pose, damping, cost = start, 1e-3, total_cost(start, beams)
     information, gradient = normal_equations(pose, beams)
     for _ in range(steps):
@@ -124,15 +142,13 @@ def _descend(start: FloatArray, beams: Target, steps: int) -> tuple[FloatArray, 
         damping *= 0.1
         if gain < 1e-4:
             break
-    return pose, information, cost
+    return Descent(pose, information, cost)
 
 
 def posterior(
     optimum: Optimum, middle: float, box: Rectangle, beams: Beams, range_stddev: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Mean (3,) and covariance (3, 3) of the pose in the laser frame, heading within ±π/4 of ``middle``, rad.
-
-    With them log E of the evidence, the likelihood integrated over these poses, up to a constant.
+) -> Posterior:
+    """Of the poses whose heading is within ±π/4 of ``middle``, rad.
 
     Points spread by the widened first-order covariance are weighed by the likelihood to the power
     1/temperature; their moments spread the next round's. Cooling lets them find modes that the curvature
@@ -160,7 +176,7 @@ def posterior(
         with suppress(np.linalg.LinAlgError):  # points on a line: as good as none
             root = np.linalg.cholesky(spread)
             pose, covariance = mean, spread
-    return pose, covariance, log_evidence
+    return Posterior(pose, covariance, log_evidence)
 
 
 def seen_through(

@@ -11,6 +11,7 @@ the clock was set, and the box is where it was. Either is tried where the other 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,13 @@ class BoxFix:
     y: float
     yaw: float
     covariance: FloatArray
+
+
+class Found(NamedTuple):
+    """The box in a scan."""
+
+    expected: Expectation
+    candidate: Candidate
 
 
 class BoxLocalizer:
@@ -96,7 +104,7 @@ class BoxLocalizer:
         if isinstance(found, Reason):
             self.tally.add("scan", found)
             return Rejection(found)
-        return self._accept(scan, *found)
+        return self._accept(scan, found.expected, found.candidate)
 
     def _new_clock(self) -> ClockMonitor:
         return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
@@ -142,8 +150,8 @@ class BoxLocalizer:
         p = self._parameters
         return p.laser_x, p.laser_y, p.laser_yaw
 
-    def _find(self, scan: Scan, odometry: Odometry | None) -> tuple[Expectation, Candidate] | Reason:
-        """The box near its track, and what was expected of it."""
+    def _find(self, scan: Scan, odometry: Odometry | None) -> Found | Reason:
+        """The box near its track."""
         reasons = []
         angles = scan.angles()
         for track in self._tracks:
@@ -157,24 +165,24 @@ class BoxLocalizer:
                 continue
             chosen = self._association.choose(found, expected, odometry, scan.stamp_ns)
             if chosen is not None:
-                return expected, chosen
+                return Found(expected, chosen)
             reasons.append(Reason.UNCERTAIN)
         return max(reasons, key=list(Reason).index)
 
     def _accept(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
         """Continue the track with a fix, and give it for base_link in odom."""
         step = found.beams.spacing * float(found.beams.ranges.mean())
-        modes, weights, headings = expected.headings.after(
+        after = expected.headings.after(
             self._modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
         )
-        if weights[0] > 1.0 - NEGLIGIBLE:  # sure enough that this is the box, and the rest is not
+        if after.probabilities[0] > 1.0 - NEGLIGIBLE:  # sure enough that this is the box, and the rest is not
             self._search.background = self._search.background.after(
                 scan.ranges, scan.angles(), found.beams, self._parameters.clearance
             )
         stamp_ns = scan.time_ns(float(found.beams.indices.mean()))
-        self._tracks = [self._continued(stamp_ns, modes[0], headings)]
-        pose, covariance = mixed(modes, weights, expected.elapsed)
-        covariance[2, 2] = max(covariance[2, 2], expected.surprise_variance(modes[0]))
+        self._tracks = [self._continued(stamp_ns, after.modes[0], after.headings)]
+        pose, covariance = mixed(after.modes, after.probabilities, expected.elapsed)
+        covariance[2, 2] = max(covariance[2, 2], expected.surprise_variance(after.modes[0]))
         yaw = float(np.arctan2(np.sin(pose[2]), np.cos(pose[2])))
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)
 
@@ -186,16 +194,16 @@ class BoxLocalizer:
         box, range_stddev = self._search.box, self._search.range_stddev
         heading = float(self._frames.laser_from_odom(expected.pose)[2])
         fits = [
-            posterior(fit, heading + k * QUARTER_TURN, box, found.beams, range_stddev)
-            for k, fit in enumerate(found.fits)
+            posterior(optimum, heading + k * QUARTER_TURN, box, found.beams, range_stddev)
+            for k, optimum in enumerate(found.fits)
         ]
         modes = []
         for k in range(4):
-            pose, covariance, log_evidence = fits[k % len(fits)]
-            in_laser = pose + np.array((0.0, 0.0, QUARTER_TURN * (k - k % len(fits))))
+            fit = fits[k % len(fits)]
+            in_laser = fit.pose + np.array((0.0, 0.0, QUARTER_TURN * (k - k % len(fits))))
             in_odom = self._frames.odom_from_laser(in_laser)
-            covariance = self._frames.covariance_in_odom(float(in_odom[2]), covariance)
-            modes.append(Mode(in_odom, covariance, log_evidence))
+            covariance = self._frames.covariance_in_odom(float(in_odom[2]), fit.covariance)
+            modes.append(Mode(in_odom, covariance, fit.log_evidence))
         return modes
 
     def _continued(self, stamp_ns: int, fix: Mode, headings: Headings) -> Track:

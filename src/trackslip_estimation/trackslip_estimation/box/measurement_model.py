@@ -63,6 +63,27 @@ class Target(NamedTuple):
     end_stddevs: tuple[float, float]  # s of each
 
 
+class View(NamedTuple):
+    """What the laser would see of rectangles at M poses."""
+
+    ranges: FloatArray  # (M, N) of each beam, m
+    outline: FloatArray  # (M, 2) right and left angle, rad
+
+
+class RangeCosts(NamedTuple):
+    """How far from what the laser would see its ranges are."""
+
+    costs: FloatArray  # (M, N) of each beam
+    outline: FloatArray  # (M, 2) right and left angle, rad
+
+
+class NormalEquations(NamedTuple):
+    """Of the cost, about a pose."""
+
+    information: FloatArray  # (3, 3)
+    gradient: FloatArray  # (3,)
+
+
 def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
     """Of a box's beams."""
     (right, right_end), (left, left_end) = beams.right, beams.left
@@ -76,12 +97,11 @@ def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
     )
 
 
-def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What the laser would see of rectangles at ``poses`` (M, 3).
+def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> View:
+    """What the laser would see of rectangles at ``poses`` (M, 3), with beams at ``angles`` (N,).
 
-    Returns:
-        ranges (M, N), m, for beams at ``angles`` (N,); a beam that passes by gets the range of the corner
-        nearest to it, so that ranges stay continuous in the pose. Outline (M, 2): right and left angle, rad.
+    A beam that passes by gets the range of the corner nearest to it, so that ranges stay continuous in the
+    pose.
     """
     return cast(poses, box.half, directions(angles))
 
@@ -102,13 +122,13 @@ def costs(poses: FloatArray, beams: Target) -> FloatArray:
 
 
 @compiled
-def range_costs(poses: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray]:
-    """The same of the ranges alone (M, N), and the outline (M, 2), rad."""
+def range_costs(poses: FloatArray, beams: Target) -> RangeCosts:
+    """The same of the ranges alone, and the outline."""
     ranges, outline = cast(poses, beams.half, beams.directions)
     for m in range(ranges.shape[0]):
         for n in range(ranges.shape[1]):
             ranges[m, n] = _huber((ranges[m, n] - beams.ranges[n]) / beams.range_stddev)
-    return ranges, outline
+    return RangeCosts(ranges, outline)
 
 
 @compiled
@@ -118,8 +138,8 @@ def total_cost(pose: FloatArray, beams: Target) -> float:
 
 
 @compiled
-def normal_equations(pose: FloatArray, beams: Target) -> tuple[FloatArray, FloatArray]:
-    """Information (3, 3) and gradient (3,) of the cost at a pose (3,)."""
+def normal_equations(pose: FloatArray, beams: Target) -> NormalEquations:
+    """Of the cost at a pose (3,)."""
     poses = np.empty((7, 3))
     for axis in range(3):
         for m in range(7):
@@ -134,7 +154,7 @@ def normal_equations(pose: FloatArray, beams: Target) -> tuple[FloatArray, Float
         for axis in range(3):
             slopes[axis, n] = (values[1 + axis, n] - values[4 + axis, n]) / (2.0 * STEP)
             weighted[axis, n] = slopes[axis, n] * weight
-    return np.dot(weighted, slopes.T), np.dot(weighted, values[0])
+    return NormalEquations(np.dot(weighted, slopes.T), np.dot(weighted, values[0]))
 
 
 @compiled
@@ -158,7 +178,7 @@ def _huber(residual: float) -> float:
 
 
 @compiled
-def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
+def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> View:
     """As ``ray_cast``; ``half`` and ``directions`` as in ``Target``."""
     ranges, outline = np.empty((len(poses), directions.shape[1])), np.empty((len(poses), 2))
     for m in range(len(poses)):
@@ -183,7 +203,7 @@ def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> tuple[F
             along = _distance(ahead, half[0], u * cos + v * sin)
             across = _distance(beside, half[1], v * cos - u * sin)
             ranges[m, n] = max(along, across, 0.0)
-    return ranges, outline
+    return View(ranges, outline)
 
 
 @compiled

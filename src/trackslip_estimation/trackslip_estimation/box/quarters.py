@@ -18,6 +18,7 @@ once: the same beams hit and miss in each of them. Until then a fix holds all hy
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +103,14 @@ def _normalised(logs: FloatArray) -> FloatArray:
     return np.asarray(likelihoods / likelihoods.sum())
 
 
+class Weighed(NamedTuple):
+    """The hypotheses after a scan."""
+
+    modes: list[Mode]  # the likeliest first
+    probabilities: FloatArray  # (4,) of each
+    headings: "Headings"  # what is remembered
+
+
 @dataclass(frozen=True, eq=False)
 class Headings:
     """What is remembered of the hypotheses, the first of which is tracked: w (4,) without Λ, and Λ."""
@@ -109,14 +118,10 @@ class Headings:
     weights: FloatArray
     evidence: SideEvidence
 
-    def after(
-        self, modes: list[Mode], heading: float, variance: float, step: float
-    ) -> tuple[list[Mode], FloatArray, "Headings"]:
+    def after(self, modes: list[Mode], heading: float, variance: float, step: float) -> Weighed:
         """With one more scan; its modes are about ``heading``, predicted with this variance, and turned.
 
-        Returns:
-            the modes, the likeliest first; their probabilities (4,); and what is remembered. ``step`` is
-            that of ``SideEvidence.after``.
+        ``step`` is that of ``SideEvidence.after``.
         """
         turned = np.array([mode.pose[2] for mode in modes]) - heading
         weights = prior(turned, variance + np.array([mode.covariance[2, 2] for mode in modes]), self.weights)
@@ -131,7 +136,7 @@ class Headings:
             evidence = SideEvidence()
         first = int(np.argmax(belief))
         remembered = Headings(np.roll(weights, -first), evidence.turned() if first % 2 else evidence)
-        return modes[first:] + modes[:first], np.roll(belief, -first), remembered
+        return Weighed(modes[first:] + modes[:first], np.roll(belief, -first), remembered)
 
 
 def mixed(modes: list[Mode], weights: FloatArray, elapsed: float) -> tuple[FloatArray, FloatArray]:

@@ -13,6 +13,7 @@ c and ϕ cannot be distinguished at one load: all pairs on the line A c + W tan 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,10 +64,17 @@ def limit_of(soil: Soil, vehicle: Vehicle) -> float:
     return float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
 
 
-def strength_line(limit: float, vehicle: Vehicle) -> tuple[float, float]:
-    """Ends of the line in (c, ϕ): c in Pa where ϕ = 0, and ϕ in rad where c = 0."""
+class StrengthLine(NamedTuple):
+    """Ends of a line in (c, ϕ)."""
+
+    cohesion: float  # c where ϕ = 0, Pa
+    friction_angle: float  # ϕ where c = 0, rad
+
+
+def strength_line(limit: float, vehicle: Vehicle) -> StrengthLine:
+    """All pairs with this F_max, N."""
     area = 2.0 * vehicle.track_width * vehicle.contact_length
-    return 2.0 * limit / area, math.atan(2.0 * limit / vehicle.weight)
+    return StrengthLine(2.0 * limit / area, math.atan(2.0 * limit / vehicle.weight))
 
 
 def _density(

@@ -74,8 +74,8 @@ def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
     return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
 
 
-def force_columns(forces: NDArray[Any]) -> dict[str, NDArray[np.float64]]:
-    """The fields of trackslip_msgs/TrackForces but its header, of (n,) FORCES."""
+def force_columns(forces: NDArray[np.void]) -> dict[str, NDArray[np.float64]]:
+    """The fields of trackslip_msgs/TrackForces but its header, of (n,) of ``FORCES``."""
     return {f"{side}_{name}": forces[of][:, k] for name, of in _PAIRS for k, side in _SIDES}
 
 

@@ -19,20 +19,26 @@ is held. What is not known of F, I_z and the signs is noise of the accelerations
 density is its variance times the time for which it does. With given signs all is linear: a Kalman filter.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
 from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.tracks import frame_speeds
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.soil.ground_load import GroundLoad
+    from trackslip_estimation.soil.interpolation import Sample
+    from trackslip_estimation.soil.soil_parameters import SoilConfig
+    from trackslip_estimation.soil.thrust import ThrustRecord
 
 SPEED, RATE, MU_R, MU_L = range(4)
 _SIZE, _SEEN = 4, 2
@@ -41,7 +47,15 @@ _LONGEST_STEP = 0.5  # s: over a longer one the forces are not known
 _CERTAIN = 0.9  # of an expected sign
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: nothing is measured better
 
-DYNAMICS = np.dtype([("mean", "f8", _SIZE), ("covariance", "f8", (_SIZE, _SIZE))])
+
+class Dynamics(Record):
+    """x and its covariance."""
+
+    mean: Annotated[FloatArray, _SIZE]
+    covariance: Annotated[FloatArray, (_SIZE, _SIZE)]
+
+
+DYNAMICS = dtype_of(Dynamics)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,18 +77,17 @@ class DynamicsParameters(Parameters):
     fading_speed: float = parameter("ground speed about which its sign is open", unit="m/s", gt=0.0)
 
 
-def new_dynamics(p: DynamicsParameters) -> NDArray[Any]:
-    """(1,) DYNAMICS at the start."""
-    mean = np.array((0.0, 0.0, p.mu_r, p.mu_l))
-    return np.array([(mean, np.diag((1.0, 1.0, p.mu_r_stddev**2, p.mu_l_stddev**2)))], DYNAMICS)
+def new_dynamics(p: DynamicsParameters) -> Table[Dynamics]:
+    """(1,) at the start."""
+    dynamics = make_table(Dynamics, DYNAMICS, 1)
+    dynamics["mean"] = (0.0, 0.0, p.mu_r, p.mu_l)
+    dynamics["covariance"] = np.diag((1.0, 1.0, p.mu_r_stddev**2, p.mu_l_stddev**2))
+    return dynamics
 
 
 @compiled
-def expected_signs(twist: FloatArray, covariance: FloatArray, p: Any) -> tuple[float, float]:
-    """s_j for a twist (3,) and its covariance (3, 3); its variance is 1 − s_j².
-
-    ``p`` here and below: record of SoilEstimatorParameters.
-    """
+def expected_signs(twist: FloatArray, covariance: FloatArray, p: SoilConfig) -> tuple[float, float]:
+    """s_j of left and right for a twist (3,) and its covariance (3, 3); its variance is 1 − s_j²."""
     half = 0.5 * p.vehicle.tread
     common = covariance[0, 0] + half**2 * covariance[2, 2] + p.dynamics.fading_speed**2
     both = 2.0 * half * covariance[0, 2]
@@ -89,7 +102,7 @@ def _expected_sign(speed: float, variance: float) -> float:
 
 
 @compiled
-def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
+def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundLoad, p: SoilConfig) -> None:
     """``sample.dt`` s on, to where the slip estimator says ``sample.twist``."""
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
     moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
@@ -106,7 +119,7 @@ def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
         sense = 0.0
     first_followed = _SEEN if sense != 0.0 else RATE
     if is_modelled:
-        _predict(dynamics, sample, (thrust, load), sense, p)
+        _predict(dynamics, sample, thrust, load, sense, p)
     else:
         first_followed = SPEED
         for k in range(MU_R, MU_L + 1):
@@ -122,7 +135,7 @@ def step(dynamics: Any, sample: Any, thrust: Any, load: Any, p: Any) -> None:
 
 
 @compiled
-def _is_held(sample: Any, load: Any, p: Any) -> bool:
+def _is_held(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
     """Whether the ground may hold the machine on a slope: by how much, no track that stands on it tells."""
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
     steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
@@ -130,9 +143,11 @@ def _is_held(sample: Any, load: Any, p: Any) -> bool:
 
 
 @compiled
-def _predict(dynamics: Any, sample: Any, forces: tuple[Any, Any], sense: float, p: Any) -> None:
+def _predict(
+    dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundLoad, sense: float, p: SoilConfig
+) -> None:
     """Both lines of the model over dt."""
-    n, vehicle, dt, (thrust, load) = p.dynamics, p.vehicle, sample.dt, forces
+    n, vehicle, dt = p.dynamics, p.vehicle, sample.dt
     half_tread, lever = 0.5 * vehicle.tread, vehicle.contact_length / 3.0
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
     N_left, N_right = load.normal[0], load.normal[1]
@@ -166,7 +181,7 @@ def _predict(dynamics: Any, sample: Any, forces: tuple[Any, Any], sense: float, 
 
 
 @compiled
-def _correct(dynamics: Any, measured: FloatArray, noise: FloatArray) -> None:
+def _correct(dynamics: Dynamics, measured: FloatArray, noise: FloatArray) -> None:
     """v_x and φ̇ (2,) as measured, with covariance (2, 2)."""
     mean, covariance = dynamics.mean.copy(), dynamics.covariance.copy()
     S00, S01 = covariance[0, 0] + noise[0, 0], covariance[0, 1] + noise[0, 1]
@@ -184,7 +199,7 @@ def _correct(dynamics: Any, measured: FloatArray, noise: FloatArray) -> None:
 
 
 @compiled
-def _set(dynamics: Any, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
+def _set(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
     """Mean, and covariance as the sum of two."""
     for i in range(_SIZE):
         dynamics.mean[i] = mean[i]
@@ -193,7 +208,7 @@ def _set(dynamics: Any, mean: FloatArray, covariance: FloatArray, more: FloatArr
 
 
 @compiled
-def _follow(dynamics: Any, first: int, measured: FloatArray, noise: FloatArray) -> None:
+def _follow(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatArray) -> None:
     """No model of the states from ``first`` to φ̇: they are what is measured, and tell nothing else."""
     for i in range(first, _SEEN):
         dynamics.mean[i] = measured[i]
@@ -203,7 +218,7 @@ def _follow(dynamics: Any, first: int, measured: FloatArray, noise: FloatArray) 
 
 
 @compiled
-def _bound(dynamics: Any, n: Any) -> None:
+def _bound(dynamics: Dynamics, n: DynamicsParameters) -> None:
     """Resistance never pushes, and nobody knows less than at the start."""
     for k, largest in ((MU_R, n.mu_r_stddev), (MU_L, n.mu_l_stddev)):
         dynamics.mean[k] = max(dynamics.mean[k], 0.0)

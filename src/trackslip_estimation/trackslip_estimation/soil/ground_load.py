@@ -22,44 +22,62 @@ Compiled.
 What acceleration adds to N_j and x_N is left out, for it comes and goes.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import Vehicle, VehicleParameters
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.soil.interpolation import Sample
+
+if TYPE_CHECKING:
+    from trackslip_estimation.soil.soil_parameters import SoilConfig
 
 _STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int(Motion.TURNING)
 
-CENTRE = np.dtype(  # the upper structure forward
-    [
-        ("x", "f8"),  # x_0, m
-        ("y", "f8"),
-        ("height", "f8"),
-        ("height_variance", "f8"),  # m²
-        ("balance", "f8"),  # g, m
-    ]
-)
-GROUND_LOAD = np.dtype(
-    [
-        ("pull", "f8"),  # G, N
-        ("pull_variance", "f8"),  # N², of errors of the tilt, which last
-        ("normal", "f8", 2),  # N_j, N
-        ("strength", "f8", 2),  # g_j
-        ("strength_variance", "f8", 2),
-        ("swing_variance", "f8"),  # what of it the swing is not known to
-        ("lean", "f8"),  # γ 12 x_N/l², 1/m
-        ("lean_stddev", "f8"),  # of what the swing is not known to
-        ("stretch", "f8"),  # way along the ground over the horizontal one, 1/cos θ
-        ("stretch_stddev", "f8"),  # of it, relative
-    ]
-)
+
+class Centre(Record):
+    """Of gravity, the upper structure forward."""
+
+    x: float  # x_0, m
+    y: float
+    height: float
+    height_variance: float  # m²
+    balance: float  # g, m
+
+
+class GroundLoad(Record):
+    """What the weight does at a sample."""
+
+    pull: float  # G, N
+    pull_variance: float  # N², of errors of the tilt, which last
+    normal: Annotated[FloatArray, 2]  # N_j, N
+    strength: Annotated[FloatArray, 2]  # g_j
+    strength_variance: Annotated[FloatArray, 2]
+    swing_variance: float  # what of it the swing is not known to
+    lean: float  # γ 12 x_N/l², 1/m
+    lean_stddev: float  # of what the swing is not known to
+    stretch: float  # way along the ground over the horizontal one, 1/cos θ
+    stretch_stddev: float  # of it, relative
+
+
+class Burden(Record):
+    """What the bucket may hold."""
+
+    has_bucket: int
+    stood: float  # s since the tracks stand
+    has_driven: int  # before that
+    may_differ: int  # the machine may weigh more or less than it did at first
+
+
+CENTRE, GROUND_LOAD, BURDEN = dtype_of(Centre), dtype_of(GroundLoad), dtype_of(Burden)
+_LEAST = 0.05  # of g_j: a track that hardly touches the ground
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,34 +95,37 @@ class LoadParameters(Parameters):
     filling_time: float = parameter("of a stand in which it may", unit="s", ge=0.0)
 
 
-BURDEN = np.dtype(  # what the bucket may hold
-    [
-        ("has_bucket", "i8"),
-        ("stood", "f8"),  # s since the tracks stand
-        ("has_driven", "i8"),  # before that
-        ("may_differ", "i8"),  # the machine may weigh more or less than it did at first
-    ]
-)
-_LEAST = 0.05  # of g_j: a track that hardly touches the ground
+class SwungCentre(NamedTuple):
+    """Where the centre of gravity is as the upper structure has swung."""
+
+    x: float  # x_g, m
+    y: float  # y_g, m
+    x_variance: float  # m²
+    y_variance: float  # m²
 
 
-def centre_of(vehicle: VehicleParameters) -> NDArray[Any]:
-    """(1,) CENTRE; where it is not given, on the ground below C, give or take half the tread."""
-    whole, balance = vehicle.whole(), vehicle.swing_balance
-    centre = whole.centre_of_gravity
-    if centre is None:
-        return np.array([(0.0, 0.0, 0.0, (0.5 * whole.tread) ** 2, balance)], CENTRE)
-    return np.array([(centre.x, centre.y, centre.z, 0.0, balance)], CENTRE)
+def centre_of(vehicle: VehicleParameters) -> Table[Centre]:
+    """(1,); where it is not given, on the ground below C, give or take half the tread."""
+    whole, centre = vehicle.whole(), make_table(Centre, CENTRE, 1)
+    centre["balance"] = vehicle.swing_balance
+    given = whole.centre_of_gravity
+    if given is None:
+        centre["height_variance"] = (0.5 * whole.tread) ** 2
+    else:
+        centre["x"], centre["y"], centre["height"] = given.x, given.y, given.z
+    return centre
 
 
-def burden_of(vehicle: Vehicle) -> NDArray[Any]:
-    """(1,) BURDEN at the start."""
-    return np.array([(vehicle.bucket is not None, 0.0, 0, 0)], BURDEN)
+def burden_of(vehicle: Vehicle) -> Table[Burden]:
+    """(1,) at the start."""
+    burden = make_table(Burden, BURDEN, 1)
+    burden["has_bucket"] = vehicle.bucket is not None
+    return burden
 
 
 @compiled
-def follow_burden(burden: Any, sample: Any, p: Any) -> None:
-    """Whether a bucket may have been filled by now: only while the tracks stand; ``p``: of LoadParameters."""
+def follow_burden(burden: Burden, sample: Sample, p: LoadParameters) -> None:
+    """Whether a bucket may have been filled by now: only while the tracks stand."""
     if sample.motion == _STRAIGHT or sample.motion == _TURNING:
         burden.has_driven = 1
     burden.stood = burden.stood + sample.dt if sample.motion == _STANDING else 0.0
@@ -113,38 +134,40 @@ def follow_burden(burden: Any, sample: Any, p: Any) -> None:
 
 
 @compiled
-def burden_variance(burden: Any, needed: float, p: Any) -> float:
+def burden_variance(burden: Burden, needed: float, p: LoadParameters) -> float:
     """Of the thrust that the weight ``needed``, N²: resistance and the pull of a slope grow with it alike."""
     return float((p.bucket_share * needed) ** 2 if burden.may_differ == 1 else 0.0)
 
 
 @compiled
-def _swung(centre: Any, sample: Any) -> tuple[float, float, float, float]:
-    """x_g and y_g at a SAMPLE, m, and their variances, m²."""
+def _swung(centre: Centre, sample: Sample) -> SwungCentre:
+    """Of a sample."""
     g, k = centre.balance, math.exp(-0.5 * sample.swing_variance)
     cos, sin = k * math.cos(sample.swing), k * math.sin(sample.swing)
     half, twofold = 0.5 * g * g * (1.0 - k * k), cos * cos - sin * sin
-    return centre.x + g * (cos - 1.0), centre.y + g * sin, half * (1.0 - twofold), half * (1.0 + twofold)
+    return SwungCentre(
+        centre.x + g * (cos - 1.0), centre.y + g * sin, half * (1.0 - twofold), half * (1.0 + twofold)
+    )
 
 
 @compiled
-def set_load(load: Any, centre: Any, sample: Any, p: Any) -> None:
-    """Fill a GROUND_LOAD at a SAMPLE; ``p``: record of SoilEstimatorParameters."""
+def set_load(load: GroundLoad, centre: Centre, sample: Sample, p: SoilConfig) -> None:
+    """Fill the load at a sample."""
     vehicle, friction, spread = p.vehicle, p.load.friction_share, p.load.friction_share_stddev
     roll, pitch = sample.tilt[0], sample.tilt[1]
     weight, down = vehicle.mass * GRAVITY, math.cos(pitch) * math.cos(roll)
     load.pull = weight * math.sin(pitch)
     load.pull_variance = (weight * math.cos(pitch)) ** 2 * sample.tilt_variance[1]
-    x_g, y_g, of_x, of_y = _swung(centre, sample)
-    x_N = x_g + centre.height * math.tan(pitch) / math.cos(roll)
-    y_N = y_g - centre.height * math.tan(roll)
+    swung = _swung(centre, sample)
+    x_N = swung.x + centre.height * math.tan(pitch) / math.cos(roll)
+    y_N = swung.y - centre.height * math.tan(roll)
     uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]
     load.stretch = 1.0 / math.cos(pitch)
     load.stretch_stddev = abs(math.tan(pitch)) * math.sqrt(sample.tilt_variance[1])
     load.lean = friction * 12.0 * x_N / vehicle.contact_length**2
-    load.lean_stddev = friction * 12.0 * math.sqrt(of_x) / vehicle.contact_length**2
+    load.lean_stddev = friction * 12.0 * math.sqrt(swung.x_variance) / vehicle.contact_length**2
     per_offset = (2.0 * down * friction / vehicle.tread) ** 2
-    load.swing_variance = per_offset * of_y
+    load.swing_variance = per_offset * swung.y_variance
     for k in range(2):
         share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread
         load.normal[k] = weight * down * min(max(share, 0.0), 1.0)

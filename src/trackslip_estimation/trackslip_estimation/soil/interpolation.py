@@ -8,14 +8,21 @@ samples depend on the stamps alone, live as in a replay, as long as no reading i
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.clock_monitor import CLOCK, CLOCK_LIMITS, NEVER_NS, StampStatus, check_sample
+from trackslip_common.clock_monitor import (
+    CLOCK_LIMITS,
+    NEVER_NS,
+    Clock,
+    ClockLimits,
+    StampStatus,
+    check_sample,
+)
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
 from trackslip_estimation.soil.records import (
     ACCEPTED,
     AHEAD,
@@ -26,8 +33,9 @@ from trackslip_estimation.soil.records import (
     SOIL_INPUT,
     SOURCES,
     TOO_LATE,
-    VALUES,
+    InputValues,
     Rejection,
+    SoilInputRecord,
     copy_input,
     copy_state,
     fault_of,
@@ -36,19 +44,27 @@ from trackslip_estimation.soil.records import (
 _CAPACITY = 4096  # readings, and states that wait for them: 40 s at 100 Hz
 _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
-QUEUE = np.dtype(  # a ring
-    [("clock", CLOCK), ("newest_ns", "i8"), ("first", "i8"), ("count", "i8")], align=True
-)
-SAMPLE = np.dtype(
-    [
-        *VALUES,  # pressures and spools are those at the stamp, between two readings …
-        ("has_pressures", "i8"),  # … where there are two
-        ("reading_ns", "i8"),  # stamp of the newer of the two, and its pressures as they came
-        ("reading", "f8", 2),
-        ("dt", "f8"),  # s since the sample before
-        ("tracks", "f8", 2),  # track speeds r ω, m/s; nan where the slip is 1
-    ]
-)
+
+class Queue(Record):
+    """A ring of inputs."""
+
+    clock: Clock
+    newest_ns: int
+    first: int
+    count: int
+
+
+class Sample(InputValues):
+    """A state of the machine; pressures and spools are those at its stamp, between two readings …"""
+
+    has_pressures: int  # … where there are two
+    reading_ns: int  # stamp of the newer of the two, and its pressures as they came
+    reading: Annotated[FloatArray, 2]
+    dt: float  # s since the sample before
+    tracks: Annotated[FloatArray, 2]  # track speeds r ω, m/s; nan where the slip is 1
+
+
+QUEUE, SAMPLE = dtype_of(Queue), dtype_of(Sample)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,10 +82,10 @@ class InterpolationParameters(Parameters):
 class Interpolator(NamedTuple):
     """Inputs in, in any order; samples out, in the order of their stamps. Of bounded size."""
 
-    queues: NDArray[Any]  # (2,) QUEUE, by source
-    rows: NDArray[Any]  # (2, n) SOIL_INPUT, of the queues
-    rejected: NDArray[np.int64]  # (2, r) inputs by source and Rejection
-    limits: NDArray[Any]  # (1,) CLOCK_LIMITS
+    queues: Table[Queue]  # (2,) by source
+    rows: Table[SoilInputRecord]  # (2, n) of the queues
+    rejected: IntArray  # (2, r) inputs by source and Rejection
+    limits: Table[ClockLimits]  # (1,)
 
     def counts(self) -> Iterator[tuple[str, Rejection, int]]:
         """Source, reason, and number of the rejected inputs."""
@@ -80,19 +96,21 @@ class Interpolator(NamedTuple):
 
 def new_interpolator(p: InterpolationParameters) -> Interpolator:
     """With nothing in it."""
-    queues, rows = np.zeros(len(SOURCES), QUEUE), np.zeros((len(SOURCES), _CAPACITY), SOIL_INPUT)
+    queues = make_table(Queue, QUEUE, len(SOURCES))
     queues["newest_ns"] = NEVER_NS
-    limits = np.array([(round(p.max_gap * 1e9), p.jump_confirmations, 0)], CLOCK_LIMITS)
+    rows = make_table(SoilInputRecord, SOIL_INPUT, len(SOURCES), _CAPACITY)
+    limits = make_table(ClockLimits, CLOCK_LIMITS, 1)
+    limits["gap_ns"], limits["confirmations"] = round(p.max_gap * 1e9), p.jump_confirmations
     return Interpolator(queues, rows, np.zeros((len(SOURCES), len(Rejection)), np.int64), limits)
 
 
 @compiled
-def add(interpolator: Interpolator, given: Any) -> int:
-    """Queue a SOIL_INPUT; ACCEPTED, or why it is rejected. After RESTARTED the time is another."""
+def add(interpolator: Interpolator, given: SoilInputRecord) -> int:
+    """Queue an input; ACCEPTED, or why it is rejected. After RESTARTED the time is another."""
     source, rejection = given.source, fault_of(given)
     if rejection == ACCEPTED:
         rejection = _append(
-            interpolator.queues[source], interpolator.rows[source], interpolator.limits[0], given
+            interpolator.queues[source], interpolator.rows[source, :], interpolator.limits[0], given
         )
     if rejection == RESTARTED and source == IS_HYDRAULICS:
         return ACCEPTED
@@ -102,8 +120,8 @@ def add(interpolator: Interpolator, given: Any) -> int:
 
 
 @compiled
-def is_ready(interpolator: Interpolator, p: Any) -> bool:
-    """Whether the oldest state has its pressures, or is to have none; ``p``: of InterpolationParameters."""
+def is_ready(interpolator: Interpolator, p: InterpolationParameters) -> bool:
+    """Whether the oldest state has its pressures, or is to have none."""
     states, readings = interpolator.queues[IS_MACHINE_STATE], interpolator.queues[IS_HYDRAULICS]
     if states.count == 0:
         return False
@@ -113,17 +131,17 @@ def is_ready(interpolator: Interpolator, p: Any) -> bool:
 
 
 @compiled
-def pop_oldest(interpolator: Interpolator, p: Any, sample: Any) -> None:
+def pop_oldest(interpolator: Interpolator, p: InterpolationParameters, sample: Sample) -> None:
     """Move the oldest state into the sample, with the pressures at its stamp."""
     states = interpolator.queues[IS_MACHINE_STATE]
     copy_state(interpolator.rows[IS_MACHINE_STATE, states.first], sample)
     _drop_first(states)
-    readings, rows = interpolator.queues[IS_HYDRAULICS], interpolator.rows[IS_HYDRAULICS]
+    readings, rows = interpolator.queues[IS_HYDRAULICS], interpolator.rows[IS_HYDRAULICS, :]
     sample.has_pressures = _interpolate(readings, rows, p, sample)
 
 
 @compiled
-def _append(queue: Any, rows: NDArray[Any], limits: Any, given: Any) -> int:
+def _append(queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, given: SoilInputRecord) -> int:
     """Behind those before it; RESTARTED where the clock of its source went back."""
     status = check_sample(queue.clock, limits, given.stamp_ns, queue.newest_ns, False)
     if status == _BACK:
@@ -141,7 +159,9 @@ def _append(queue: Any, rows: NDArray[Any], limits: Any, given: Any) -> int:
 
 
 @compiled
-def _interpolate(queue: Any, readings: NDArray[Any], p: Any, sample: Any) -> bool:
+def _interpolate(
+    queue: Queue, readings: Table[SoilInputRecord], p: InterpolationParameters, sample: Sample
+) -> bool:
     """Set the pressures at the stamp; False where a reading before or after it is missing or far."""
     while queue.count > 1 and readings[_place(queue, 1)].stamp_ns <= sample.stamp_ns:
         _drop_first(queue)
@@ -162,11 +182,11 @@ def _interpolate(queue: Any, readings: NDArray[Any], p: Any, sample: Any) -> boo
 
 
 @compiled
-def _place(queue: Any, k: int) -> int:
+def _place(queue: Queue, k: int) -> int:
     """Of the k-th in a queue."""
     return int((queue.first + k) % _CAPACITY)
 
 
 @compiled
-def _drop_first(queue: Any) -> None:
+def _drop_first(queue: Queue) -> None:
     queue.first, queue.count = (queue.first + 1) % _CAPACITY, queue.count - 1

@@ -9,16 +9,15 @@ the first doubt on no pressure is used; a fault is named once the doubt has last
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, IntArray, Record, dtype_of
 from trackslip_estimation.slip.motion import Motion
-
-FloatArray = NDArray[np.float64]
+from trackslip_estimation.soil.interpolation import Sample
 
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _TYPICAL = 5e6  # Pa over a travel motor of a machine that drives: 20 to 80 bar on the four soils
@@ -64,15 +63,18 @@ _NO_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
 _FOR, _AGAINST, _OPEN = 1, 0, -1  # what a sample says of a fault
 
-WATCH = np.dtype(
-    [
-        ("seconds", "f8", len(PressureFault)),  # for each fault, less those against it
-        ("is_named", "i8", len(PressureFault)),
-        ("has_reading", "i8"),
-        ("reading_ns", "i8"),  # of the newest reading
-        ("reading", "f8", 2),
-    ]
-)
+
+class Watch(Record):
+    """What is remembered of the pressures."""
+
+    seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against it
+    is_named: Annotated[IntArray, len(PressureFault)]
+    has_reading: int
+    reading_ns: int  # of the newest reading
+    reading: Annotated[FloatArray, 2]
+
+
+WATCH = dtype_of(Watch)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,13 +91,13 @@ class WatchParameters(Parameters):
     )
 
 
-def named_faults(watch: Any) -> tuple[PressureFault, ...]:
-    """Those that stand, of a WATCH."""
+def named_faults(watch: Watch) -> tuple[PressureFault, ...]:
+    """Those that stand."""
     return tuple(fault for fault, named in zip(PressureFault, watch["is_named"], strict=True) if named)
 
 
 @compiled
-def evaluate(watch: Any, sample: Any, p: Any, relief_pressure: float) -> int:
+def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: float) -> int:
     """Place of the fault for which the pressures of a sample are not to be used; NO_FAULT where they are."""
     found, likely_unit = NO_FAULT, _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
@@ -124,7 +126,7 @@ def evaluate(watch: Any, sample: Any, p: Any, relief_pressure: float) -> int:
 
 
 @compiled
-def _weigh(watch: Any, fault: int, evidence: int, dt: float, p: Any) -> bool:
+def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameters) -> bool:
     """Add one sample's evidence; whether there is doubt now."""
     if evidence != _OPEN:
         seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
@@ -132,11 +134,11 @@ def _weigh(watch: Any, fault: int, evidence: int, dt: float, p: Any) -> bool:
     lasts = watch.is_named[fault] or watch.seconds[fault] >= p.naming_time
     watch.is_named[fault] = watch.seconds[fault] > 0.0 and lasts
     grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
-    return watch.is_named[fault] or (evidence == _FOR and watch.seconds[fault] > grace)
+    return bool(watch.is_named[fault] or (evidence == _FOR and watch.seconds[fault] > grace))
 
 
 @compiled
-def _stuck(watch: Any, fault: int, sample: Any, p: Any) -> int:
+def _stuck(watch: Watch, fault: int, sample: Sample, p: WatchParameters) -> int:
     """A pressure that drives or brakes a track is never still; that of a standing one may be."""
     if not watch.has_reading or sample.reading_ns == watch.reading_ns:
         return _OPEN
@@ -149,7 +151,7 @@ def _stuck(watch: Any, fault: int, sample: Any, p: Any) -> int:
 
 
 @compiled
-def _likely_unit(sample: Any, p: Any) -> int:
+def _likely_unit(sample: Sample, p: WatchParameters) -> int:
     """Driving against rolling resistance needs pressure: what reads less is in a larger unit.
 
     The fault of the unit in which the reading is nearest to what is typical; _NO_UNIT of none, _OPEN where
@@ -178,7 +180,7 @@ def _distance(reading: float, unit: int) -> float:
 
 
 @compiled
-def _crossed(sample: Any, p: Any) -> int:
+def _crossed(sample: Sample, p: WatchParameters) -> int:
     """The faster track of a turn slips more and pulls more, forwards and in reverse.
 
     As a turn begins or ends, speeds are next to equal, and pressures are those of the change.

@@ -8,39 +8,51 @@ One at a time they are dataclasses; many at once, and inside compiled code, nump
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
 from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.slip.motion import Motion
-
-FloatArray = NDArray[np.float64]
 
 # Sources: the topics they come on
 HYDRAULICS = "hydraulics"
 SOURCES = (HYDRAULICS, MACHINE_STATE)
 IS_HYDRAULICS, IS_MACHINE_STATE = range(2)  # places in it
 
-VALUES: list[Any] = [
-    ("stamp_ns", "i8"),
-    ("pressures", "f8", 2),  # hydraulics: left, right, Pa
-    ("spools", "f8", 2),
-    ("twist", "f8", 3),  # machine_state: v_x m/s, v_y m/s, yaw rate rad/s
-    ("twist_covariance", "f8", (3, 3)),
-    ("pose", "f8", 3),  # x m, y m, heading rad
-    ("pose_covariance", "f8", (3, 3)),
-    ("tilt", "f8", 2),  # roll, pitch (nose down > 0), rad; 0 where the ground counts as level
-    ("tilt_variance", "f8", 2),
-    ("slips", "f8", 3),  # left, right, slip angle rad
-    ("motion", "i8"),
-    ("swing", "f8"),  # angle of the upper structure, rad
-    ("swing_variance", "f8"),  # rad², infinite where it is not known
-]
-# The source is a place in SOURCES; only the fields of this source are set
-SOIL_INPUT = np.dtype([("source", "i8"), *VALUES])
+
+class InputValues(Record):
+    """Of hydraulics, and of the machine's state."""
+
+    stamp_ns: int
+    pressures: Annotated[FloatArray, 2]  # hydraulics: left, right, Pa
+    spools: Annotated[FloatArray, 2]
+    twist: Annotated[FloatArray, 3]  # machine_state: v_x m/s, v_y m/s, yaw rate rad/s
+    twist_covariance: Annotated[FloatArray, (3, 3)]
+    pose: Annotated[FloatArray, 3]  # x m, y m, heading rad
+    pose_covariance: Annotated[FloatArray, (3, 3)]
+    tilt: Annotated[FloatArray, 2]  # roll, pitch (nose down > 0), rad; 0 where the ground counts as level
+    tilt_variance: Annotated[FloatArray, 2]
+    slips: Annotated[FloatArray, 3]  # left, right, slip angle rad
+    motion: int
+    swing: float  # angle of the upper structure, rad
+    swing_variance: float  # rad², infinite where it is not known
+
+
+class WithSource(Record):
+    """What comes from one of several."""
+
+    source: int  # place in ``SOURCES``
+
+
+class SoilInputRecord(InputValues, WithSource):
+    """An input; only the fields of its source are set."""
+
+
+SOIL_INPUT = dtype_of(SoilInputRecord)
 _OF_STATE = (
     *("stamp_ns", "twist", "twist_covariance", "tilt", "tilt_variance", "slips", "motion"),
     *("swing", "swing_variance"),
@@ -74,8 +86,8 @@ class Hydraulics:
     right_spool: float
     source: str = HYDRAULICS
 
-    def write_to(self, record: Any) -> None:
-        """Set the fields of a ``SOIL_INPUT``."""
+    def write_to(self, record: SoilInputRecord) -> None:
+        """Set the fields of an input."""
         record["source"], record["stamp_ns"] = IS_HYDRAULICS, self.stamp_ns
         record["pressures"] = self.left_pressure, self.right_pressure
         record["spools"] = self.left_spool, self.right_spool
@@ -116,8 +128,8 @@ class MachineState:
     swing_variance: float = math.inf  # rad², infinite where it is not known
     source: str = MACHINE_STATE
 
-    def write_to(self, record: Any) -> None:
-        """Set the fields of a ``SOIL_INPUT``."""
+    def write_to(self, record: SoilInputRecord) -> None:
+        """Set the fields of an input."""
         record["source"] = IS_MACHINE_STATE
         record["pose"], record["pose_covariance"] = self.pose
         for name in _OF_STATE:
@@ -127,9 +139,9 @@ class MachineState:
 SoilInput: TypeAlias = Hydraulics | MachineState
 
 
-def inputs_of(estimates: NDArray[Any]) -> NDArray[Any]:
-    """(n,) SOIL_INPUT of (n,) ESTIMATE, as the live estimator has them from messages."""
-    found = np.zeros(len(estimates), SOIL_INPUT)
+def inputs_of(estimates: NDArray[np.void]) -> Table[SoilInputRecord]:
+    """(n,) inputs of (n,) of ``slip.records.ESTIMATE``, as the live estimator has them from messages."""
+    found = make_table(SoilInputRecord, SOIL_INPUT, len(estimates))
     found["source"] = IS_MACHINE_STATE
     for name in ("stamp_ns", "twist", "twist_covariance", "pose", "pose_covariance", "slips", "motion"):
         found[name] = estimates[name]
@@ -144,8 +156,8 @@ def inputs_of(estimates: NDArray[Any]) -> NDArray[Any]:
 
 
 @compiled
-def copy_input(source: Any, to: Any) -> None:
-    """One ``SOIL_INPUT`` into another; assigned as a whole it would take the compiler seconds."""
+def copy_input(source: SoilInputRecord, to: SoilInputRecord) -> None:
+    """One input into another; assigned as a whole it would take the compiler seconds."""
     to.source = source.source
     for k in range(2):
         to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
@@ -153,8 +165,8 @@ def copy_input(source: Any, to: Any) -> None:
 
 
 @compiled
-def copy_state(source: Any, to: Any) -> None:
-    """All of ``VALUES`` but the hydraulics."""
+def copy_state(source: InputValues, to: InputValues) -> None:
+    """All but the hydraulics."""
     to.stamp_ns, to.motion = source.stamp_ns, source.motion
     to.swing, to.swing_variance = source.swing, source.swing_variance
     for k in range(2):
@@ -184,8 +196,8 @@ ACCEPTED = -1
 
 
 @compiled
-def fault_of(given: Any) -> int:
-    """INVALID or OUT_OF_RANGE, where a ``SOIL_INPUT`` is one of both; else ACCEPTED."""
+def fault_of(given: SoilInputRecord) -> int:
+    """INVALID or OUT_OF_RANGE, where an input is one of both; else ACCEPTED."""
     if given.source == IS_HYDRAULICS:
         has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # not measured: never closed
         of_spools = ACCEPTED if has_none else _of_numbers(given.spools, _LARGEST_SPOOL)
@@ -260,17 +272,19 @@ class TrackForces:
     reserve: tuple[float, float]  # 1 − |F|/F_max; nan while F_max is unknown
 
 
-FORCES = np.dtype(
-    [
-        ("stamp_ns", "i8"),
-        ("thrust", "f8", 2),
-        ("thrust_variance", "f8", 2),
-        ("resistance", "f8", 2),
-        ("resistance_variance", "f8", 2),
-        ("reserve", "f8", 2),
-        ("trouble", "i8", 2),  # place in ``Trouble``; not published
-    ]
-)
+class ForcesRecord(Record):
+    """As ``TrackForces``."""
+
+    stamp_ns: int
+    thrust: Annotated[FloatArray, 2]
+    thrust_variance: Annotated[FloatArray, 2]
+    resistance: Annotated[FloatArray, 2]
+    resistance_variance: Annotated[FloatArray, 2]
+    reserve: Annotated[FloatArray, 2]
+    trouble: Annotated[IntArray, 2]  # place in ``stall.Trouble``; not published
+
+
+FORCES = dtype_of(ForcesRecord)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,21 +13,26 @@ that are to be put right had their say.
     C        covariance of both slips: K, F_max and (3.3) are wrong for both alike, thrusts each for itself
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_estimation.terramechanics.traction import slip_of_thrust
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from trackslip_estimation.soil.interpolation import Sample
+    from trackslip_estimation.soil.soil_parameters import SoilConfig
+    from trackslip_estimation.soil.thrust import ThrustRecord
 
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _INTERVAL = 2.0 * 1.6449  # standard deviations from 5 to 95 %
@@ -52,29 +57,32 @@ class Thrust(NamedTuple):
     variance: FloatArray  # N²
 
 
-_STRENGTH = np.dtype(
-    [
-        ("shear_modulus", "f8"),  # m
-        ("shear_modulus_interval", "f8", 2),
-        ("thrust_limit", "f8"),  # N
-        ("thrust_limit_interval", "f8", 2),
-        ("effective_samples", "f8"),
-        ("largest_thrust", "f8"),  # N, with which the soil still gives a slip; 0 where it is not identifiable
-    ]
-)
-SEEDER = np.dtype(
-    [
-        ("is_due", "i8"),  # there was a turn, and no seed since
-        ("time", "f8"),  # s: straight on
-        ("distance", "f8"),  # m: straight on
-        ("newest", _STRENGTH),  # of the newest state
-        ("in_turn", _STRENGTH),  # when straight motion began
-    ]
-)
+class StrengthRecord(Record):
+    """As ``StrengthSummary``."""
+
+    shear_modulus: float  # m
+    shear_modulus_interval: Annotated[FloatArray, 2]
+    thrust_limit: float  # N
+    thrust_limit_interval: Annotated[FloatArray, 2]
+    effective_samples: float
+    largest_thrust: float  # N, with which the soil still gives a slip; 0 where it is not identifiable
 
 
-def set_strength(seeder: Any, found: StrengthSummary) -> None:
-    """The strength of the newest state, into a SEEDER."""
+class Seeder(Record):
+    """What is remembered for the next seed."""
+
+    is_due: int  # there was a turn, and no seed since
+    time: float  # s: straight on
+    distance: float  # m: straight on
+    newest: StrengthRecord  # of the newest state
+    in_turn: StrengthRecord  # when straight motion began
+
+
+SEEDER = dtype_of(Seeder)
+
+
+def set_strength(seeder: Seeder, found: StrengthSummary) -> None:
+    """The strength of the newest state, for the next seed."""
     newest = seeder["newest"]
     for name in ("shear_modulus", "thrust_limit"):
         newest[name], newest[f"{name}_interval"] = getattr(found, name), getattr(found, f"{name}_interval")
@@ -83,8 +91,10 @@ def set_strength(seeder: Any, found: StrengthSummary) -> None:
     newest["largest_thrust"] = largest if found.identifiable else 0.0
 
 
-def seed_of(seeder: Any, sample: Any, thrust: Any, p: SeedParameters, length: float) -> SlipSeed:
-    """The seed that is due at a SAMPLE with its THRUST."""
+def seed_of(
+    seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SeedParameters, length: float
+) -> SlipSeed:
+    """The seed that is due at a sample with its thrust; ``length``: of the contact, m."""
     soil = seeder["in_turn"]
     strength = StrengthSummary(
         float(soil["shear_modulus"]),
@@ -100,11 +110,8 @@ def seed_of(seeder: Any, sample: Any, thrust: Any, p: SeedParameters, length: fl
 
 
 @compiled
-def is_seed_due(seeder: Any, sample: Any, thrust: Any, p: Any) -> bool:
-    """After one more SAMPLE with its THRUST: whether there was a turn, and slips have settled since.
-
-    ``p``: record of SoilEstimatorParameters.
-    """
+def is_seed_due(seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SoilConfig) -> bool:
+    """After one more sample with its thrust: whether there was a turn, and slips have settled since."""
     if sample.motion != _STRAIGHT:
         seeder.is_due = seeder.is_due or sample.motion == _TURNING
         seeder.time = seeder.distance = 0.0
@@ -127,7 +134,7 @@ def is_seed_due(seeder: Any, sample: Any, thrust: Any, p: Any) -> bool:
 
 
 @compiled
-def _copy_strength(to: Any, source: Any) -> None:
+def _copy_strength(to: StrengthRecord, source: StrengthRecord) -> None:
     to.shear_modulus, to.thrust_limit = source.shear_modulus, source.thrust_limit
     for k in range(2):
         to.shear_modulus_interval[k] = source.shear_modulus_interval[k]

@@ -10,20 +10,28 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.parameter_record import record_of
+from trackslip_common.record_types import Table, make_table
 from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
 from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault, named_faults
-from trackslip_estimation.soil.records import HYDRAULICS, SOIL_INPUT, SlipSeed, SoilInput, TrackForces
+from trackslip_estimation.soil.records import (
+    HYDRAULICS,
+    SOIL_INPUT,
+    ForcesRecord,
+    SlipSeed,
+    SoilInput,
+    SoilInputRecord,
+    TrackForces,
+)
 from trackslip_estimation.soil.slip_seed import seed_of, set_strength
-from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, make_config
 from trackslip_estimation.soil.strength_average import BROKEN, COMPLETE, LOST, clear
 from trackslip_estimation.soil.strength_posterior import StrengthPosterior
 from trackslip_estimation.soil.strength_summary import StrengthSummary
@@ -48,7 +56,7 @@ SoilOutput: TypeAlias = TrackForces | SoilState | SlipSeed
 class SoilOutputs(NamedTuple):
     """What is to be published after some inputs."""
 
-    forces: NDArray[Any]  # (n,) FORCES
+    forces: NDArray[np.void]  # (n,) of ``FORCES``
     states: Sequence[SoilState] = ()
     seeds: Sequence[SlipSeed] = ()
 
@@ -71,13 +79,13 @@ class SoilEstimator:
         grid = self._posterior.grid
         self._classes = SoilClasses(p.classes, load_soils().values(), vehicle, grid)
         self._state = step.new_state(p, grid.limits)
-        self._one = np.zeros(1, SOIL_INPUT)
+        self._one = make_table(SoilInputRecord, SOIL_INPUT, 1)
         self.use(p)
 
     def use(self, p: SoilEstimatorParameters) -> None:
         """Other values of what may change while it runs."""
         self.parameters = p
-        self._numbers = record_of(p)
+        self._config = make_config(p)
 
     @property
     def tally(self) -> Tally:
@@ -119,7 +127,7 @@ class SoilEstimator:
         return bool(left), bool(right)
 
     @property
-    def _known(self) -> Any:
+    def _known(self) -> step.Known:
         return self._state.known[0]
 
     def advance(self, given: SoilInput) -> list[SoilOutput]:
@@ -127,11 +135,11 @@ class SoilEstimator:
         given.write_to(self._one[0])
         return [output for outputs in self.advance_all(self._one) for output in outputs.in_order()]
 
-    def advance_all(self, inputs: NDArray[Any]) -> Iterator[SoilOutputs]:
-        """Use inputs (n,) SOIL_INPUT in their order; what is to be published, in parts of bounded size."""
-        reason, processed = step.OPEN, 0
+    def advance_all(self, inputs: NDArray[np.void]) -> Iterator[SoilOutputs]:
+        """Use (n,) of ``SOIL_INPUT`` in their order; what is to be published, in parts of bounded size."""
+        given, reason, processed = cast("Table[SoilInputRecord]", inputs), step.OPEN, 0
         while reason != step.PROCESSED:
-            reason, processed, count = step.advance(self._state, inputs, processed, self._numbers)
+            reason, processed, count = step.advance(self._state, given, processed, self._config)
             if count:
                 yield SoilOutputs(self._state.forces[:count].copy())
             if reason == step.OPEN:
@@ -145,7 +153,7 @@ class SoilEstimator:
         self._posterior.reset()
         self.restarts += 1
 
-    def _finish(self, known: Any) -> Iterator[SoilOutputs]:
+    def _finish(self, known: step.Known) -> Iterator[SoilOutputs]:
         """What the compiled step leaves open: the posterior, the state of the soil, and a seed."""
         posterior, gathered = self._posterior, known["gathered"]
         if gathered == COMPLETE:
@@ -168,13 +176,13 @@ class SoilEstimator:
             self._state.limit_probabilities[:] = posterior.grid.of_limits(posterior.cells)
             yield SoilOutputs(nothing, [state])
 
-    def _soil_state(self, known: Any) -> SoilState:
+    def _soil_state(self, known: step.Known) -> SoilState:
         (mu_r, mu_l), (mu_r_variance, mu_l_variance) = known["mu"].tolist(), known["mu_variance"].tolist()
         classes = self._classes.probabilities(self._posterior.cells)
         stamp_ns = int(known["sample"]["stamp_ns"])
         return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self.strength, classes)
 
 
-def _forces_of(record: Any) -> TrackForces:
+def _forces_of(record: ForcesRecord) -> TrackForces:
     names = ("thrust", "thrust_variance", "resistance", "resistance_variance", "reserve")
     return TrackForces(int(record["stamp_ns"]), *(tuple(record[name].tolist()) for name in names))

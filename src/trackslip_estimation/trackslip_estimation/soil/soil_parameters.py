@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from trackslip_common.config_files import load_parameters
-from trackslip_common.parameters import from_flat, parameter, to_flat
+from trackslip_common.parameter_record import record_of
+from trackslip_common.parameters import Parameters, from_flat, parameter, to_flat
+from trackslip_common.record_types import Record, Table
+from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
@@ -25,8 +28,8 @@ DEFAULT_FILES = ("soil_estimator.yaml",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SoilEstimatorParameters(WithVehicle):
-    """All parameters of the soil estimator."""
+class SoilNumbers(Parameters):
+    """Those that are numbers."""
 
     moments: InterpolationParameters
     thrust: ThrustParameters
@@ -37,8 +40,6 @@ class SoilEstimatorParameters(WithVehicle):
     strength: StrengthParameters
     classes: ClassesParameters
     seed: SeedParameters
-    base_frame: str = parameter("frame of the machine, at the track-contact centre")
-    frame_prefix: str = parameter("before base_frame, such as 'one/' where there are several")
     forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
     soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)
     low_reserve: float = parameter(
@@ -52,6 +53,14 @@ class SoilEstimatorParameters(WithVehicle):
         read_only=False,
     )
 
+
+@dataclass(frozen=True, kw_only=True)
+class SoilEstimatorParameters(SoilNumbers, WithVehicle):
+    """All parameters of the soil estimator."""
+
+    base_frame: str = parameter("frame of the machine, at the track-contact centre")
+    frame_prefix: str = parameter("before base_frame, such as 'one/' where there are several")
+
     @property
     def frame(self) -> str:
         """Of the messages."""
@@ -64,6 +73,25 @@ class SoilEstimatorParameters(WithVehicle):
             InputError: a name is unknown or a value refused.
         """
         return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
+
+
+class OfVehicle(Record):
+    """What belongs to a machine."""
+
+    vehicle: Vehicle
+
+
+class SoilConfig(SoilNumbers, OfVehicle):
+    """The parameters as compiled code takes them."""
+
+
+def make_config(p: SoilEstimatorParameters) -> Table[SoilConfig]:
+    """(1,) of the parameters.
+
+    Raises:
+        InputError: the vehicle has no mass or no hydraulics.
+    """
+    return record_of(SoilConfig, p)
 
 
 def load_soil_parameters(*layers: Mapping[str, Any]) -> SoilEstimatorParameters:

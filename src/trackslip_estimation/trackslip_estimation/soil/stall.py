@@ -14,12 +14,18 @@ p, s, u    differential pressure, spool position, track speed      Pa, 1, m/s
 stalled    |s| ≥ s_min, p sign(s) ≥ p_min, |u| < u_min             for ``time``
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_estimation.soil.interpolation import Sample
+
+if TYPE_CHECKING:
+    from trackslip_estimation.soil.soil_parameters import SoilConfig
 
 
 class Trouble(IntEnum):
@@ -44,10 +50,10 @@ class StallParameters(Parameters):
 
 
 @compiled
-def stall_time(before: float, sample: Any, side: int, p: Any, relief_pressure: float) -> float:
-    """Seconds for which a track has been stalled, less those against it, after one more SAMPLE.
+def stall_time(before: float, sample: Sample, side: int, p: StallParameters, relief_pressure: float) -> float:
+    """Seconds for which a track has been stalled, less those against it, after one more sample.
 
-    ``side``: 0 left, 1 right; ``p``: record of StallParameters; ``relief_pressure``: Pa.
+    ``side``: 0 left, 1 right; ``relief_pressure``: Pa.
     """
     spool = sample.spools[side] if sample.has_pressures else 0.0
     if not abs(spool) >= p.least_spool:  # not commanded, or not known
@@ -63,8 +69,8 @@ def evidence_time(before: float, seen: bool, dt: float, needed: float) -> float:
 
 
 @compiled
-def trouble_of(stalled: float, spinning: float, p: Any) -> int:
-    """Place in ``Trouble``, of seconds for each; ``p``: record of SoilEstimatorParameters."""
+def trouble_of(stalled: float, spinning: float, p: SoilConfig) -> int:
+    """Place in ``Trouble``, of seconds for each."""
     if stalled >= p.stall.time:
         return _STALLED
     return _STUCK if spinning >= p.stuck_time else _NONE

@@ -7,40 +7,46 @@ loop stops, with the sample open, and goes on when it is called again.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, interpolation, pressure_watch
-from trackslip_estimation.soil.dynamics import DYNAMICS, MU_R, new_dynamics
+from trackslip_estimation.soil.dynamics import MU_R, Dynamics, new_dynamics
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
 from trackslip_estimation.soil.ground_load import (
-    BURDEN,
-    CENTRE,
-    GROUND_LOAD,
+    Burden,
+    Centre,
+    GroundLoad,
     burden_of,
     burden_variance,
     centre_of,
     follow_burden,
     set_load,
 )
-from trackslip_estimation.soil.interpolation import SAMPLE, Interpolator, new_interpolator
-from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, WATCH, Doubt, PressureFault
+from trackslip_estimation.soil.interpolation import Interpolator, Sample, new_interpolator
+from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, Doubt, PressureFault, Watch
 from trackslip_estimation.soil.records import DIVERGED as REJECTED_DIVERGED
-from trackslip_estimation.soil.records import FORCES, IS_MACHINE_STATE, RESTARTED
+from trackslip_estimation.soil.records import (
+    FORCES,
+    IS_MACHINE_STATE,
+    RESTARTED,
+    ForcesRecord,
+    SoilInputRecord,
+)
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
-from trackslip_estimation.soil.slip_seed import SEEDER, is_seed_due
-from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
+from trackslip_estimation.soil.slip_seed import Seeder, is_seed_due
+from trackslip_estimation.soil.soil_parameters import SoilConfig, SoilEstimatorParameters
 from trackslip_estimation.soil.stall import evidence_time, stall_time, trouble_of
-from trackslip_estimation.soil.strength_average import AVERAGE, GATHERING, gather
+from trackslip_estimation.soil.strength_average import GATHERING, Average, gather
 from trackslip_estimation.soil.thrust import (
-    MOTOR,
-    OFFSETS,
-    THRUST,
+    Motor,
+    Offsets,
+    ThrustRecord,
     hold_thrust,
     measure_thrust,
     motor_of,
@@ -49,8 +55,6 @@ from trackslip_estimation.soil.thrust import (
     update_offsets,
 )
 from trackslip_estimation.soil.tracks import frame_speeds, track_speed
-
-FloatArray = NDArray[np.float64]
 
 _STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
 _LIKELY = 0.5  # probability
@@ -62,47 +66,50 @@ _AT_REST = _BRIEF + 1
 # No input left; no more room; the clock went back; the sample in hand is open; the state is not finite
 PROCESSED, FULL, RESTART, OPEN, DIVERGED = range(5)
 
-KNOWN = np.dtype(
-    [
-        ("has_begun", "i8"),
-        ("newest_ns", "i8"),  # stamp of the newest sample
-        ("motor", MOTOR),
-        ("offsets", OFFSETS),
-        ("thrust", THRUST),  # seen, or as it was last seen
-        ("watch", WATCH),
-        ("centre", CENTRE),
-        ("load", GROUND_LOAD),
-        ("burden", BURDEN),
-        ("dynamics", DYNAMICS),
-        ("mu", "f8", 2),  # μ_r, mobilised μ_l
-        ("mu_variance", "f8", 2),  # the error of the efficiency included
-        ("volumetric_efficiency", "f8"),
-        ("average", AVERAGE),
-        ("seeder", SEEDER),
-        ("effective_samples", "f8"),  # of the strength posterior
-        ("spinning", "f8", 2),  # s for which each track has spun at the limit of the soil
-        ("stalled", "f8", 2),  # s for which it was commanded, and did not turn
-        ("forces", "i8"),  # how many are there to be published
-        # Of the sample in hand
-        ("sample", SAMPLE),
-        ("is_open", "i8"),  # it waits for what is not done here …
-        ("gathered", "i8"),  # … with the average, see ``strength_average``
-        ("soil_due", "i8"),  # … with the state of the soil
-        ("forces_due", "i8"),
-        ("seed_due", "i8"),
-    ]
-)
+
+class Known(Record):
+    """All that is remembered from one sample to the next, but for the posterior."""
+
+    has_begun: int
+    newest_ns: int  # stamp of the newest sample
+    motor: Motor
+    offsets: Offsets
+    thrust: ThrustRecord  # seen, or as it was last seen
+    watch: Watch
+    centre: Centre
+    load: GroundLoad
+    burden: Burden
+    dynamics: Dynamics
+    mu: Annotated[FloatArray, 2]  # μ_r, mobilised μ_l
+    mu_variance: Annotated[FloatArray, 2]  # the error of the efficiency included
+    volumetric_efficiency: float
+    average: Average
+    seeder: Seeder
+    effective_samples: float  # of the strength posterior
+    spinning: Annotated[FloatArray, 2]  # s for which each track has spun at the limit of the soil
+    stalled: Annotated[FloatArray, 2]  # s for which it was commanded, and did not turn
+    forces: int  # how many are there to be published
+    # Of the sample in hand
+    sample: Sample
+    is_open: int  # it waits for what is not done here …
+    gathered: int  # … with the average, see ``strength_average``
+    soil_due: int  # … with the state of the soil
+    forces_due: int
+    seed_due: int
+
+
+KNOWN = dtype_of(Known)
 
 
 class State(NamedTuple):
     """All that the loop works on; it never grows."""
 
-    known: NDArray[Any]  # (1,) KNOWN
-    faults: NDArray[np.int64]  # (n,) samples whose pressures were not used, by PressureFault and Doubt
+    known: Table[Known]  # (1,)
+    faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and Doubt
     interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
     limit_probabilities: FloatArray  # (l,) of the newest state
-    forces: NDArray[Any]  # (n,) FORCES, room for what is published
+    forces: Table[ForcesRecord]  # (n,) room for what is published
 
 
 class Stop(NamedTuple):
@@ -116,13 +123,13 @@ class Stop(NamedTuple):
 def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
     faults = np.zeros(_BRIEF + len(Doubt), np.int64)
-    forces = np.zeros(_ROOM, FORCES)
+    forces = make_table(ForcesRecord, FORCES, _ROOM)
     return State(initial(p), faults, new_interpolator(p.moments), limits, np.zeros_like(limits), forces)
 
 
-def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
-    """(1,) KNOWN before the first sample."""
-    known, motor = np.zeros(1, KNOWN), motor_of(p.vehicle.whole())
+def initial(p: SoilEstimatorParameters) -> Table[Known]:
+    """(1,) before the first sample."""
+    known, motor = make_table(Known, KNOWN, 1), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
     known["centre"], known["burden"] = centre_of(p.vehicle), burden_of(p.vehicle.whole())
@@ -131,12 +138,9 @@ def initial(p: SoilEstimatorParameters) -> NDArray[Any]:
 
 
 @compiled
-def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any]) -> Stop:
-    """Take inputs (n,) SOIL_INPUT from ``first`` on until something else is to be done, or none is left.
-
-    ``numbers``: (1,) record of SoilEstimatorParameters.
-    """
-    p, known, interpolator = numbers[0], state.known[0], state.interpolator
+def advance(state: State, inputs: Table[SoilInputRecord], first: int, config: Table[SoilConfig]) -> Stop:
+    """Take inputs (n,) from ``first`` on until something else is to be done, or none is left."""
+    p, known, interpolator = config[0], state.known[0], state.interpolator
     known.forces = 0
     while True:
         while known.is_open or interpolation.is_ready(interpolator, p.moments):
@@ -162,7 +166,7 @@ def advance(state: State, inputs: NDArray[Any], first: int, numbers: NDArray[Any
 
 
 @compiled
-def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
+def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
     """Use one sample."""
     sample = known.sample
     before_ns = known.newest_ns if known.has_begun else sample.stamp_ns
@@ -203,7 +207,7 @@ def _step(known: Any, faults: NDArray[np.int64], p: Any) -> None:
 
 
 @compiled
-def _is_sound(known: Any) -> bool:
+def _is_sound(known: Known) -> bool:
     """The last guard: whether all that the next sample depends on is finite."""
     total = known.thrust.force.sum() + known.thrust.variance.sum() + known.offsets.mean.sum()
     total += known.offsets.variance.sum() + known.mu.sum() + known.mu_variance.sum()
@@ -212,7 +216,7 @@ def _is_sound(known: Any) -> bool:
 
 
 @compiled
-def _measure(known: Any, sample: Any, p: Any) -> None:
+def _measure(known: Known, sample: Sample, p: SoilConfig) -> None:
     """Thrusts from pressures that can be true; on straights they show the flow, too."""
     speeds = np.empty(2)  # of the sprockets, rad/s
     for k in range(2):
@@ -232,7 +236,7 @@ def _passes(before_ns: int, now_ns: int, period: float) -> bool:
 
 
 @compiled
-def _publish_forces(state: State, p: Any) -> None:
+def _publish_forces(state: State, p: SoilConfig) -> None:
     """Those of the sample in hand."""
     known = state.known[0]
     sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
@@ -255,7 +259,7 @@ def _publish_forces(state: State, p: Any) -> None:
 
 
 @compiled
-def _reserve(state: State, force: float, variance: float, p: Any) -> Reserve:
+def _reserve(state: State, force: float, variance: float, p: SoilConfig) -> Reserve:
     """Of a track, with F_max as in the newest state; unknown before it has shown."""
     if state.known[0].effective_samples < 1.0:
         return Reserve(math.nan, 0.0)

@@ -3,41 +3,49 @@
 """Averages of the samples that the strength posterior uses, compiled."""
 
 import math
-from typing import Any
-
-import numpy as np
+from typing import Annotated
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_estimation.soil.ground_load import GroundLoad
+from trackslip_estimation.soil.interpolation import Sample
+from trackslip_estimation.soil.strength_parameters import StrengthParameters
+from trackslip_estimation.soil.thrust import ThrustRecord
 
 _LARGEST = 1e6  # m/s, and what else there is but thrusts: beyond it is no measurement
 _LARGEST_THRUST = 1e9  # N
 _LONGEST = 1.0  # s between two samples; beyond it, what the tracks did meanwhile is not known
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: by which a covariance may miss being one
 
-AVERAGE = np.dtype(
-    [
-        ("dt", "f8"),  # s, of all samples in it
-        ("tracks", "f8", 2),  # m/s; while it is not complete, here and below sums over time
-        ("twist", "f8", 3),
-        ("twist_covariance", "f8", (3, 3)),
-        ("force", "f8", 2),  # N, as it would be on level ground; nan where it is not known
-        ("variance", "f8", 2),  # N²
-        ("swing_variance", "f8", 2),  # what of it is by the swing, and lasts as long as that is not known
-        ("lean", "f8"),  # see ``ground_load``, as the next three
-        ("lean_stddev", "f8"),
-        ("stretch", "f8"),
-        ("stretch_stddev", "f8"),
-        ("motion", "i8"),  # of the last sample in it, as its pose
-        ("pose", "f8", 3),
-        ("pose_covariance", "f8", (3, 3)),
-    ]
-)
+
+class Average(Record):
+    """Of samples; while it is not complete, sums over time."""
+
+    dt: float  # s, of all samples in it
+    tracks: Annotated[FloatArray, 2]  # m/s
+    twist: Annotated[FloatArray, 3]
+    twist_covariance: Annotated[FloatArray, (3, 3)]
+    force: Annotated[FloatArray, 2]  # N, as it would be on level ground; nan where it is not known
+    variance: Annotated[FloatArray, 2]  # N²
+    swing_variance: Annotated[FloatArray, 2]  # what of it is by the swing, and lasts until that is known
+    lean: float  # see ``ground_load``, as the next three
+    lean_stddev: float
+    stretch: float
+    stretch_stddev: float
+    motion: int  # of the last sample in it, as its pose
+    pose: Annotated[FloatArray, 3]
+    pose_covariance: Annotated[FloatArray, (3, 3)]
+
+
+AVERAGE = dtype_of(Average)
 GATHERING, COMPLETE, BROKEN, LOST = range(4)  # what became of a sample; see ``gather``
 
 
 @compiled
-def gather(average: Any, sample: Any, thrust: Any, load: Any, p: Any) -> int:
-    """Add a SAMPLE with its THRUST and GROUND_LOAD to an AVERAGE; ``p``: record of StrengthParameters.
+def gather(
+    average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad, p: StrengthParameters
+) -> int:
+    """Add a sample with its thrust and load to an average.
 
     COMPLETE where the average is one now: it must be cleared before the next sample. BROKEN where the sample
     is not usable, LOST where what the tracks did since the one before is not known either; the average then
@@ -56,8 +64,8 @@ def gather(average: Any, sample: Any, thrust: Any, load: Any, p: Any) -> int:
 
 
 @compiled
-def _is_usable(sample: Any) -> bool:
-    """Whether a SAMPLE is in time, finite, and its covariance can be one."""
+def _is_usable(sample: Sample) -> bool:
+    """Whether a sample is in time, finite, and its covariance can be one."""
     if not 0.0 < sample.dt <= _LONGEST:
         return False
     for k in range(2):
@@ -82,8 +90,8 @@ def _is_usable(sample: Any) -> bool:
 
 
 @compiled
-def clear(average: Any) -> None:
-    """An AVERAGE of nothing."""
+def clear(average: Average) -> None:
+    """An average of nothing."""
     average.dt = average.lean = average.lean_stddev = average.stretch = average.stretch_stddev = 0.0
     for k in range(2):
         average.tracks[k] = average.force[k] = average.variance[k] = average.swing_variance[k] = 0.0
@@ -94,8 +102,8 @@ def clear(average: Any) -> None:
 
 
 @compiled
-def _add(average: Any, sample: Any, thrust: Any, load: Any) -> None:
-    """One more SAMPLE, with its THRUST over what a track bears more than on level ground."""
+def _add(average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad) -> None:
+    """One more sample, with its thrust over what a track bears more than on level ground."""
     dt = sample.dt
     average.dt += dt
     average.lean += dt * load.lean
@@ -116,7 +124,7 @@ def _add(average: Any, sample: Any, thrust: Any, load: Any) -> None:
 
 
 @compiled
-def _complete(average: Any, sample: Any) -> None:
+def _complete(average: Average, sample: Sample) -> None:
     """From sums to means."""
     dt = average.dt
     average.motion = sample.motion

@@ -20,23 +20,21 @@ that flows back from p₀ grows to all of p within a few independent samples.
 
 import math
 from enum import Enum
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.shear_field import Contact, Rolling, carry, element_places
 from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
+from trackslip_estimation.soil.strength_average import Average
 from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.strength_summary import StrengthSummary, summarize
 from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
-
-FloatArray = NDArray[np.float64]
 
 _LEAST = 1e-300  # of a probability that is divided by
 
@@ -80,21 +78,21 @@ class StrengthPosterior:
         """What comes next does not go on from what was."""
         self._segment: StraightSegment | None = None
 
-    def update(self, now: Any) -> SampleOutcome:
-        """Use one AVERAGE of slips and thrusts."""
+    def update(self, now: Average) -> SampleOutcome:
+        """Use one average of slips and thrusts."""
         rolling, dt = Rolling(now["twist"], now["tracks"], float(now["lean"])), float(now["dt"])
         distance = abs(float(rolling.tracks.mean())) * dt
         change = -math.expm1(-distance / self.parameters.change_distance)
         self._bayes_update(self._nothing, 0.0, change)
         pose = PoseWithCovariance(now["pose"].copy(), now["pose_covariance"].copy())
         start, self._pose = self._pose or pose, pose
-        stretch = float(now["stretch"]), float(now["stretch_stddev"])
+        stretch, stretch_stddev = float(now["stretch"]), float(now["stretch_stddev"])
         before = self._displacement
         self._displacement = carry(before, rolling, self._contact, dt)
         if now["motion"] == Motion.STANDING:
             self._halted = True
             if self._segment is not None:
-                self._segment.set_end(pose, *stretch)
+                self._segment.set_end(pose, stretch, stretch_stddev)
             return SampleOutcome.STANDING
         thrust = float(now["force"].sum())
         straight = now["motion"] == Motion.STRAIGHT and math.isfinite(thrust)
@@ -103,12 +101,12 @@ class StrengthPosterior:
         if straight:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
             self._segment.add(dt, rolling, thrust, float(now["lean_stddev"]))
-            self._segment.set_end(pose, *stretch)
+            self._segment.set_end(pose, stretch, stretch_stddev)
             is_long = self._segment.rolled >= self.parameters.longest_straight
             return self._evaluate_segment() if is_long else outcome
         return self._evaluate_turn(now, rolling) if now["motion"] == Motion.TURNING else outcome
 
-    def _evaluate_turn(self, now: Any, rolling: Rolling) -> SampleOutcome:
+    def _evaluate_turn(self, now: Average, rolling: Rolling) -> SampleOutcome:
         """What slips and thrusts of a turn say of each soil."""
         p, tracks, shared = self.parameters, rolling.tracks, self._shared()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)

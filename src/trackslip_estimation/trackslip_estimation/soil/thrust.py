@@ -15,36 +15,43 @@ average.
 
 import math
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
+from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust_of_pressure
 
-FloatArray = NDArray[np.float64]
-
 _FAR = 5.0  # standard deviations from a known offset
 
-OFFSETS = np.dtype([("mean", "f8", 2), ("variance", "f8", 2), ("stood", "f8")])  # Pa, Pa², s
-THRUST = np.dtype(
-    [
-        ("is_known", "i8"),  # from pressures of this moment; else held
-        ("force", "f8", 2),  # N
-        ("variance", "f8", 2),  # N², without the error of the efficiency
-    ]
-)
-MOTOR = np.dtype(
-    [
-        ("driving", "f8"),  # N of thrust per Pa, while the motor drives
-        ("driven", "f8"),  # the same, while the track drives the motor
-        ("largest_thrust", "f8"),  # N, at the pressure of the relief valve
-        ("full_flow_speed", "f8"),  # rad/s of the sprocket at the whole flow, without leakage
-    ]
-)
+
+class Offsets(Record):
+    """Of the transducers."""
+
+    mean: Annotated[FloatArray, 2]  # Pa
+    variance: Annotated[FloatArray, 2]  # Pa²
+    stood: float  # s for which the machine has stood with closed spools
+
+
+class ThrustRecord(Record):
+    """Of both tracks."""
+
+    is_known: int  # from pressures of this moment; else held
+    force: Annotated[FloatArray, 2]  # N
+    variance: Annotated[FloatArray, 2]  # N², without the error of the efficiency
+
+
+class Motor(Record):
+    """Of each track."""
+
+    driving: float  # N of thrust per Pa, while the motor drives
+    driven: float  # the same, while the track drives the motor
+    largest_thrust: float  # N, at the pressure of the relief valve
+    full_flow_speed: float  # rad/s of the sprocket at the whole flow, without leakage
+
+
+OFFSETS, THRUST, MOTOR = dtype_of(Offsets), dtype_of(ThrustRecord), dtype_of(Motor)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,30 +75,39 @@ class ThrustParameters(Parameters):
     )
 
 
-def motor_of(vehicle: Vehicle) -> NDArray[Any]:
-    """(1,) MOTOR."""
+def motor_of(vehicle: Vehicle) -> Table[Motor]:
+    """(1,) of a vehicle."""
     driving, driven = (float(thrust_of_pressure(1.0, way, vehicle)) for way in (1.0, -1.0))
     largest = float(thrust_of_pressure(vehicle.relief_pressure, 1.0, vehicle))
     full_flow = float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle)) / vehicle.volumetric_efficiency
-    return np.array([(driving, driven, largest, full_flow)], MOTOR)
+    motor = make_table(Motor, MOTOR, 1)
+    motor["driving"], motor["driven"] = driving, driven
+    motor["largest_thrust"], motor["full_flow_speed"] = largest, full_flow
+    return motor
 
 
-def new_offsets(p: ThrustParameters) -> NDArray[Any]:
-    """(1,) OFFSETS before the machine has stood."""
-    return np.array([(np.zeros(2), np.full(2, p.offset_stddev**2), 0.0)], OFFSETS)
+def new_offsets(p: ThrustParameters) -> Table[Offsets]:
+    """(1,) before the machine has stood."""
+    offsets = make_table(Offsets, OFFSETS, 1)
+    offsets["variance"] = p.offset_stddev**2
+    return offsets
 
 
-def unknown_thrust(motor: Any) -> NDArray[Any]:
-    """(1,) THRUST before the first pressure; ``motor``: MOTOR."""
-    return np.array([(0, np.zeros(2), np.full(2, motor["largest_thrust"] ** 2))], THRUST)
+def unknown_thrust(motor: Motor) -> Table[ThrustRecord]:
+    """(1,) before the first pressure."""
+    thrust = make_table(ThrustRecord, THRUST, 1)
+    thrust["variance"] = motor["largest_thrust"] ** 2
+    return thrust
 
 
 @compiled
-def update_offsets(offsets: Any, pressures: FloatArray, stands: bool, dt: float, p: Any) -> bool:
+def update_offsets(
+    offsets: Offsets, pressures: FloatArray, stands: bool, dt: float, p: ThrustParameters
+) -> bool:
     """``dt`` s later: a random walk that is seen while the machine stands with closed spools.
 
-    ``p``: record of ThrustParameters. Returns whether a pressure was refused that should show an offset: one
-    that is too large for any, or far from what is known of it, is oil that something presses on.
+    Returns whether a pressure was refused that should show an offset: one that is too large for any, or far
+    from what is known of it, is oil that something presses on.
     """
     offsets.stood = offsets.stood + dt if stands else 0.0
     refused = False
@@ -114,7 +130,12 @@ def update_offsets(offsets: Any, pressures: FloatArray, stands: bool, dt: float,
 
 @compiled
 def measure_thrust(
-    thrust: Any, pressures: FloatArray, speeds: FloatArray, offsets: Any, p: Any, motor: Any
+    thrust: ThrustRecord,
+    pressures: FloatArray,
+    speeds: FloatArray,
+    offsets: Offsets,
+    p: ThrustParameters,
+    motor: Motor,
 ) -> None:
     """Set F and σ² from pressures (2,), Pa, at sprocket speeds (2,), rad/s; a speed may be nan."""
     thrust.is_known = True
@@ -132,7 +153,7 @@ def measure_thrust(
 
 
 @compiled
-def hold_thrust(thrust: Any, dt: float, p: Any, motor: Any) -> None:
+def hold_thrust(thrust: ThrustRecord, dt: float, p: ThrustParameters, motor: Motor) -> None:
     """``dt`` s later without pressures: the same, less certain, up to what relief allows."""
     thrust.is_known = False
     for k in range(2):

@@ -23,7 +23,7 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.classes import limit_of
 from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilState
-from trackslip_estimation.soil.thrust import new_offsets, update_offsets
+from trackslip_estimation.soil.thrust import ThrustParameters, new_offsets, update_offsets
 from trackslip_sim.study.soil.trial import (
     START_NS,
     Readings,
@@ -141,7 +141,7 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
 def _offset_residue(readings: Readings, setting: Setting, stand: float) -> float:
     """What the estimator's calibration of offsets leaves after standing."""
     p, period = setting.soil.thrust, 1.0 / setting.study.sprocket_rate
-    offsets, numbers = new_offsets(p)[0], record_of(p)[0]
+    offsets, numbers = new_offsets(p)[0], record_of(ThrustParameters, p)[0]
     for reading in readings.pressures[: round(stand / period)]:
         pressures = np.array((reading.left_pressure, reading.right_pressure))
         update_offsets(offsets, pressures, True, period, numbers)
