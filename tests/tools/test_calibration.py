@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from trackslip_common.config_files import node_parameters, read_yaml
@@ -19,7 +21,7 @@ from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
 from trackslip_estimation.slip.update import observe
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
-from trackslip_tools.calibration.finding import Finding
+from trackslip_tools.calibration.finding import Finding, found
 from trackslip_tools.calibration.output import summary, text, write_parameters
 from trackslip_tools.calibration.recording import Recording, Series, motions
 from trackslip_tools.calibration.regression import Increments, clustered, of_increments
@@ -280,6 +282,18 @@ def test_more_bags_tell_more() -> None:
         assert half(all_of_them[name]) < 0.8 * half(one[name])
 
 
+@given(
+    value=st.floats(-1e6, 1e6),
+    half=st.floats(1e-9, 1e6),
+)
+def test_a_value_is_rounded_to_its_interval(value: float, half: float) -> None:
+    finding = found(value, half, "m", "")
+    assert finding.rounded is not None
+    assert abs(finding.rounded - value) <= 0.051 * half + 1e-9 * abs(value)
+    digits = half * 10.0**finding.decimals
+    assert 9.0 <= digits <= 101.0  # two that count
+
+
 def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     made = Made(scale=-0.985)
     calibration = calibrated(made, 7, hard_ground=True)
@@ -287,7 +301,7 @@ def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
     write_parameters(path, calibration, ["one", "two"])
     tree = read_yaml(path)
     p = load_slip_parameters(node_parameters(tree, NODE, str(path)))
-    assert p.vehicle.kinematics.rolling_radius == calibration.findings["rolling_radius"].value
+    assert p.vehicle.kinematics.rolling_radius == calibration.findings["rolling_radius"].rounded
     gyro = p.gyros()["imu/data_raw"]
     assert gyro.sign == -1
     assert gyro.scale == pytest.approx(0.985, abs=0.02)

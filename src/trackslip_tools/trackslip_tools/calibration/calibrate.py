@@ -12,7 +12,7 @@ from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.calibration import gyro, standing, third, timing, tracks
-from trackslip_tools.calibration.finding import Finding, found, refused
+from trackslip_tools.calibration.finding import Finding, found, refused, rounded
 from trackslip_tools.calibration.recording import Recording
 
 _VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
@@ -155,18 +155,19 @@ def _parameters(
 
     if findings["rolling_radius"].value is not None:
         for node in _VEHICLE_NODES:
-            add(node, "vehicle.kinematics.rolling_radius", findings["rolling_radius"].value)
+            add(node, "vehicle.kinematics.rolling_radius", findings["rolling_radius"].rounded)
     if sources[0] in p.gyros():
         group = f"sources.{group_name(sources[0])}"
         if findings["gyro_sign"].value is not None:
             add(NODE, f"{group}.sign", round(findings["gyro_sign"].value))
-        if findings["gyro_scale"].value is not None:
-            add(NODE, f"{group}.scale", abs(findings["gyro_scale"].value))
+        scale = findings["gyro_scale"].rounded
+        if scale is not None:
+            add(NODE, f"{group}.scale", abs(scale))
     efficiency = findings["turning_efficiency"]
     if efficiency.value is not None and efficiency.interval is not None and 0.0 < efficiency.value <= 1.0:
-        add(NODE, "turning.initial_efficiency", efficiency.value)
+        add(NODE, "turning.initial_efficiency", efficiency.rounded)
         uncertain = max(spread, efficiency.interval[1] - efficiency.value, _LEAST_SPREAD)
-        add(NODE, "turning.initial_efficiency_stddev", uncertain)
+        add(NODE, "turning.initial_efficiency_stddev", rounded(uncertain, efficiency.decimals))
     for node, offset in _time_offsets(findings, sources).items():
         add(node, "time_offset", offset)
     return parameters
@@ -189,5 +190,6 @@ def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> 
             continue
         late += finding.value
         if node is not None:
-            offsets[node] = float(node_defaults(node, f"{node}.yaml")["time_offset"]) - late
+            present = float(node_defaults(node, f"{node}.yaml")["time_offset"])
+            offsets[node] = rounded(present - late, finding.decimals)
     return offsets

@@ -22,6 +22,17 @@ class Finding:
         """Whether there is a value."""
         return self.value is not None
 
+    @property
+    def decimals(self) -> int:
+        """Of a number with two digits that count of half the interval; 0 where it has no width."""
+        half = 0.0 if self.interval is None else (self.interval[1] - self.interval[0]) / 2.0
+        return 1 - math.floor(math.log10(half)) if 0.0 < half < math.inf else 0
+
+    @property
+    def rounded(self) -> float | None:
+        """The value, with the digits that its interval gives a meaning."""
+        return None if self.value is None else rounded(self.value, self.decimals)
+
     def as_dict(self) -> dict[str, Any]:
         """For a JSON file."""
         interval = None if self.interval is None else list(self.interval)
@@ -32,6 +43,11 @@ class Finding:
             "basis": self.basis,
             "reason": self.reason,
         }
+
+
+def rounded(value: float, decimals: int) -> float:
+    """Rounded; never −0."""
+    return round(value, decimals) + 0.0
 
 
 def found(value: float, spread: float, unit: str, basis: str) -> Finding:

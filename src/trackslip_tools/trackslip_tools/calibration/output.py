@@ -11,15 +11,18 @@ import yaml
 from trackslip_common.errors import InputError
 from trackslip_common.whole_file import write_whole
 from trackslip_tools.calibration.calibrate import Calibration
-from trackslip_tools.calibration.finding import Finding
+from trackslip_tools.calibration.finding import Finding, rounded
 from trackslip_tools.terminal_text import WIDTH, wrapped
 
 BEGINNING = "# from "  # of the parameter file
 
 
 def text(calibration: Calibration) -> str:
-    """A line for each number, found or not, and what it rests on; then what is no news."""
+    """A line for each number, found or not, and what it rests on; then what to adopt, and what is no news."""
     lines = [line for name, finding in calibration.findings.items() for line in _lines(name, finding)]
+    adopted = {name: value for values in calibration.parameters.values() for name, value in values.items()}
+    named = ", ".join(f"{name} {value:g}" for name, value in adopted.items())
+    lines.append(f"to adopt (--output writes it): {named or 'nothing'}")
     if calibration.confirmed:
         names = ", ".join(calibration.confirmed)
         lines.append(f"as the parameters have it, and not written (--all writes it): {names}")
@@ -54,9 +57,12 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
 def _lines(name: str, finding: Finding) -> list[str]:
     if finding.value is None or finding.interval is None:
         return [f"{name:<25}–  {finding.reason}"]
-    low, high = finding.interval
+    value, low, high = (
+        f"{rounded(number, finding.decimals):.{max(finding.decimals, 0)}f}"
+        for number in (finding.value, *finding.interval)
+    )
     unit = "" if finding.unit == "1" else finding.unit
-    line = f"{name:<25}{finding.value:>11.5g} {unit:<6}[{low:.5g}, {high:.5g}]"
+    line = f"{name:<25}{value:>11} {unit:<6}[{low}, {high}]"
     whole = f"{line:<69}{finding.basis}"
     return [whole] if len(whole) <= WIDTH else [line, f"  {finding.basis}"]
 
