@@ -19,22 +19,33 @@ LONGEST_MEAN = 20.0  # words a sentence
 def main() -> int:
     """Write the reference pages, build the site, count; returns the exit code."""
     reference_pages.main()
-    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--clean"]
-    quiet = os.environ | {"NO_MKDOCS_2_WARNING": "true", "DISABLE_MKDOCS_2_WARNING": "true"}
-    if subprocess.run([*command, "--site-dir", str(OUTPUT)], cwd=ROOT, env=quiet, check=False).returncode:
+    if not built():
         return ExitCode.FAILED
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-    counts = {page.name: readability.count(page.read_text(encoding="utf-8")) for page in pages}
-    print("words a sentence:      mean  longest  sentences")
+    counts = {
+        str(page.relative_to(ROOT)): readability.count(page.read_text(encoding="utf-8")) for page in pages
+    }
+    print(f"{'words a sentence:':25s}  mean  longest  sentences")
     for name, found in counts.items():
         if found.sentences:
             note = "  long" if found.mean > LONGEST_MEAN else ""
-            print(f"  {name:20s} {found.mean:5.1f}  {found.longest:7d}  {found.sentences:9d}{note}")
+            print(f"  {name:24s} {found.mean:5.1f}  {found.longest:7d}  {found.sentences:9d}{note}")
     sentences = sum(found.sentences for found in counts.values())
     mean = sum(found.mean * found.sentences for found in counts.values()) / sentences
-    print(f"  {'all':20s} {mean:5.1f}")
+    print(f"  {'all':24s} {mean:5.1f}")
     print(f"{sum(1 for _ in OUTPUT.rglob('*.html'))} pages: {OUTPUT / 'index.html'}")
     return ExitCode.DONE
+
+
+def built() -> bool:
+    """Whether MkDocs built the site without a warning; the warnings are printed, a broken link is one."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "--site-dir", str(OUTPUT)]
+    quiet = os.environ | {"NO_MKDOCS_2_WARNING": "true"}
+    done = subprocess.run(command, cwd=ROOT, env=quiet, check=False, capture_output=True, text=True)
+    if done.returncode:
+        shown = (line for line in done.stderr.splitlines() if not line.startswith("INFO"))
+        print(*shown, sep="\n", file=sys.stderr)
+    return not done.returncode
 
 
 if __name__ == "__main__":

@@ -82,12 +82,16 @@ def parameters_page() -> Iterator[str]:
     for name, node in NODES.items():
         yield from (f"## {name}", "")
         defaults = node_defaults(name, *node.files)
-        own = ((field, *rest) for field, *rest in flat_fields(node.parameters) if not field.startswith("vehicle."))
+        own = (
+            (field, *rest)
+            for field, *rest in flat_fields(node.parameters)
+            if not field.startswith("vehicle.")
+        )
         yield from _parameters(own, defaults)
     yield from ("## Sources of the slip estimator", "")
     yield from (
         "Each topic in a list of sources has a group `sources.<name>`, named as the topic with `_` for `/`:",
-        "`-p pose_sources:=\"[rtk]\" -p sources.rtk.lever_arm_x:=0.3`.",
+        '`-p pose_sources:="[rtk]" -p sources.rtk.lever_arm_x:=0.3`.',
         "",
     )
     of_kinds = read_yaml(config_file("sources.yaml"))
@@ -102,7 +106,15 @@ def parameters_page() -> Iterator[str]:
 def _parameters(fields: Iterable[Any], defaults: Mapping[str, Any]) -> Iterator[str]:
     own_first = sorted(fields, key=lambda field: "." in field[0])
     rows = [
-        (f"`{name}`", _mark(spec), _value(defaults.get(name)), spec.unit, _type(kind), _range(spec), _text(spec))
+        (
+            f"`{name}`",
+            _mark(spec),
+            _value(defaults.get(name)),
+            spec.unit,
+            _type(kind),
+            _range(spec),
+            _text(spec),
+        )
         for name, kind, spec in own_first
     ]
     yield from table(("parameter", "for", "default", "unit", "type", "range", "meaning"), rows)
@@ -157,7 +169,15 @@ def topics_page() -> Iterator[str]:
         "",
     )
     rows = [
-        (f"`{_full(name)}`", _types(topic), topic.publisher, topic.rate, topic.flow.value, topic.frame, topic.content)
+        (
+            f"`{_full(name)}`",
+            _types(topic),
+            topic.publisher,
+            topic.rate,
+            topic.flow.value,
+            topic.frame,
+            topic.content,
+        )
         for name, topic in TOPICS.items()
     ]
     yield from table(("topic", "type", "from", "rate", "delivery", "frame", "content"), rows)
@@ -176,8 +196,16 @@ def topics_page() -> Iterator[str]:
 
 SERVICES = (
     ("`slip_estimator/reset`", "std_srvs/srv/Trigger", "starts the estimate again; what was learned stays"),
-    ("`slip_estimator/forget`", "std_srvs/srv/Trigger", "starts again with nothing learned, and deletes the state file"),
-    ("`slip_estimator/freeze`", "std_srvs/srv/SetBool", "true: poses are not used until it is called with false"),
+    (
+        "`slip_estimator/forget`",
+        "std_srvs/srv/Trigger",
+        "starts again with nothing learned, and deletes the state file",
+    ),
+    (
+        "`slip_estimator/freeze`",
+        "std_srvs/srv/SetBool",
+        "true: poses are not used until it is called with false",
+    ),
 )
 
 
