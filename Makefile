@@ -90,14 +90,14 @@ fuzz: checks ## random measurements and messages for the estimators, hostile fil
 bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)
 	@$(ENTER) exec $(VENV)/python scripts/make_bags.py $(ARGS)
 
-numbers: setup ## the measured figures of docs/, written anew (ARGS='attitude swing': of these pages)
+numbers: setup ## the measured figures of docs/, written anew (ARGS='slopes swing': of these pages)
 	@$(ENTER) exec $(VENV)/python scripts/make_numbers.py $(ARGS)
 
 figures: setup ## the pictures of docs/figures (ARGS=--demo: that of the README alone)
 	@$(ENTER) exec $(VENV)/python scripts/figures.py $(ARGS)
 
-docs: setup ## pages of all packages' docstrings; HTML in out/docs, its links checked
-	@$(VENV)/python -m pip install -q -r requirements/docs.txt
+docs: setup ## the documents as a site with offline search in out/docs, its links checked; words a sentence by page
+	@$(VENV)/python -m pip install -q -c requirements/constraints.txt -r requirements/docs.txt
 	@$(ENTER) exec $(VENV)/python scripts/make_docs.py
 
 clean: ## remove what make set up: .venv, the build, caches; results in out/ stay

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the figures of the thesis and the picture of the demo into docs/figures (``make figures``)."""
+"""Draws the figures of the thesis and the pictures of the demo into docs/figures (``make figures``)."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from demo_gif import animate
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.soils import Soil, load_soils
@@ -199,8 +200,8 @@ FIGURES: Mapping[str, Callable[[Vehicle], Figure]] = {
 }
 
 
-def draw_demo(file: Path) -> None:
-    """The picture of ``make demo``, of the same drive without its graph: no host is too busy for it.
+def draw_demo(output: Path) -> None:
+    """The pictures of ``make demo``, of the same drive without its graph: no host is too busy for it.
 
     Raises:
         RuntimeError: the drive gave no estimates.
@@ -217,19 +218,20 @@ def draw_demo(file: Path) -> None:
             result = evaluate(bag, {}, {}, START_NS + round(p.lead_in * 1e9))
     if result is None:
         raise RuntimeError(f"{DEMO_SCENARIO} on {DEMO_SOIL}: no estimates")
-    draw(result, f"{result.vehicle}: {DEMO_SCENARIO}, {DEMO_SOIL}, {DEMO_DURATION:g} s", file)
+    draw(result, f"{result.vehicle}: {DEMO_SCENARIO}, {DEMO_SOIL}, {DEMO_DURATION:g} s", output / "demo.png")
+    animate(result, load_vehicle().kinematics, output / "demo.gif")
+    print(output / "demo.png", output / "demo.gif", sep="\n")
 
 
 def main() -> None:
-    """Draw all figures, or the demo's picture alone."""
+    """Draw all figures, or the demo's pictures alone."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the PNG files")
-    parser.add_argument("--demo", action="store_true", help="the demo's picture alone")
+    parser.add_argument("--demo", action="store_true", help="the demo's pictures alone")
     options = parser.parse_args()
     output: Path = options.output
     output.mkdir(parents=True, exist_ok=True)
-    draw_demo(output / "demo.png")
-    print(output / "demo.png")
+    draw_demo(output)
     if options.demo:
         return
     vehicle = load_vehicle().whole()

@@ -29,7 +29,7 @@ def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
         main = importlib.import_module(module).main
     except ModuleNotFoundError as error:
         program = module.rpartition(".")[2]
-        print(f"{program}: {error} (README, On the vehicle)", file=sys.stderr)
+        print(f"{program}: {error} (docs/install.md)", file=sys.stderr)
         sys.exit(ExitCode.BAD_INPUT)
     atexit.register(_limit_the_end)  # what is registered first is called last
     repeat_lost_interrupts()
