@@ -71,7 +71,7 @@ class Draft:
 
     @property
     def files(self) -> dict[str, str]:
-        """File name → text: the vehicle, then what the estimator has to expect, where that is not the usual."""
+        """File name → text: the vehicle, then what the estimator has to expect, where that is unusual."""
         name, share = self.vehicle.name, self.guessed.get(RADIUS)
         found = {f"{name}.yaml": self._vehicle_text()}
         return found | ({f"{name}_estimator.yaml": _PRIORS.format(name, share)} if share else {})
