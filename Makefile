@@ -18,7 +18,7 @@ VENV := .venv/bin
 ENTER := . .venv/trackslip.sh;
 
 .DEFAULT_GOAL := help
-.PHONY: help setup checks demo bars drives cases test slow faults soak units lint ament bench fuzz bags numbers figures docs clean
+.PHONY: help setup checks demo bars drives cases test slow faults soak units lint ament bench fuzz bags wheel numbers figures docs clean
 
 help:
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { \
@@ -89,6 +89,10 @@ fuzz: checks ## random measurements and messages for the estimators, hostile fil
 
 bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)
 	@$(ENTER) exec $(VENV)/python scripts/make_bags.py $(ARGS)
+
+wheel: setup ## the Python package of all desk commands, in dist/; no ROS in it (ARGS=--pure: without machine code)
+	@$(VENV)/python -m pip install -q -r requirements/wheel.txt
+	@$(ENTER) exec $(VENV)/python scripts/make_wheel.py $(ARGS)
 
 numbers: setup ## the measured figures of docs/, written anew (ARGS='slopes swing': of these pages)
 	@$(ENTER) exec $(VENV)/python scripts/make_numbers.py $(ARGS)

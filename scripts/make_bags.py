@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes the recorded runs of bags/ and their manifest (``make bags``).
 
-With no option all bags are recorded anew, which gives the same bytes on the same machine, and the manifest is
-written. ``--numbers`` only writes what a replay of the bags that are there is expected to give: for after a
-change of the estimator or of its parameters. ``--check`` records anew elsewhere and compares the bytes.
+Bags that are named, or all, are recorded anew, which gives the same bytes on the same machine, and the
+manifest is written. ``--numbers`` only writes what replays of the bags that are there are expected to give:
+for after a change of the estimator or of its parameters. ``--check`` records anew elsewhere and compares.
 """
 
 import argparse
@@ -13,6 +13,7 @@ import os
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,14 @@ from typing import Any
 import yaml
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.reader import open_bag
-from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_bags.messages import make, serialize
+from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE, bag_parameters, bag_vehicle
+from trackslip_bags.reader import absolute, open_bag
+from trackslip_bags.writer import BagWriter
+from trackslip_common.config_files import node_defaults, parameters_text
+from trackslip_common.vehicle_files import vehicle_layer
+from trackslip_estimation.slip.parameters import NODE, load_slip_parameters
+from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
@@ -48,6 +55,11 @@ class Recipe:
     soil: str = ""  # empty: the scenario's own
     duration: float = 0.0  # s; 0: the scenario's own
     kept: float = 1.0  # share of the file's bytes that a power cut leaves
+    vehicle: str = ""  # empty: the scenario's own
+    imu_rate: float = 0.0  # Hz; 0: the vehicle's own
+    parameters: str = ""  # file of config/ that the bag carries for the slip estimator
+    topics: tuple[str, ...] = ()  # that are left; empty: all
+    truth_every: int = 1  # of so many messages of the truth one is left
 
 
 RECIPES = {
@@ -57,6 +69,19 @@ RECIPES = {
     "soft_patch": Recipe("scenarios/soft_patch.yaml", seed=4),
     "slope_up_sand": Recipe("scenarios/slope_up.yaml", seed=6),
     "slope_across_sandy_loam": Recipe("scenarios/slope_across.yaml", seed=7),
+    "example": Recipe(  # of the Python package: small, of a machine with a receiver
+        "slalom",
+        seed=8,
+        duration=10.0,
+        vehicle="excavator_20t",
+        imu_rate=50.0,
+        parameters="gnss.yaml",
+        topics=(
+            *("vehicle", "sprockets", "imu/data_raw", "hydraulics", "fix", "gnss_pose", "heading"),
+            *("truth/odometry", "truth/track_slip"),
+        ),
+        truth_every=10,
+    ),
     "power_cut": Recipe("start_stop", seed=5, soil="dry_clay", duration=24.0, kept=0.7),
 }
 
@@ -67,13 +92,35 @@ def record(name: str, folder: Path) -> None:
     local = BAGS / recipe.scenario
     given: dict[str, Any] = {"scenario": str(local) if local.is_file() else recipe.scenario}
     given |= {"soil": recipe.soil, "seed": recipe.seed, "duration": recipe.duration}
+    if recipe.vehicle:
+        given |= {"vehicle": recipe.vehicle, "gnss.device.rate": RECEIVER_RATE}
+    if recipe.imu_rate:
+        given["vehicle.sensors.imu.rate"] = recipe.imu_rate
     p = load_emulator_parameters(given)
-    record_drive(p, drive(p), path)
+    if recipe.topics:
+        with tempfile.TemporaryDirectory() as beside:
+            record_drive(p, drive(p), Path(beside) / name)
+            _shorten(Path(beside) / name, path, recipe)
+    else:
+        record_drive(p, drive(p), path)
     if recipe.kept < 1.0:
         (file,) = path.glob("*.mcap")
         content = file.read_bytes()
         file.write_bytes(content[: int(recipe.kept * len(content))])
         (path / "metadata.yaml").unlink()
+
+
+def _shorten(whole: Path, path: Path, recipe: Recipe) -> None:
+    """Copy the topics of the recipe, after the parameters that the bag carries."""
+    counts: Counter[str] = Counter()
+    text = parameters_text(node_defaults(NODE, recipe.parameters), NODE)
+    with open_bag(whole) as bag, BagWriter(path) as shorter:
+        data = serialize(make(PARAMETERS_TYPE, data=text))
+        shorter.write(absolute(PARAMETERS_TOPIC), PARAMETERS_TYPE, data, bag.start_ns)
+        for message in bag.messages(recipe.topics):
+            counts[message.topic] += 1
+            if not message.topic.startswith("/truth/") or counts[message.topic] % recipe.truth_every == 1:
+                shorter.write(message.topic, message.type_name, message.raw, message.log_time_ns)
 
 
 def digests(path: Path) -> dict[str, str]:
@@ -91,7 +138,9 @@ def contents(path: Path) -> dict[str, Any]:
 def expected(path: Path) -> dict[str, Any]:
     """What a replay gives, as its JSON names it."""
     with open_bag(path) as bag:
-        result = replay(bag, load_slip_parameters(), InputFilters(), None)
+        vehicle = bag_vehicle(bag)
+        p = load_slip_parameters({} if vehicle is None else vehicle_layer(vehicle), bag_parameters(bag))
+        result = replay(bag, p, InputFilters(), None)
         found = summary(result, result.elapsed_s)
     rmse = {name: round(value, 5) for name, value in found["rmse"].items() if value is not None}
     final = {name: round(value, 5) for name, value in found["final"].items()}
@@ -109,6 +158,7 @@ def entry(name: str) -> dict[str, Any]:
 def main() -> int:
     """Make, refresh or check; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="of the bags; all where none is named")
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--numbers", action="store_true", help="only refresh what replays are expected to give"
@@ -118,14 +168,14 @@ def main() -> int:
     os.environ["ROS_DISTRO"] = _ROS
     if args.check:
         return check()
-    if args.numbers:
-        manifest = yaml.safe_load(MANIFEST.read_text(encoding="utf-8"))["bags"]
-    else:
-        for name in RECIPES:
-            shutil.rmtree(BAGS / name, ignore_errors=True)
-            record(name, BAGS)
-        manifest = {name: entry(name) for name in RECIPES}
-    for name, described in manifest.items():
+    manifest = yaml.safe_load(MANIFEST.read_text(encoding="utf-8"))["bags"]
+    names = args.names or list(RECIPES)
+    for name in () if args.numbers else names:
+        shutil.rmtree(BAGS / name, ignore_errors=True)
+        record(name, BAGS)
+        manifest[name] = entry(name)
+    for name in names:
+        described = manifest[name]
         described["replay"] = expected(BAGS / name)
         print(f"{name}: {described['replay']['rmse']}")
     text = yaml.safe_dump({"tolerances": _TOLERANCES, "bags": manifest}, sort_keys=False, width=110)

@@ -156,7 +156,7 @@ def digest_of_workspace(venv_digest: str) -> str:
         "src/*/msg/*.msg",
         "scripts/setup_*.py",
     )
-    listed = ("src/*/launch/*", "src/*/*/__init__.py", "config/**/*")
+    listed = ("src/*/launch/*", "src/*/*/__init__.py")
     texts = [file.read_text() for pattern in read for file in sorted(ROOT.glob(pattern))]
     names = [str(file) for pattern in (*read, *listed) for file in sorted(ROOT.glob(pattern))]
     return digest([venv_digest, *texts, *names])

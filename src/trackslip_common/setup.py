@@ -7,23 +7,22 @@ from setuptools import find_packages, setup
 NAME = "trackslip_common"
 
 
-def config_files() -> list[tuple[str, list[str]]]:
-    """All files below ``config/`` (a link to the checkout's), to be installed in the same tree."""
-    folders: dict[str, list[str]] = {}
-    for file in sorted(Path("config").glob("**/*")):
-        if file.is_file():
-            folders.setdefault(f"share/{NAME}/{file.parent}", []).append(str(file))
-    return list(folders.items())
+def config_files() -> list[str]:
+    """All files below ``config/`` (a link to the checkout's), by their names within the package."""
+    package = Path(NAME)
+    return [
+        str(file.relative_to(package)) for file in sorted((package / "config").glob("**/*")) if file.is_file()
+    ]
 
 
 setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(),
+    package_data={NAME: config_files()},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *config_files(),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -3,9 +3,14 @@
 """Machine code on disk: found again by another process, and never older than its sources."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from trackslip_common import machine_code
 
 CALLEE = """
 from trackslip_common.compiled import compiled
@@ -78,3 +83,55 @@ def test_a_folder_and_a_link_to_it_share_machine_code(tmp_path: Path) -> None:
         text = f"import sys\nsys.path.append('{folder}')\nimport trackslip_caller\n"
         (tmp_path / "outer.py").write_text(text, encoding="utf-8")
         assert run(tmp_path) == [20.0, found]
+
+
+SHIPPED = """
+from pathlib import Path
+from trackslip_common import machine_code
+machine_code.SHIPPED = Path("shipped")
+"""
+
+
+def write_kernel(folder: Path) -> None:
+    """A kernel in a folder of its own, which prints its result and how often it was found on disk."""
+    folder.mkdir()
+    (folder / "kernel.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
+    text = f"{SHIPPED}\nfrom kernel import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
+    (folder / "outer.py").write_text(text, encoding="utf-8")
+
+
+def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, used = tmp_path / "made", tmp_path / "used"
+    write_kernel(made)
+    write_kernel(used)
+    with monkeypatch.context() as context:
+        context.setenv("NUMBA_CPU_NAME", "generic")
+        assert run(made) == [2.0, 0.0]
+    shutil.copytree(made / "cache", used / "shipped")
+    assert run(used) == [2.0, 1.0]
+    assert not (used / "cache").exists()  # nothing was compiled
+
+
+def test_shipped_machine_code_of_another_state_of_the_source_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, used = tmp_path / "made", tmp_path / "used"
+    write_kernel(made)
+    write_kernel(used)
+    (used / "kernel.py").write_text(CALLEE.format(added=3.0), encoding="utf-8")
+    with monkeypatch.context() as context:
+        context.setenv("NUMBA_CPU_NAME", "generic")
+        run(made)
+    shutil.copytree(made / "cache", used / "shipped")
+    assert run(used) == [4.0, 0.0]
+
+
+def test_machine_code_is_kept_with_the_user_where_sources_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert machine_code.directory(str(tmp_path / "kernel.py")) == tmp_path / "trackslip"

@@ -14,12 +14,16 @@ from xml.etree import ElementTree
 
 import pytest
 
+from trackslip_common import __version__
+
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("trackslip_common", "trackslip_estimation", "trackslip_bags", "trackslip_tools", "trackslip_sim")
+INTERFACE = "trackslip"  # to Python
 BELOW = {package: {*LAYERS[:k]} for k, package in enumerate(LAYERS)}
 BELOW["trackslip_drivers"] = {"trackslip_common"}
 for package in ("trackslip_bags", "trackslip_tools", "trackslip_sim"):
     BELOW[package].add("trackslip_drivers")  # logs of devices are read as the devices are
+BELOW[INTERFACE] = {package for package in LAYERS if package != "trackslip_sim"}
 ROS = re.compile(
     r"rclpy|launch|launch_ros|ament_index_python|rosidl_\w+|\w+_msgs|\w+_srvs|\w+_interfaces|tf2_ros"
 )
@@ -90,7 +94,7 @@ def reached(module: str) -> set[str]:
 def libraries(names: set[str]) -> set[str]:
     """Those that are neither ours, nor ROS', nor Python's, by their first names."""
     tops = {name.split(".")[0] for name in names} - sys.stdlib_module_names
-    return {top for top in tops if not ROS.fullmatch(top) and not top.startswith("trackslip_")}
+    return {top for top in tops if not ROS.fullmatch(top) and not top.startswith("trackslip")}
 
 
 def room(module: str) -> str:
@@ -204,6 +208,7 @@ def test_all_packages_state_one_version_one_home_and_one_level() -> None:
             assert f'version="{about.findtext("version")}"' in text
             assert f'maintainer_email="{email}"' in text
     ((version, urls, email, level),) = stated
+    assert version == __version__
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert [kind for kind, _ in urls] == ["repository", "bugtracker"]
     has_home = not any("trackslip.invalid" in str(address) for address in (*urls, email))

@@ -15,7 +15,10 @@ import pytest
 import yaml
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
-PACKAGES = [f"trackslip_{name}" for name in ("common", "drivers", "estimation", "bags", "tools", "sim")]
+PACKAGES = [
+    "trackslip",
+    *(f"trackslip_{name}" for name in ("common", "drivers", "estimation", "bags", "tools", "sim")),
+]
 ROSDEP_KEYS = {
     "bokeh": "python3-bokeh-pip",
     "can": "python3-can",

@@ -33,8 +33,8 @@ def msg_file(type_name: str, suffix: str = ".msg") -> Path | None:
     if not _TYPE_NAME.fullmatch(type_name):
         return None
     package, _, name = type_name.split("/")
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), str(Path(__file__).parent)]
+    installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]  # our own: of the wheel
     checkout = [parent / "src" / package for parent in Path(__file__).resolve().parents]
     candidates = (directory / "msg" / f"{name}{suffix}" for directory in installed + checkout)
     return next((path for path in candidates if path.is_file()), None)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds and reads the YAML files of ``config/``: the one place where defaults live."""
 
-import os
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,22 +15,10 @@ from trackslip_common.yaml_text import LONGEST, parse_yaml
 
 P = TypeVar("P", bound=Parameters)
 
-_SHARE = Path("share/trackslip_common/config")
-
 
 def config_directory() -> Path:
-    """The installed ``config/``, or the checkout's when the code runs from its source tree.
-
-    Raises:
-        InputError: neither is there.
-    """
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    installed = [Path(prefix) / _SHARE for prefix in prefixes if prefix]
-    checkout = [parent / "config" for parent in Path(__file__).resolve().parents]
-    for directory in installed + checkout:
-        if (directory / "vehicles").is_dir():
-            return directory
-    raise InputError(f"config directory not found; looked for {_SHARE} on AMENT_PREFIX_PATH")
+    """``config/`` beside this module: in the checkout a link to that at its root, else installed as data."""
+    return Path(str(files(__package__))) / "config"
 
 
 def config_file(name: str) -> Path:

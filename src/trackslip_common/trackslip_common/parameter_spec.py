@@ -37,6 +37,7 @@ class Spec:
     le: float | None = None
     choices: tuple[str | int, ...] = ()
     read_only: bool = True
+    basic: bool = False  # states a machine or what is connected to it; all others are for experts
 
     def accepts(self, value: object) -> bool:
         """Whether one scalar lies in the range (its type is checked elsewhere)."""

@@ -38,9 +38,10 @@ def parameter(
     le: float | None = None,
     choices: tuple[str | int, ...] = (),
     read_only: bool = True,
+    basic: bool = False,
 ) -> Any:
     """A dataclass field with its ``Spec``; it has no default: defaults live in ``config/``."""
-    spec = Spec(description, unit, gt, ge, lt, le, choices, read_only)
+    spec = Spec(description, unit, gt, ge, lt, le, choices, read_only, basic)
     return dataclasses.field(metadata={_METADATA_KEY: spec})
 
 

@@ -21,9 +21,15 @@ from trackslip_common.units import GRAVITY
 class Kinematics(Parameters):
     """What every vehicle must state: it is enough for pose and slips."""
 
-    rolling_radius: float = parameter("track travel per radian of sprocket r", unit="m", ge=0.005, le=2.0)
-    tread: float = parameter("distance B between the track centre lines", unit="m", ge=0.02, le=20.0)
-    contact_length: float = parameter("length l of one track on the ground", unit="m", ge=0.02, le=20.0)
+    rolling_radius: float = parameter(
+        "track travel per radian of sprocket r", unit="m", ge=0.005, le=2.0, basic=True
+    )
+    tread: float = parameter(
+        "distance B between the track centre lines", unit="m", ge=0.02, le=20.0, basic=True
+    )
+    contact_length: float = parameter(
+        "length l of one track on the ground", unit="m", ge=0.02, le=20.0, basic=True
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import String
 
+from trackslip_common.compiling import compilation_reported
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.nodes import parameters as node_parameters
-from trackslip_common.nodes.compiling import compilation_reported
 from trackslip_common.nodes.guarded import GuardedNode
 from trackslip_common.nodes.health import OK, WARN, Health, StateLog, diagnostics, to_console
 from trackslip_common.nodes.inputs import Inputs

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import load_parameters
+from trackslip_common.config_files import load_parameters, node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
 from trackslip_common.topics import FIX_VELOCITY
-from trackslip_common.vehicle_files import WithVehicle
+from trackslip_common.vehicle_files import WithVehicle, names_vehicle
 from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
@@ -47,8 +47,10 @@ NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)
 GNSS_POSE = "gnss_pose"  # a topic whose lever arm the vehicle states, as FIX_VELOCITY's
 _ANTENNA = "vehicle.sensors.antenna"
+_BOX = "vehicle.sensors.box.length"
+_BOX_POSE = "box_pose"
 _MOUNTS = {
-    "box_pose": "box",
+    _BOX_POSE: "box",
     GNSS_POSE: "antenna",
     FIX_VELOCITY: "antenna",
     "heading": "antenna",
@@ -80,9 +82,11 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     odom_frame: str = parameter("frame of odometry/local, which never jumps")
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
     frame_prefix: str = parameter("before odom_frame and base_frame, such as 'one/' where there are several")
-    pose_sources: tuple[str, ...] = parameter("topics of PoseWithCovarianceStamped; '' names none")
+    pose_sources: tuple[str, ...] = parameter(
+        "topics of PoseWithCovarianceStamped; '' names none", basic=True
+    )
     yaw_rate_sources: tuple[str, ...] = parameter(
-        "topics of Imu whose z rate is a measurement; '' names none"
+        "topics of Imu whose z rate is a measurement; '' names none", basic=True
     )
     slip_sources: tuple[str, ...] = parameter(
         "topics of TrackSlip that are measurements: [slip_seed], the soil estimator's, which rests on these "
@@ -90,7 +94,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     )
     heading_sources: tuple[str, ...] = parameter(
         "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
-        "the start heading is what it says"
+        "the start heading is what it says",
+        basic=True,
     )
     swing_sources: tuple[str, ...] = parameter(
         "topics of JointState whose joint 'swing' is the angle of the upper structure; '' names none. Used "
@@ -103,8 +108,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         "topics of TwistWithCovarianceStamped: velocity of an antenna or a radar; '' names none"
     )
     sources: Mapping[str, Source]
-    encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0)
-    start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"))
+    encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0, basic=True)
+    start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"), basic=True)
     initial_x: float = parameter("x at the start, with start: initial_pose", unit="m")
     initial_y: float = parameter("y at the start", unit="m")
     initial_yaw: float = parameter("heading at the start, where the first fix shows none", unit="rad")
@@ -127,7 +132,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         le=3600.0,
     )
     max_sprocket_speed: float = parameter(
-        "fastest a sprocket can turn; positions asking for more have jumped", unit="rad/s", gt=0.0
+        "fastest a sprocket can turn; positions asking for more have jumped", unit="rad/s", gt=0.0, basic=True
     )
     gate_probability: float = parameter(
         "χ² probability inside which a measurement is accepted", gt=0.0, lt=1.0, read_only=False
@@ -205,8 +210,15 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     @classmethod
     def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-        """Values with others over them; with other lists of sources, the groups of those that went go too."""
+        """Values with others over them; with other lists of sources, the groups of those that went go too.
+
+        A vehicle that is named, and has an antenna and no box for a laser, is located by its receiver where
+        nothing else is said.
+        """
         values = super().overlaid(below, above)
+        if names_vehicle(above) and "pose_sources" not in above and _is_located_by_receiver(values):
+            above = {**_receiver(), **above}
+            values |= above
         if above.keys().isdisjoint(KINDS):
             return values
         lists = [values.get(kind) for kind in KINDS]  # unchecked as yet
@@ -312,6 +324,22 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         deviations = (self.initial_position_stddev, self.initial_position_stddev, yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))
         return pose, np.diag(np.square(deviations))
+
+
+def _is_located_by_receiver(values: Mapping[str, Any]) -> bool:
+    """Whether the vehicle has no box for the laser, whose poses would be used, but an antenna."""
+    return (
+        f"{_ANTENNA}.x" in values and _BOX not in values and values.get("pose_sources") in (None, [_BOX_POSE])
+    )
+
+
+def _receiver() -> dict[str, Any]:
+    """What ``config/gnss.yaml`` says of a receiver; of a second antenna a vehicle says nothing."""
+    values = node_defaults(NODE, "gnss.yaml")
+    of_pose = f"sources.{GNSS_POSE}."
+    return {
+        name: value for name, value in values.items() if name == "pose_sources" or name.startswith(of_pose)
+    }
 
 
 def load_slip_parameters(*layers: Mapping[str, Any]) -> SlipEstimatorParameters:

@@ -60,12 +60,14 @@ class Mounted(Source):
 class PoseSource(Mounted):
     """Poses of one sensor."""
 
-    use_heading: bool = parameter("whether its heading is a measurement too")
+    use_heading: bool = parameter("whether its heading is a measurement too", basic=True)
     use_altitude: bool = parameter("whether its z, where it has a variance, measures the height too")
-    lever_arm_x: float = parameter("place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0)
-    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
+    lever_arm_x: float = parameter(
+        "place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0, basic=True
+    )
+    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0, basic=True)
     lever_arm_z: float = parameter(
-        "above the ground: how far it moves as the machine leans", unit="m", ge=-100.0, le=100.0
+        "above the ground: how far it moves as the machine leans", unit="m", ge=-100.0, le=100.0, basic=True
     )
     position_floor: float = parameter(
         "smallest standard deviation of x and y that is believed", unit="m", gt=0.0
@@ -124,7 +126,7 @@ class YawRateSource(Mounted):
         "whether how its axes are turned is what /tf_static says of its frame; it is refused until then"
     )
     sign: int = parameter(
-        "1, or -1 for a gyro whose yaw rate, so mounted, is the wrong way round", choices=(1, -1)
+        "1, or -1 for a gyro whose yaw rate, so mounted, is the wrong way round", choices=(1, -1), basic=True
     )
     scale: float = parameter("what it shows of 1 rad/s: its scale times the cosine of its tilt", gt=0.0)
     stddev: float = parameter("where its message gives no variance", unit="rad/s", gt=0.0)
@@ -195,6 +197,7 @@ class HeadingSource(Mounted):
         unit="rad",
         ge=-6.2832,
         le=6.2832,
+        basic=True,
     )
     stddev: float = parameter("where its message gives no variance", unit="rad", gt=0.0)
     heading_floor: float = parameter("smallest standard deviation that is believed", unit="rad", gt=0.0)

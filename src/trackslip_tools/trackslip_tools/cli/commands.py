@@ -23,6 +23,10 @@ _ALL = {
         "Name the mistake of a setup: swapped tracks, wrong signs, "
         "units, delays, lever arms; and its remedy.",
     ),
+    "demo": Command(
+        "trackslip_sim.demo.command",
+        "Simulate a drive, replay it, and open the report: the shortest way to see what comes out (no ROS).",
+    ),
     "import": Command(
         "trackslip_tools.cli.import_command",
         "Turn a log of another machine (CSV files, a bag of ROS 1 or ROS 2) into a bag, by a mapping.",
@@ -63,6 +67,10 @@ _ALL = {
     "tune": Command(
         "trackslip_tools.cli.tune_command",
         "Find the parameters of the slip estimator that explain bags best, on all cores or a cluster.",
+    ),
+    "vehicle": Command(
+        "trackslip_tools.cli.vehicle_command",
+        "Write the file of a new machine from what is known of it; list those that are there.",
     ),
 }
 

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from trackslip_common import __version__
+from trackslip_common.compiling import compilation_announced
 from trackslip_common.console import end_of_output, escape_unencodable
 from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
@@ -27,12 +29,10 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Looked up only where it is asked for."""
+    """Printed, and nothing else is done."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        from importlib.metadata import version
-
-        print(f"trackslip {version('trackslip_tools')}")
+        print(f"trackslip {__version__}")
         parser.exit()
 
 
@@ -46,7 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
-        code: int = args.run(args)
+        with compilation_announced():
+            code: int = args.run(args)
         sys.stdout.flush()
         return code
     except InputError as error:

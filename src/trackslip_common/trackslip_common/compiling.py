@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Says that a node compiles its kernels, once after an installation, and is neither dead nor deaf."""
+"""Says that kernels are being compiled, once after an installation, and that nothing hangs."""
 
 import sys
 import threading
@@ -8,8 +8,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from trackslip_common.errors import show
+
 TEXT = "compiling, about a minute: once after an installation"
+DESK_TEXT = "compiling for this processor, once after an installation: about two minutes"
 _PERIOD = 1.0  # s
+
+
+@contextmanager
+def compilation_announced() -> Iterator[None]:
+    """One line on stderr where what is done inside compiles."""
+    with compilation_reported(lambda _: show(DESK_TEXT, file=sys.stderr), lambda _: None):
+        yield
 
 
 @contextmanager

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The setup check of a bag."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trackslip._options import parameters_of
+from trackslip_bags.reader import open_bag
+from trackslip_common.compiling import compilation_announced
+from trackslip_common.errors import collected
+from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined
+from trackslip_tools.check.bag import check_bag
+from trackslip_tools.check.text import whole
+
+
+@dataclass(frozen=True, eq=False)
+class SetupCheck:
+    """Mistakes of a setup that explain how the sensors disagree; ``str`` of it is what the command prints."""
+
+    causes: tuple[Cause, ...]  #: each with cause, source, evidence, odds and remedy
+    undetermined: tuple[Undetermined, ...]  #: what this drive cannot decide, and the motion that would
+    facts: tuple[str, ...]  #: distance and turn by each sensor
+    text: str
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether no cause was found."""
+        return not self.causes
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def check(
+    bag: Path | str,
+    *,
+    vehicle: str | None = None,
+    params: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    namespace: str = "",
+) -> SetupCheck:
+    """Check the setup of a bag, as ``trackslip check`` does.
+
+    Args:
+        bag: rosbag2 directory (MCAP or SQLite), ``.mcap`` or ``.db3`` file.
+        vehicle: a name of ``config/vehicles``, or a file; None: the bag's.
+        params: ROS parameter files over the bag's own.
+        settings: parameters over all files: ``{"slip_estimator.sources.gnss_pose.lever_arm_x": -1.2}``.
+        namespace: of the machine, where a bag has several.
+
+    Raises:
+        InputError: the bag, a parameter or an option cannot be used.
+    """
+    with compilation_announced(), collected(), open_bag(bag, namespace) as opened:
+        return of_result(check_bag(opened, parameters_of(opened, params, settings, vehicle)))
+
+
+def of_result(result: Result) -> SetupCheck:
+    """Of what the setup check found."""
+    return SetupCheck(result.causes, result.undetermined, result.facts, whole(result))

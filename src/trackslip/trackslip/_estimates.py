@@ -1,0 +1,119 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates as arrays, as tables of pandas and polars, and as files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from trackslip._files import SUFFIXES, write
+from trackslip._frames import to_pandas
+from trackslip_common.errors import InputError
+from trackslip_estimation.gnss.localizer import Datum
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_AXES = {
+    "pose": ("x", "y", "yaw"),
+    "twist": ("v_x", "v_y", "yaw_rate"),
+    "slips": ("left_slip", "right_slip", "slip_angle"),
+    "tilt": ("roll", "pitch", "z"),
+    "swing": ("swing", "swing_rate"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Estimates in the order of their stamps; n of them.
+
+    ``*_covariance`` are (n, k, k), of the columns of the array that they are named after, in their units.
+    """
+
+    stamp_ns: IntArray  #: (n,) ns, of the machine's clock
+    pose: FloatArray  #: (n, 3) x, y m and yaw rad of base_link in the map
+    pose_covariance: FloatArray
+    twist: FloatArray  #: (n, 3) v_x forward, v_y left, m/s, and yaw rate, rad/s, of base_link
+    twist_covariance: FloatArray
+    slips: FloatArray  #: (n, 3) slip of the left and of the right track, 1, and slip angle, rad
+    slips_covariance: FloatArray
+    tilt: FloatArray  #: (n, 3) roll, pitch rad (nose down > 0) and height m; nan where unknown
+    tilt_covariance: FloatArray
+    swing: FloatArray  #: (n, 2) angle and rate of the upper structure, rad, rad/s; nan where unknown
+    swing_covariance: FloatArray
+    datum: tuple[float, float, float] | None = None  #: latitude, longitude deg, altitude m
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @property
+    def time(self) -> FloatArray:
+        """(n,) s since the first estimate."""
+        since: IntArray = self.stamp_ns - self.stamp_ns[:1]
+        return since * 1e-9
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Name → (n,) column: ``t`` s, ``stamp_ns``, each quantity, and its standard deviation ``sd_…``."""
+        found: dict[str, NDArray[Any]] = {"t": self.time, "stamp_ns": self.stamp_ns}
+        for group, names in _AXES.items():
+            values, covariance = getattr(self, group), getattr(self, f"{group}_covariance")
+            for k, name in enumerate(names):
+                found[name], found[f"sd_{name}"] = values[:, k], np.sqrt(covariance[:, k, k])
+        return found
+
+    def to_pandas(self) -> Any:
+        """The columns as a ``pandas.DataFrame``.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return to_pandas(self.columns())
+
+    def to_polars(self) -> pl.DataFrame:
+        """The columns as a data frame of polars."""
+        return pl.DataFrame(self.columns())
+
+    def save(self, path: Path | str, datum: tuple[float, float, float] | None = None) -> Path:
+        """Write a file in the form that its ending names; one of that name is replaced.
+
+        ``.csv``: all columns. ``.tum``: s, position and quaternion of each pose, for evaluation tools.
+        ``.geojson``: the path in degrees, for maps; it needs a datum (latitude, longitude deg, altitude m).
+
+        Raises:
+            InputError: the ending is another, the file cannot be written, or there is no datum.
+        """
+        path = Path(path)
+        if path.suffix not in SUFFIXES:
+            raise InputError(f"save: '{path}' has another ending; accepted: {', '.join(SUFFIXES)}")
+        write(path, self, datum or self.datum)
+        return path
+
+
+def of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
+    """Of (n,) ESTIMATE in the order of their stamps."""
+    tilt, swing = rows["tilt"], rows["swing"]
+    return Estimates(
+        stamp_ns=rows["stamp_ns"].copy(),
+        pose=rows["pose"].copy(),
+        pose_covariance=rows["pose_covariance"].copy(),
+        twist=rows["twist"].copy(),
+        twist_covariance=rows["twist_covariance"].copy(),
+        slips=rows["slips"].copy(),
+        slips_covariance=rows["slip_covariance"].copy(),
+        tilt=_where(tilt["known"], tilt["tilt"]),
+        tilt_covariance=_where(tilt["known"], tilt["covariance"]),
+        swing=_where(swing["known"], np.column_stack((swing["angle"], swing["rate"]))),
+        swing_covariance=_where(swing["known"], swing["covariance"]),
+        datum=None if datum is None else (datum.latitude, datum.longitude, datum.altitude),
+    )
+
+
+def _where(known: NDArray[Any], values: FloatArray) -> FloatArray:
+    """The values where they are known, else nan."""
+    found: FloatArray = values.copy()
+    found[known == 0] = np.nan
+    return found

@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is recorded in a bag: topics as columns."""
+
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackslip._frames import to_pandas
+from trackslip_bags.parameters import bag_vehicle
+from trackslip_bags.reader import Bag, absolute, open_bag, require_topics
+from trackslip_bags.tables import read_tables
+from trackslip_common.errors import InputError
+from trackslip_common.message_fields import RECORDS
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """An overview of a bag, whose topics are read when they are asked for."""
+
+    path: Path
+    namespace: str
+    start_ns: int  #: log time of the first message
+    duration: float  #: s, to the last one
+    topics: MappingProxyType[str, int]  #: name → how many messages
+    types: MappingProxyType[str, str]  #: name → type
+    vehicle: str | None  #: name of the vehicle that the bag states
+    damage: str  #: what is wrong with the bag; empty where nothing is
+
+    def columns(self, topic: str) -> dict[str, NDArray[Any]]:
+        """Name → (n,) or (n, …) column of a topic, with ``log_time_ns`` first; SI.
+
+        Raises:
+            InputError: there is no such topic, or it is of a type that is not read.
+        """
+        with open_bag(self.path, self.namespace) as bag:
+            require_topics(bag, [topic])
+            kind = RECORDS.get(self.types[absolute(topic)])
+            if kind is None:
+                readable = [name for name, type_name in self.types.items() if type_name in RECORDS]
+                raise InputError(
+                    f"bag '{self.path}': {topic} is a {self.types[absolute(topic)]}, which has no columns; "
+                    f"accepted: {', '.join(readable)}"
+                )
+            tables = [table for stretch in read_tables(bag, [topic]) for table in stretch.values()]
+            rows = np.concatenate([table.rows(kind) for table in tables])
+            times = np.concatenate([table.log_times_ns for table in tables])
+        return {"log_time_ns": times, **{name: rows[name] for name in rows.dtype.names or ()}}
+
+    def to_pandas(self, topic: str) -> Any:
+        """The columns of a topic that have one number a message, as a ``pandas.DataFrame``.
+
+        Raises:
+            InputError: as ``columns``, or pandas is not installed.
+        """
+        columns = self.columns(topic).items()
+        return to_pandas({name: column for name, column in columns if column.ndim == 1})
+
+
+def load(bag: Path | str, namespace: str = "") -> Log:
+    """An overview of a bag: topics, duration, vehicle.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    with open_bag(bag, namespace) as opened:
+        return _overview(opened, Path(bag), namespace)
+
+
+def _overview(bag: Bag, path: Path, namespace: str) -> Log:
+    counts = {absolute(topic): info.count for topic, info in sorted(bag.topics.items())}
+    types = {absolute(topic): info.type_name for topic, info in sorted(bag.topics.items())}
+    vehicle = bag_vehicle(bag)
+    return Log(
+        path,
+        namespace,
+        bag.start_ns,
+        bag.duration_s,
+        MappingProxyType(counts),
+        MappingProxyType(types),
+        None if vehicle is None else vehicle.name,
+        bag.damage,
+    )
+
+
+def example() -> Path:
+    """A short bag that comes along: an emulated excavator of 20 t drives a slalom, with RTK GNSS."""
+    return Path(str(files(__package__))) / "example"

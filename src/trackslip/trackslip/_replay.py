@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A replay of a bag, and all that it gives."""
+
+import math
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trackslip._check import SetupCheck, of_result
+from trackslip._estimates import Estimates, of_rows
+from trackslip._options import parameters_of, setting_texts
+from trackslip_bags.reader import Bag, open_bag
+from trackslip_common.compiling import compilation_announced
+from trackslip_common.errors import collected
+from trackslip_estimation.gnss.localizer import Datum
+from trackslip_estimation.slip.records import ESTIMATE
+from trackslip_tools.cli import replay_options
+from trackslip_tools.replay import run
+from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.output import summary, text
+from trackslip_tools.replay.scoring import in_order
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a replay found; ``str`` of it is what the command prints."""
+
+    estimates: Estimates
+    summary: Mapping[str, Any]  #: as ``trackslip replay --json`` writes it
+    setup: SetupCheck
+    notes: tuple[str, ...]  #: what the command says besides: of the vehicle, of damage, of old names
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def replay(
+    bag: Path | str,
+    *,
+    vehicle: str | None = None,
+    params: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    start: float = 0.0,
+    stop: float = math.inf,
+    withhold: Sequence[str] = (),
+    thin: Sequence[str] = (),
+    seed: int = 0,
+    remap: Sequence[str] = (),
+    reference: str | None = None,
+    namespace: str = "",
+) -> Result:
+    """Run the estimators over a bag in the order in which they ran live, as ``trackslip replay`` does.
+
+    Args:
+        bag: rosbag2 directory (MCAP or SQLite), ``.mcap`` or ``.db3`` file.
+        vehicle: a name of ``config/vehicles``, or a file; None: the bag's.
+        params: ROS parameter files over the bag's own.
+        settings: parameters over all files: ``{"slip_estimator.sources.gnss_pose.timeout": 3.0}``.
+        start: s from the bag's first message.
+        stop: s from the bag's first message.
+        withhold: topics that the estimator does not get, ``TOPIC`` or ``TOPIC:T0:T1`` (s).
+        thin: topics that it gets at a lower rate, ``TOPIC:HZ`` or ``TOPIC:HZ:SIGMA`` (m).
+        seed: of the noise that ``thin`` adds.
+        remap: ``from:=to``.
+        reference: topic to score against; None: ``reference_pose``, or the truth.
+        namespace: of the machine, where a bag has several.
+
+    Raises:
+        InputError: the bag, a parameter or an option cannot be used.
+    """
+    options = Namespace(
+        start=start, stop=stop, withhold=withhold, thin=thin, seed=seed, remap=remap, reference=reference
+    )
+    with compilation_announced(), collected() as notes, open_bag(bag, namespace) as opened:
+        return replayed(opened, options, (vehicle, params, settings), notes)
+
+
+def replayed(
+    bag: Bag,
+    options: Namespace,
+    parameters: tuple[str | None, Sequence[str], Mapping[str, Any] | None],
+    notes: list[str],
+    datum: Datum | None = None,
+) -> Result:
+    """Of an open bag; ``parameters``: vehicle, files and settings; ``notes`` gather meanwhile."""
+    filters, reference = replay_options.filters_of(options), replay_options.reference_of(options)
+    vehicle, params, settings = parameters
+    p = parameters_of(bag, params, settings, vehicle)
+    replay_options.require_named(bag, p, filters, reference)
+    of_soil = replay_options.soil_parameters_of(bag, p, params, setting_texts(settings))
+    rows = GrowingRows(ESTIMATE)
+    found = run.replay(bag, p, filters, reference, of_soil, lambda part: rows.add(part.estimates))
+    said = (*([bag.damage] if bag.damage else []), *notes)
+    return Result(
+        of_rows(in_order(rows.rows()), datum),
+        summary(found, found.elapsed_s),
+        of_result(found.setup),
+        said,
+        text(found, found.elapsed_s),
+    )

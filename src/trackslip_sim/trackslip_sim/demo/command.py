@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip demo``: a drive is simulated, replayed and shown, by the commands that a user would type."""
+
+import argparse
+import shlex
+import webbrowser
+from collections.abc import Iterator
+from pathlib import Path
+
+from trackslip_common.errors import ExitCode, InputError, show
+from trackslip_common.soils import load_soils
+from trackslip_common.vehicle_files import load_vehicle
+from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_tools.cli import main
+
+EXAMPLE = "trackslip demo --vehicle excavator_20t --soil sandy_loam"
+
+_SOIL = "sand"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of ``trackslip demo``."""
+    add = parser.add_argument
+    add("--vehicle", metavar="NAME|FILE", default="excavator_20t", help="default: excavator_20t")
+    add("--scenario", metavar="NAME|FILE", default="slalom", help="default: slalom")
+    add("--soil", metavar="S", default=_SOIL, help=f"a name of config/soils.yaml; default: {_SOIL}")
+    add("--duration", type=float, metavar="S", default=30.0, help="of driving; default: 30 s")
+    add("--output", type=Path, metavar="DIR", default=Path("trackslip_demo"), help="directory to create")
+    add("--no-browser", dest="browser", action="store_false", help="do not open the report")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the commands, each printed before; returns the exit code of the first that fails.
+
+    Raises:
+        InputError: an option is refused, or the directory exists.
+    """
+    output: Path = arguments.output
+    if output.exists():
+        raise InputError(f"--output: '{output}' exists; accepted: a directory that does not")
+    load_scenario(arguments.scenario)
+    if arguments.soil not in load_soils():
+        raise InputError(f"--soil: '{arguments.soil}' is unknown; accepted: {', '.join(load_soils())}")
+    output.mkdir(parents=True)
+    for line in _lines(arguments):
+        show(f"$ trackslip {shlex.join(line)}")
+        args = main.parse(line)
+        if (code := int(args.run(args))) != ExitCode.DONE:
+            return code
+    page = output / "report.html"
+    if arguments.browser:
+        webbrowser.open(page.resolve().as_uri())
+    show(f"next: trackslip check {output / 'bag'}, or a log of your own: docs/import.md")
+    return int(ExitCode.DONE)
+
+
+def _lines(arguments: argparse.Namespace) -> Iterator[list[str]]:
+    """The arguments of each command."""
+    bag, page = str(arguments.output / "bag"), str(arguments.output / "report.html")
+    drive = ["--scenario", arguments.scenario, "--vehicle", arguments.vehicle, "--soil", arguments.soil]
+    yield ["simulate", *drive, "--duration", f"{arguments.duration:g}", "--output", bag]
+    sensors = load_vehicle(arguments.vehicle).sensors
+    has_receiver = sensors is not None and sensors.antenna is not None
+    receiver = ["--params", "gnss.yaml"] if has_receiver else []
+    yield ["replay", bag, *receiver]
+    yield ["report", bag, *receiver, "--output", page]

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""``trackslip vehicle``: makes the file of a new machine, and lists those that are there."""
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+from trackslip_common.errors import ExitCode, InputError, printable, show
+from trackslip_common.vehicle_files import vehicle_names
+from trackslip_common.whole_file import write_whole
+from trackslip_tools.machine.draft import ANTENNA, HOW, MASS, NEEDED, draft, options
+
+EXAMPLE = "trackslip vehicle new --name digger --mass 20000 --tread 2.4"
+
+_NAME = re.compile(r"[A-Za-z][\w-]*")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the two actions and their options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions.add_parser("list", help="vehicles that commands know by name")
+    new = actions.add_parser(
+        "new", help="write the file of a machine; what is not given is asked for, or guessed from its mass"
+    )
+    new.add_argument("--name", default="my_machine", help="of machine and files (default: my_machine)")
+    for option, name, spec in options():
+        about = f"{spec.description}, {spec.unit}" if spec.unit else spec.description
+        new.add_argument(f"--{option}", dest=name, type=float, metavar="N", help=about)
+    new.add_argument(
+        "--antenna",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="of the GNSS receiver, forward, left of and above the middle between the tracks, m",
+    )
+    new.add_argument("--output", type=Path, metavar="DIR", default=Path(), help="folder (default: this one)")
+    new.add_argument("--no-questions", dest="asks", action="store_false", help="ask for nothing")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List, or make the files and print what was guessed and what comes next.
+
+    Raises:
+        InputError: a number is refused, too little is known, or a file is there.
+    """
+    if arguments.action == "list":
+        show("\n".join(vehicle_names()))
+        return ExitCode.DONE
+    if not _NAME.fullmatch(arguments.name):
+        accepted = "letters, digits, _ and -, a letter first"
+        raise InputError(f"--name: '{printable(arguments.name)}' is refused; accepted: {accepted}")
+    known = {name: getattr(arguments, name) for _, name, _ in options()}
+    known = {name: value for name, value in known.items() if value is not None}
+    if arguments.antenna is not None:
+        known |= {f"{ANTENNA}.{axis}": value for axis, value in zip("xyz", arguments.antenna, strict=True)}
+    if arguments.asks and sys.stdin.isatty():
+        known |= _asked(known)
+    made = draft(arguments.name, known)
+    paths = [arguments.output / name for name in made.files]
+    for path in paths:
+        if path.exists():
+            raise InputError(f"'{path}' exists; accepted: another --name or --output")
+    for path, text in zip(paths, made.files.values(), strict=True):
+        try:
+            write_whole(path, text)
+        except OSError as error:
+            raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error
+    for name in made.guessed:
+        show(f"guessed: {name} {made.values[name]:g}: {HOW[name]}")
+    for line in made.missing:
+        show(f"left out: {line}")
+    show(f"vehicle: {paths[0]}")
+    priors = "".join(f" --params {path}" for path in paths[1:])
+    show(f"next: trackslip replay BAG --vehicle {paths[0]}{priors}")
+    return ExitCode.DONE
+
+
+def _asked(known: dict[str, float]) -> dict[str, float]:
+    """What the user answers for the numbers that matter; an empty answer leaves one out."""
+    found = {}
+    specs = {name: spec for _, name, spec in options()}
+    for name in (MASS, *NEEDED[1:]):
+        if name in known:
+            continue
+        while True:
+            answer = input(f"{specs[name].description}, {specs[name].unit} ({HOW[name]}; Enter: unknown): ")
+            try:
+                found |= {name: float(answer)} if answer.strip() else {}
+                break
+            except ValueError:
+                show(f"{printable(answer)!r} is no number")
+    return found

@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The vehicle file of a new machine, from what is known of it; the rest is guessed from its mass.
+
+Tracked excavators are nearly alike: a length of a machine of mass m is c m^(1/3). Each factor c lies between
+those of ``pc05`` (1.3 t) and ``excavator_20t``; the share that is stated with it covers both, and more.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from trackslip_common.errors import InputError
+from trackslip_common.parameter_spec import Spec
+from trackslip_common.parameters import flat_fields
+from trackslip_common.vehicle import VehicleParameters
+from trackslip_common.vehicle_files import vehicle_of
+
+MASS = "mass.mass"
+RADIUS = "kinematics.rolling_radius"
+ANTENNA = "sensors.antenna"
+
+HOW = {  # to measure a number that was guessed
+    RADIUS: "20 m of hard ground over the sprocket's angle, rad",
+    "kinematics.tread": "tape: outer edge of one track to the inner edge of the other",
+    "kinematics.contact_length": "tape: from below the sprocket's centre to below the idler's",
+    MASS: "type plate, or weighbridge",
+    "mass.track_width": "tape: of a shoe",
+    "mass.yaw_inertia": "hardly known; ± 30 % will do",
+    f"{ANTENNA}.x": "tape, or trackslip check on a drive with turns",
+    f"{ANTENNA}.y": "tape, or trackslip check on a drive with turns",
+    f"{ANTENNA}.z": "tape, from the ground",
+}
+
+
+class _Length(NamedTuple):
+    factor: float  # c, m/kg^(1/3)
+    share: float  # standard deviation of a machine's, of its length
+
+
+_LENGTHS = {
+    RADIUS: _Length(0.0135, 0.15),
+    "kinematics.tread": _Length(0.077, 0.15),
+    "kinematics.contact_length": _Length(0.121, 0.1),
+    "mass.track_width": _Length(0.0215, 0.15),
+    f"{ANTENNA}.z": _Length(0.12, 0.3),  # on the cab's roof
+}
+_CENTRE = dict.fromkeys((f"{ANTENNA}.x", f"{ANTENNA}.y"), 0.0)  # above the middle between the tracks
+# Of the block that has the machine's yaw inertia, over contact length and tread.
+_BLOCK = (1.3, 1.2)
+NEEDED = (MASS, RADIUS, "kinematics.tread", "kinematics.contact_length")
+_HYDRAULICS = "hydraulics."
+# A rolling radius is off by a share of all that the tracks drive, as a slip that both have.
+_PRIORS = """\
+# Of {0}, for --params and params_file: its rolling radius is guessed.
+slip_estimator:
+  ros__parameters:
+    turning:
+      initial_common_slip_stddev: {1:g}
+"""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A vehicle with what was guessed of it."""
+
+    vehicle: VehicleParameters
+    values: Mapping[str, float]  # by dotted name
+    guessed: Mapping[str, float]  # dotted name → its standard deviation over the number; 0: unknown
+    missing: tuple[str, ...]  # what is left out, in words
+
+    @property
+    def files(self) -> dict[str, str]:
+        """File name → text: the vehicle, then what the estimator has to expect, where that is unusual."""
+        name, share = self.vehicle.name, self.guessed.get(RADIUS)
+        found = {f"{name}.yaml": self._vehicle_text()}
+        return found | ({f"{name}_estimator.yaml": _PRIORS.format(name, share)} if share else {})
+
+    def _vehicle_text(self) -> str:
+        """As the files of ``config/vehicles`` are written."""
+        lines = [
+            f"# {self.vehicle.name}, by trackslip vehicle new. Measure what is guessed, the first lines",
+            "# first; config/vehicles/excavator_20t.yaml says how, and which groups may be added.",
+            f"name: {self.vehicle.name}",
+        ]
+        said: list[str] = []
+        for name, spec in _specs():
+            if name in self.values:
+                *groups, last = name.split(".")
+                depth = next(
+                    (k for k, (a, b) in enumerate(zip(groups, said, strict=False)) if a != b),
+                    min(len(groups), len(said)),
+                )
+                lines += [f"{'  ' * k}{groups[k]}:" for k in range(depth, len(groups))]
+                said = groups
+                value = f"{'  ' * len(groups)}{last}: {self.values[name]:.6g}"
+                lines.append(f"{value:<30} # {self._comment(name, spec)}")
+        return "\n".join(lines) + "\n"
+
+    def _comment(self, name: str, spec: Spec) -> str:
+        about = f"{spec.unit}, {spec.description}" if spec.unit else spec.description
+        if name not in self.guessed:
+            return about
+        share = self.guessed[name]
+        return f"{about}; guessed{f', ± {100 * share:.0f} %' if share else ''}: {HOW[name]}"
+
+
+def draft(name: str, known: Mapping[str, float]) -> Draft:
+    """From numbers by dotted name of a vehicle file.
+
+    Raises:
+        InputError: too little is known, a number is refused, or numbers do not go together.
+    """
+    values, guessed = dict(known), dict[str, float]()
+    lacking = [one for one in NEEDED if one not in values]
+    if MASS in lacking and len(lacking) > 1:
+        options = ", ".join(f"--{_option(one)}" for one in lacking[1:])
+        raise InputError(
+            f"vehicle new: {', '.join(lacking[1:])} cannot be guessed without a mass; "
+            f"accepted: --mass, or all of {options}"
+        )
+    for one, length in _LENGTHS.items() if MASS in values else ():
+        if one not in values:
+            values[one], guessed[one] = _rounded(length.factor * values[MASS] ** (1 / 3)), length.share
+    for one, value in _CENTRE.items():
+        if one not in values and f"{ANTENNA}.z" in values:
+            values[one], guessed[one] = value, 0.0
+    if MASS in values and "mass.yaw_inertia" not in values:
+        sides = (values["kinematics.contact_length"] * _BLOCK[0], values["kinematics.tread"] * _BLOCK[1])
+        inertia = values[MASS] * sum(side * side for side in sides) / 12.0
+        values["mass.yaw_inertia"], guessed["mass.yaw_inertia"] = _rounded(inertia), 0.3
+    missing = tuple(_left_out(values))
+    kept = {one: value for one, value in values.items() if _is_whole(one, values)}
+    vehicle = vehicle_of(name, kept, f"vehicle '{name}'")
+    return Draft(vehicle, kept, guessed, missing)
+
+
+def _left_out(values: Mapping[str, float]) -> Iterator[str]:
+    """What the file has not, and what is missing for it."""
+    hydraulics = [name for name, _ in _specs() if name.startswith(_HYDRAULICS) and name not in values]
+    if hydraulics:
+        options = " ".join(f"--{_option(name)}" for name in hydraulics)
+        yield f"no forces and no soil without hydraulics: {options}"
+    if MASS not in values:
+        yield "no forces and no soil without --mass"
+    if f"{ANTENNA}.z" not in values:
+        yield "no position by a receiver without its antenna: --antenna X Y Z"
+
+
+def _is_whole(name: str, values: Mapping[str, float]) -> bool:
+    """Whether all of the group of a number are known; a group is left out whole."""
+    group = name.rpartition(".")[0] + "."
+    return all(one in values for one, _ in _specs() if one.startswith(group) and "." not in one[len(group) :])
+
+
+def options() -> Iterator[tuple[str, str, Spec]]:
+    """(option, dotted name, spec) of each number that may be given by itself."""
+    for name, spec in _specs():
+        if name.split(".")[0] in ("kinematics", "mass", "hydraulics") and name.count(".") == 1:
+            yield _option(name), name, spec
+
+
+def _option(name: str) -> str:
+    return name.rpartition(".")[2].replace("_", "-")
+
+
+def _specs() -> Iterator[tuple[str, Spec]]:
+    return ((name, spec) for name, kind, spec in flat_fields(VehicleParameters) if kind is float)
+
+
+def _rounded(value: float) -> float:
+    """To two digits: more is not known."""
+    return float(f"{value:.2g}")
