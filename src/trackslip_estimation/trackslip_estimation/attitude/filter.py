@@ -67,14 +67,9 @@ FloatArray = NDArray[np.float64]
 
 GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
 UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
-_MEAN_TIME = 1.0  # s, of that mean
-_LOST = 0.3  # rad, beyond which a roll or pitch is not known any more
-_SURPRISE = 25.0  # ν²/S beyond which a sample counts for less
-_UNKNOWN_ACCELERATION = 1.0  # m/s², of a machine whose tracks nobody hears of
 _RATE_UNKNOWN = 1.0  # (rad/s)², variance beyond which a rate says nothing (an axis that was not measured)
 _FORCE_UNKNOWN = 1e6  # (m/s²)², variance beyond which a force says nothing
 _LEAST = 1e-12  # (m/s²)², of a force
-_SCALE_TIME = 1.0  # s, for which a gyro that shows too much does so to one side
 
 
 @compiled
@@ -99,10 +94,10 @@ def use_sample(a: Attitude, n: AttitudeConstants) -> int:
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
     if a.known == 1 and dt > 0.0:
         _turn(a, _rates(a), dt, n)
-        if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > _LOST**2:
+        if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
             a.known = 0
     a.refusal = use_orientation(a, n) if imu.oriented == 1 else 0
-    if _follow_force(a, dt) and feels_gravity(a):
+    if _follow_force(a, dt, n) and feels_gravity(a):
         if a.known == 0:
             begin_by_gravity(a, n)
         rates = _rates(a)
@@ -155,12 +150,12 @@ def has_force(imu: ImuSample) -> bool:
 
 
 @compiled
-def _follow_force(a: Attitude, dt: float) -> bool:
+def _follow_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
     """Low-pass the force; whether there is one that may tell the tilt."""
     force = force_of(a.sample)
     if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
         return False
-    share = 1.0 if a.seen == 0 or dt > LONGEST else -math.expm1(-dt / _MEAN_TIME)
+    share = 1.0 if a.seen == 0 or dt > LONGEST else -math.expm1(-dt / n.mean_time)
     for i in range(3):
         a.mean_force[i] += share * (force[i] - a.mean_force[i])
     return True
@@ -199,9 +194,9 @@ def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: Attitude
     F[PITCH, BIAS_P], F[PITCH, BIAS_Q] = -cos * imu.sin * dt, -cos * imu.cos * dt
     for i in range(SIZE):
         Q[i, i] = n.walk[i] * dt
-    by_roll = by_pitch = n.ground_rate**2 * _SCALE_TIME
+    by_roll = by_pitch = n.ground_rate**2 * n.scale_time
     if known > 0.0 and _has_rates(imu):
-        by_scale = n.gyro_scale_stddev**2 * _SCALE_TIME
+        by_scale = n.gyro_scale_stddev**2 * n.scale_time
         of_p, of_q = imu.rate_variances[0], imu.rate_variances[1]
         by_roll = (imu.cos**2 * of_p + imu.sin**2 * of_q) * dt + by_scale * of_roll**2
         by_pitch = (imu.sin**2 * of_p + imu.cos**2 * of_q) * dt + by_scale * of_pitch**2
@@ -217,7 +212,7 @@ def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: Attitude
 def _level_by(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
     """Update with both horizontal axes by a span that ends here; ``motion``: u̇ of it, m/s²."""
     x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
-    doubt = 0.0 if a.span.known == 1 else _UNKNOWN_ACCELERATION**2
+    doubt = 0.0 if a.span.known == 1 else n.unknown_acceleration**2
     doubt += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
     pitch = mean_tilt(a)[1]
     h[PITCH], h[BIAS_X], h[BIAS_Y] = -GRAVITY * math.cos(pitch), imu.cos, -imu.sin
@@ -242,13 +237,13 @@ def _use(
     predicted = predicted_covariance(P, H)[0, 0]
     noise = max(a.noise[axis], stated)
     share = noise / (predicted + noise + doubt)
-    shown = min(innovation * innovation, _SURPRISE * (predicted + noise)) - predicted
+    shown = min(innovation * innovation, n.surprise * (predicted + noise)) - predicted
     a.noise[axis] = max(a.noise[axis] + share * (shown - a.noise[axis]) / (a.noise_count[axis] + 1.0), 0.0)
     R, most = max(a.noise[axis], stated), 1.0
     if dt > 0.0:
         R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
     a.noise_count[axis] = min(a.noise_count[axis] + share, most)
-    R = max(R + doubt, innovation * innovation / _SURPRISE - predicted)
+    R = max(R + doubt, innovation * innovation / n.surprise - predicted)
     correct(a.mean[:], P, observe_alone(np.array((innovation,)), H, np.array(((R,),))))
 
 

@@ -45,6 +45,11 @@ class AttitudeParameters(Parameters):
     ground_rate: float = parameter(
         "how fast the ground tilts the machine while no gyro shows it", unit="rad/s", gt=0.0
     )
+    mean_time: float = parameter("of the mean of the specific force", unit="s", gt=0.0)
+    lost: float = parameter("deviation of a roll or pitch that is not known any more", unit="rad", gt=0.0)
+    surprise: float = parameter("NIS beyond which a sample counts for less", gt=0.0)
+    unknown_acceleration: float = parameter("of a machine whose tracks nobody hears of", unit="m/s²", gt=0.0)
+    scale_time: float = parameter("for which a gyro shows too much to one side", unit="s", gt=0.0)
 
 
 class AttitudeConstants(AttitudeParameters, Record):

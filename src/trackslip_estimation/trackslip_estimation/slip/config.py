@@ -20,6 +20,7 @@ from trackslip_estimation.slip.adaptation import AdaptationConstants
 from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
 from trackslip_estimation.slip.coasting import motion_limits
 from trackslip_estimation.slip.events import EventParameters
+from trackslip_estimation.slip.ground import GroundParameters
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.free_slips import FreeSlipsConstants
 from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
@@ -94,6 +95,7 @@ class Config(Record):
     events: EventParameters
     bank: BankParameters
     receivers: ReceiverParameters
+    ground: GroundParameters
     fault_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     jump_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     poses: int  # how many sources of poses there are
@@ -136,7 +138,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
     c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
-    for name in ("events", "bank", "receivers"):
+    for name in ("events", "bank", "receivers", "ground"):
         fill_record(c[name], getattr(p, name))
     c["max_gap"] = p.max_gap
     c["window_ns"] = round(p.history_window * 1e9) if window_ns is None else window_ns

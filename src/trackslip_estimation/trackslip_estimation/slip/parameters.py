@@ -20,6 +20,7 @@ from trackslip_estimation.attitude.parameters import AttitudeParameters
 from trackslip_estimation.slip.adaptation import AdaptationParameters
 from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
 from trackslip_estimation.slip.events import EventParameters
+from trackslip_estimation.slip.ground import GroundParameters
 from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.models.swing import SwingParameters
@@ -73,6 +74,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     events: EventParameters
     bank: BankParameters
     receivers: ReceiverParameters
+    ground: GroundParameters
     attitude: AttitudeParameters
     swing: SwingParameters
     use_attitude: bool = parameter("whether roll and pitch are estimated; else the ground counts as flat")

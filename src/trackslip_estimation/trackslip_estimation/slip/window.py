@@ -233,7 +233,7 @@ def insert(window: Window, k: int) -> None:
 
 @compiled
 def drop(window: Window, entries: int, whole: int) -> None:
-    """Remove the first entries, and of the rows before ``whole`` all that no row from there on looks back to."""
+    """Remove the first entries, and of rows before ``whole`` all that no row from there on looks back to."""
     status = window.status[0]
     count = status.count - entries
     for i in range(count):

@@ -47,10 +47,6 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
-_DOUBT = 4.0  # standard deviations
-_LAG = 0.1  # of the yaw rate without slip, by which the machine may still turn the other way
-_PERSISTS = 0.5  # of its departure that a reading must share with the first of a streak
-_ALIKE = 0.1  # of the yaw rate without slip, by which readings that agree may differ
 
 
 @compiled
@@ -180,7 +176,7 @@ def _without_slip(left: float, right: float, c: Config) -> float:
 def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
     """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
     without_slip = _without_slip(left, right, c)
-    allowed = _DOUBT * np.sqrt(variance) + _LAG * abs(without_slip)
+    allowed = c.ground.doubt * np.sqrt(variance) + c.ground.lag * abs(without_slip)
     return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
 
 
@@ -197,8 +193,8 @@ def _other_ground(rate: float, x: FloatArray, streak: Streak, left: float, right
         return False
     learned = twist(x, left, right, c)[2] - x[YAW_RATE_ERROR]
     efficiency, departure = rate / without_slip, (rate - learned) / without_slip
-    alike = streak.count > 0 and abs(efficiency - streak.value) <= _ALIKE
-    if not alike or departure * streak.departure < _PERSISTS * streak.departure**2:
+    alike = streak.count > 0 and abs(efficiency - streak.value) <= c.ground.alike
+    if not alike or departure * streak.departure < c.ground.persists * streak.departure**2:
         streak.count, streak.value, streak.departure = 1, efficiency, departure
     else:
         streak.count += 1

@@ -51,9 +51,6 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.STANDING)
-_LATE = 2.0  # s of increments that agree on other ground
-_SLOWEST = 0.02  # m/s of the tracks, below which nothing is said of slip
-_SIGNIFICANT = 3.0  # standard deviations of a slip that differs
 _MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds
 
 
@@ -216,19 +213,19 @@ def _weigh_slip(
     """
     x, P, T = state.mean[:], state.covariance[:], drive.T
     track = c.rolling_radius * (drive.left + drive.right) / 2.0
-    if abs(track) < max(_SLOWEST, abs(innovation)):  # no ground does that
+    if abs(track) < max(c.ground.slowest, abs(innovation)):  # no ground does that
         return
     slow = H[:1].copy()
     slow[0, SPEED_ERROR] = slow[0, YAW_RATE_ERROR] = 0.0
     known = predicted_covariance(P, slow)[0, 0]
-    kept = math.exp(-T / _LATE)
+    kept = math.exp(-T / c.ground.increments_time)
     before.slip_weight = kept * before.slip_weight + track * track / own
     before.slip_sum = kept * before.slip_sum - track * innovation / own
     before.slip_way += track * T
     off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
     if off * off <= variance:
         before.slip_way, before.slip_ns = 0.0, before.stamp_ns
-    elif off * off > _SIGNIFICANT**2 * variance:
+    elif off * off > c.ground.significant**2 * variance:
         way = before.slip_way if state.fixed_ns < before.slip_ns else 0.0
         by = np.zeros(P.shape[0])
         by[COMMON_SLIP], by[X], by[Y] = off, -off * way * math.cos(x[YAW]), -off * way * math.sin(x[YAW])
