@@ -131,6 +131,8 @@ def test_logs_of_a_receiver_are_read_over_midnight(tmp_path: Path, name: str) ->
     assert messages["fix"][-1].position_covariance[0] == pytest.approx(1e-4)
     assert messages["gnss_pose"][-1].pose.pose.position.x == pytest.approx(1.043, abs=0.01)
     assert messages["heading"][0].orientation.z == pytest.approx(0.0)
+    assert [stamp_ns_of(m) for m in messages["fix_velocity"]] == expected
+    assert messages["fix_velocity"][0].twist.covariance[7] == pytest.approx(0.05**2)
     assert found.notes == []
 
 
@@ -168,9 +170,8 @@ def test_logs_of_several_kinds_go_together(tmp_path: Path) -> None:
     sections = {"can": {}, "gnss": {}, "topics": {"imu/data_raw": imu}, "time": {"column": "t", "unit": "s"}}
     found, _ = imported(tmp_path, [folder], start=1_790_000_000.0, **sections)
     counts = {topic: n for topic, n in found.counts.items() if topic not in ("/vehicle",)}
-    assert counts.keys() == {
-        *(f"/{name}" for name in ("sprockets", "hydraulics", "swing", "fix", "gnss_pose", "imu/data_raw"))
-    }
+    of_bus, of_receiver = ("sprockets", "hydraulics", "swing"), ("fix", "fix_velocity", "gnss_pose")
+    assert counts.keys() == {f"/{name}" for name in (*of_bus, *of_receiver, "imu/data_raw")}
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from trackslip_drivers.protocols.nmea import (
     Heading,
     Rejection,
     Rmc,
+    Velocity,
     decode,
     heading_of_yaw,
     yaw_of_heading,
@@ -66,7 +67,18 @@ def test_quality_decides_what_a_position_is(quality, expected):
         ("GPGST,101530.20,0.1,0.02,0.01,34.5,0.011,0.012,0.02", Gst(EPOCH, 0.012, 0.011, 0.02)),
         ("GPGST,101530.20,,,,,-0.1,0.1,", Rejection.OUT_OF_RANGE),
         ("GPGST,101530.20,,,,,20000.0,0.1,", Rejection.OUT_OF_RANGE),
-        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,R,V", Rmc(36930 * S + S // 5)),
+        ("GNRMC,101530.20,A,3352.1,S,15112.7,E,,,201126,,,R,V", Rmc(36930 * S + S // 5)),
+        (
+            "GNRMC,101530.20,A,3352.1,S,15112.7,E,5.0,,201126,,,R,V",
+            Rmc(36930 * S + S // 5, Rejection.NO_VELOCITY),
+        ),
+        ("GNVTG,,T,,M,,N,,K,A", Rejection.NO_VELOCITY),
+        ("GNVTG,,T,,M,1.0,N,1.852,K,A", Rejection.NO_VELOCITY),
+        ("GNVTG,30.0,T,,M,1.0,N,1.852,K,N", Rejection.WARNING),
+        ("GNVTG,30.0,T,,M,1.0,N,1.852,K,E", Rejection.DEAD_RECKONING),
+        ("GNVTG,361.0,T,,M,1.0,N,1.852,K,A", Rejection.OUT_OF_RANGE),
+        ("GNVTG,30.0,T,,M,1.0,N,-1.852,K,A", Rejection.OUT_OF_RANGE),
+        ("GNVTG,30.0,M,,M,1.0,N,1.852,K,A", Rejection.MALFORMED),
         ("GNRMC,101530.20,V,,,,,,,201126,,,N,V", Rejection.WARNING),
         ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,N,V", Rejection.WARNING),
         ("GNRMC,101530.20,A,3352.1,S,15112.7,E,0.0,,201126,,,E,V", Rejection.DEAD_RECKONING),
@@ -223,11 +235,31 @@ def test_what_is_sent_is_what_is_read(latitude, longitude, altitude, centisecond
     assert position[1:3] == pytest.approx((latitude, longitude), abs=1e-9)
     assert decode(nmea_sentences.gst(at)[:-1])[1:] == pytest.approx((stddev, stddev, 2 * stddev), abs=1e-4)
     assert decode(nmea_sentences.rmc(at)[:-1]) == Rmc(time_ns)
+    moving = decode(nmea_sentences.rmc(at._replace(speed=stddev, course=heading))[:-1])
+    assert isinstance(moving, Rmc)
+    assert isinstance(moving.velocity, Velocity)
+    east, north = stddev * math.sin(math.radians(heading)), stddev * math.cos(math.radians(heading))
+    assert moving.velocity[1:3] == pytest.approx((east, north), abs=5e-4 + 1e-4 * stddev)
     for encode, expected in ((nmea_sentences.hdt, 0.0), (nmea_sentences.pashr, math.radians(0.2))):
         found = decode(encode(at)[:-1])
         assert isinstance(found, Heading)
         assert math.sin(found.yaw - yaw_of_heading(heading)) == pytest.approx(0.0, abs=1e-5)
         assert found.stddev == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["GNVTG,90.0,T,,M,1.944,N,3.6,K,D", "GPVTG,90.0,T,,M,1.9438445,N,,K", "GNRMC,,A,,,,,1.9438445,90.0,,,,A"],
+)
+def test_speed_and_course_are_a_velocity(content):
+    found = decode(line(content))
+    velocity = found.velocity if isinstance(found, Rmc) else found
+    assert isinstance(velocity, Velocity)
+    assert velocity[1:] == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_slow_antenna_without_a_course_stands_as_far_as_is_known():
+    assert decode(line("GNVTG,,T,,M,0.1,N,0.18,K,A")) == Velocity(None, 0.0, 0.0, 0.0, pytest.approx(0.05))
 
 
 @given(st.floats(-math.pi, math.pi))
@@ -238,7 +270,7 @@ def test_heading_and_yaw_are_each_other_s_inverse(yaw):
 
 @given(
     st.binary(max_size=200),
-    st.sampled_from(["GGA", "GST", "RMC", "HDT", "THS", "TNL,AVR"]),
+    st.sampled_from(["GGA", "GST", "RMC", "VTG", "HDT", "THS", "TNL,AVR"]),
     st.text(max_size=80),
 )
 def test_any_bytes_and_any_fields_are_survived(noise, kind, fields):

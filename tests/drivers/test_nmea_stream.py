@@ -18,7 +18,7 @@ from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.gnss_frames import LONGEST
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
-from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample
+from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -209,6 +209,21 @@ def test_binary_bursts_take_no_sentence(size, form):
 def ubx(name, payload):
     body = name + len(payload).to_bytes(2, "little") + payload
     return b"\xb5\x62" + body + calc_checksum(body)
+
+
+VTG = sentence("GNVTG,90.0,T,,M,1.944,N,3.600,K,R")
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_velocity_comes_once_an_epoch_at_the_stamp_of_its_fix(order):
+    parser, samples = stream(), []
+    for k, time_ns in enumerate(EPOCHS):
+        both = rmc(at(time_ns)._replace(speed=1.0, course=90.0)), VTG
+        samples += parser.feed(gga(at(time_ns)) + both[order[0]] + both[order[1]], 5 * S + k * S // 10)
+    fixes, found = ([s for s in samples if isinstance(s, kind)] for kind in (FixSample, VelocitySample))
+    assert [s.stamp_ns for s in found] == [s.stamp_ns for s in fixes]
+    assert found[0][1:] == pytest.approx((1.0, 0.0, P.velocity_stddev), abs=1e-3)
+    assert parser.repeated == len(EPOCHS)
 
 
 def test_kinds_that_come_are_named():

@@ -19,7 +19,7 @@ from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.nmea import Heading, Rejection
 from trackslip_drivers.protocols.nmea_sentences import Position, gga
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
-from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample
+from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample, VelocitySample
 
 S = 1_000_000_000
 P = from_flat(
@@ -97,8 +97,20 @@ def test_solution_decides_the_status(given_flags, status, quality):
     found = ubx.decode(pvt(**given_flags))
     assert isinstance(found, ubx.Pvt)
     assert found.quality == quality
-    (sample,) = NmeaStream(P, Tally()).feed(pvt(**given_flags), S)
+    _, sample = NmeaStream(P, Tally()).feed(pvt(**given_flags), S)
     assert sample.status is status
+
+
+def test_velocity_and_its_accuracy_have_the_epoch_of_the_fix():
+    velocity, fix = NmeaStream(P, Tally()).feed(pvt(velE=1500, velN=-200, sAcc=40), S)
+    assert velocity == VelocitySample(fix.stamp_ns, *map(pytest.approx, (1.5, -0.2, 0.04)))
+
+
+def test_impossible_velocity_is_refused_and_the_fix_is_not():
+    stream = NmeaStream(P, Tally())
+    (fix,) = stream.feed(pvt(velE=150_000, sAcc=40), S)
+    assert isinstance(fix, FixSample)
+    assert stream.tally.by_source()["fix_velocity"] == {"out of range": 1}
 
 
 def test_heading_is_that_of_the_moving_base():
@@ -146,7 +158,8 @@ def test_heading_has_the_epoch_of_its_fix():
 
 
 def test_an_accuracy_of_zero_is_unknown():
-    (fix,) = NmeaStream(P, Tally()).feed(pvt(hAcc=0, vAcc=0), S)
+    velocity, fix = NmeaStream(P, Tally()).feed(pvt(hAcc=0, vAcc=0, sAcc=0), S)
+    assert velocity.stddev == P.velocity_stddev
     assert (fix.covariance_type, fix.variances) == (CovarianceType.UNKNOWN, (0.0, 0.0, 0.0))
 
 

@@ -24,6 +24,7 @@ from trackslip_drivers.records import (
     SprocketSample,
     SwingSample,
     Vector,
+    VelocitySample,
 )
 
 _UNOBSERVED = 1e6  # rad², variance of roll and pitch
@@ -194,6 +195,22 @@ def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
         angular_velocity_covariance=absent,
         linear_acceleration=_zero_vector(make),
         linear_acceleration_covariance=absent.copy(),
+    )
+
+
+def velocity(make: Make, sample: VelocitySample, frame_id: str) -> Any:
+    """geometry_msgs/TwistWithCovarianceStamped: x east, y north, as receivers have it.
+
+    An unknown accuracy is a variance of zero.
+    """
+    covariance = np.diag(np.full(6, _UNOBSERVED))
+    covariance[0, 0] = covariance[1, 1] = sample.stddev**2
+    linear = make("geometry_msgs/msg/Vector3", x=sample.east, y=sample.north, z=0.0)
+    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=_zero_vector(make))
+    return make(
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
+        header=header(make, sample.stamp_ns, frame_id),
+        twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance.ravel()),
     )
 
 

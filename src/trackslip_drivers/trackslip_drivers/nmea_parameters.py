@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the node ``nmea_gnss`` (values: ``config/nmea_gnss.yaml``)."""
 
+import re
 from dataclasses import dataclass
 
+from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 
 
@@ -15,6 +17,38 @@ class RangeErrors(Parameters):
     differential: float = parameter("the same with corrections", unit="m", gt=0.0)
     rtk_float: float = parameter("the same of carrier phase, ambiguities not fixed", unit="m", gt=0.0)
     rtk_fixed: float = parameter("the same with ambiguities fixed", unit="m", gt=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NtripParameters(Parameters):
+    """Where corrections come from."""
+
+    host: str = parameter("caster; empty: the receiver gets no corrections from here")
+    port: int = parameter("its port", gt=0, le=65535)
+    tls: bool = parameter("whether it is spoken to over TLS")
+    mountpoint: str = parameter("stream of RTCM 3; letters, digits, '_', '-' and '.'")
+    credentials_file: str = parameter(
+        "file of two lines, user and password, of mode 0600; empty: the caster wants none"
+    )
+    gga_interval: float = parameter(
+        "between positions that it is sent, for corrections made for a place; 0: none", unit="s", ge=0.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check also what belongs together.
+
+        Raises:
+            InputError: a value is refused, or a caster has no mountpoint.
+        """
+        super().__post_init__()
+        if self.host and not re.fullmatch(r"[\w.-]+", self.mountpoint, re.ASCII):
+            raise InputError(
+                f"nmea_gnss: ntrip.mountpoint: '{self.mountpoint}' is refused; accepted: letters, digits, _-."
+            )
+        if self.host and not re.fullmatch(r"[\w.:-]+", self.host, re.ASCII):
+            raise InputError(
+                f"nmea_gnss: ntrip.host: '{self.host}' is refused; accepted: a name or an address"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,4 +75,8 @@ class NmeaParameters(Parameters):
     heading_stddev: float = parameter(
         "noise of a heading that comes without one; 0: unknown", unit="rad", ge=0.0
     )
+    velocity_stddev: float = parameter(
+        "noise of a velocity that comes without one, east and north; 0: unknown", unit="m/s", ge=0.0
+    )
     range_errors: RangeErrors
+    ntrip: NtripParameters

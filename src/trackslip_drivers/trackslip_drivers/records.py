@@ -98,6 +98,15 @@ class FixSample(NamedTuple):
     covariance_type: CovarianceType
 
 
+class VelocitySample(NamedTuple):
+    """Horizontal velocity of an antenna."""
+
+    stamp_ns: int
+    east: float  # m/s
+    north: float
+    stddev: float  # m/s, of each; 0: unknown
+
+
 class HeadingSample(NamedTuple):
     """Direction of a pair of antennas about the vertical."""
 

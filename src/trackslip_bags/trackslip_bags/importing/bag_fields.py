@@ -85,6 +85,17 @@ def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
     yield Reading(getattr(message, "header", None), row, "" if finite else "holds no such numbers")
 
 
+def _velocity(message: Any, topic: BagTopic) -> Iterator[Reading]:
+    """x, y and their variances; 0 where the message has none."""
+    covariance = np.zeros(36)
+    twist = message.twist
+    if hasattr(twist, "covariance"):
+        covariance, twist = np.asarray(twist.covariance, np.float64), twist.twist
+    row = (float(twist.linear.x), float(twist.linear.y), float(covariance[0]), float(covariance[7]))
+    lacks = "" if all(map(math.isfinite, row)) else "holds no such numbers"
+    yield Reading(message.header, row, "states that it has no velocity" if row[2] < 0.0 else lacks)
+
+
 def _imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
     """As the message has it: rate, acceleration, orientation, each with its covariance."""
     turn = message.orientation
@@ -179,6 +190,7 @@ READERS: Mapping[tuple[str, str], Reader] = {
     **{("pose", name): _transform for name in (TRANSFORM, *TRANSFORMS)},
     ("pose", FIX): _fix,
     ("fix", FIX): _fix,
+    **{("velocity", name): _velocity for name in TWISTS[1:]},
     ("odometry", ODOMETRY): _odometry,
     ("hydraulics", HYDRAULICS): _hydraulics,
 }

@@ -70,6 +70,8 @@ def values_of(
             return _imu_values(rows, topic)
         case "pose":
             return _pose_values(rows, topic, type_name, local)
+        case "velocity":
+            return _velocity_values(rows, topic)
         case "odometry":
             return {"place": rows[:, :3], "turn": rows[:, 3:7], "variances": rows[:, 7:]}
         case "fix":
@@ -123,6 +125,14 @@ def _heading_values(rows: FloatArray, topic: BagTopic) -> Values:
     yaw = math.pi / 2.0 - yaw if topic.convention == "compass" else yaw
     level = np.zeros(len(yaw))
     return headings(np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0))), covariance)
+
+
+def _velocity_values(rows: FloatArray, topic: BagTopic) -> Values:
+    variances = rows[:, 2:].copy()
+    for k, axis in enumerate("xy"):
+        if axis in topic.spreads:
+            variances[:, k] = _variance(topic.spreads[axis])
+    return {"velocity": rows[:, :2], "variances": variances}
 
 
 def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:

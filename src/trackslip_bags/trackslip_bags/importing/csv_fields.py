@@ -41,6 +41,8 @@ def values_of(
             return _fix(columns, spreads)
         case "heading":
             return _heading(columns, spreads)
+        case "velocity":
+            return _velocity(columns, spreads)
         case "odometry":
             return _odometry(columns)
         case _:
@@ -135,6 +137,21 @@ def _fix(columns: Values, spreads: Values) -> Values:
         "kind": kind.astype(np.float64),
         "status": np.nan_to_num(status, nan=-1.0),
     }
+
+
+def _velocity(columns: Values, spreads: Values) -> Values:
+    """Of a radar forward alone; where no row says how sure it is, its source does."""
+    if "forward" in columns:
+        x, y = columns["forward"], np.zeros(len(columns["forward"]))
+    elif "course" in columns:
+        x, y = columns["speed"] * np.sin(columns["course"]), columns["speed"] * np.cos(columns["course"])
+    else:
+        x, y = columns["east"], columns["north"]
+    unknown = np.zeros(len(x))
+    of_x = np.nan_to_num(spreads.get("x", unknown), nan=0.0)
+    of_y = np.nan_to_num(spreads.get("y", unknown), nan=0.0)
+    of_y = np.full(len(x), UNOBSERVED) if "forward" in columns else of_y
+    return {"velocity": np.column_stack((x, y)), "variances": np.column_stack((of_x, of_y))}
 
 
 def _odometry(columns: Values) -> Values:

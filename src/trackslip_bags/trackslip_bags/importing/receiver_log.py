@@ -28,7 +28,7 @@ from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
 from trackslip_drivers.protocols.nmea import Rejection, Sentence, read
 from trackslip_drivers.protocols.nmea_stream import NmeaStream, Sample
-from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample
+from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 
 _NODE, _NETWORK = "nmea_gnss", "log://"  # bytes that come in no time, as over a network
 _PIECE = 1 << 16  # bytes
@@ -48,7 +48,7 @@ class _Timed(NamedTuple):
 def read_receiver_logs(
     paths: Sequence[Path], given: GnssSection, local: LocalFrame
 ) -> tuple[list[Samples], list[str]]:
-    """``fix``, ``gnss_pose`` and ``heading``, and notes on what was refused.
+    """``fix``, ``gnss_pose``, ``fix_velocity`` and ``heading``, and notes on what was refused.
 
     Raises:
         InputError: a log cannot be read, or gives nothing.
@@ -68,7 +68,12 @@ def read_receiver_logs(
     notes += [f"{names}: {n} × {reason}" for why in tally.by_source().values() for reason, n in why.items()]
     fixes = [one for one in samples if isinstance(one, FixSample)]
     directions = [one for one in samples if isinstance(one, HeadingSample)]
-    found = [*_fixes(fixes, given, local, names), *_headings(directions, given, names)]
+    velocities = [one for one in samples if isinstance(one, VelocitySample)]
+    found = [
+        *_fixes(fixes, given, local, names),
+        *_velocities(velocities, given, names),
+        *_headings(directions, given, names),
+    ]
     if not found:
         reasons = "; ".join([*notes, f"kinds that come: {', '.join(stream.kinds) or 'none'}"])
         raise InputError(f"{given.where}: {names}: no position and no heading ({reasons})")
@@ -210,6 +215,16 @@ def _fixes(
     poses = Samples("gnss_pose", "pose", [ROLES["pose"].frame], *times, of_pose, source=source)
     poses.left_out.update({reason: n for reason, n in left_out.items() if n})
     yield poses
+
+
+def _velocities(found: Sequence[VelocitySample], given: GnssSection, source: str) -> Iterator[Samples]:
+    if not found:
+        return
+    stamps_ns = _stamps(found, given)
+    variances = np.array([(one.stddev**2, one.stddev**2) for one in found])
+    values = {"velocity": np.array([(one.east, one.north) for one in found]), "variances": variances}
+    frame = [ROLES["velocity"].frame]
+    yield Samples("fix_velocity", "velocity", frame, stamps_ns, stamps_ns, values, source=source)
 
 
 def _headings(found: Sequence[HeadingSample], given: GnssSection, source: str) -> Iterator[Samples]:

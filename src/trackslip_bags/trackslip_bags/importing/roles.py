@@ -14,13 +14,14 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
 FIX = "sensor_msgs/msg/NavSatFix"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 TWISTS = (
     "geometry_msgs/msg/Twist",
     "geometry_msgs/msg/TwistStamped",
-    "geometry_msgs/msg/TwistWithCovarianceStamped",
+    VELOCITY,
 )
 QUATERNION_STAMPED = "geometry_msgs/msg/QuaternionStamped"
 HYDRAULICS = "trackslip_msgs/msg/TrackHydraulics"
@@ -147,6 +148,17 @@ ROLES: Mapping[str, Role] = {
         axes={"x": "length", "y": "length", "z": "length"},
         optional=("altitude", "quality", "status"),
     ),
+    "velocity": Role(
+        type_name=VELOCITY,
+        frame="gnss_antenna",
+        fields={
+            **dict.fromkeys(("east", "north", "speed", "forward"), ("speed",)),
+            "course": _ANGLE,
+        },
+        choices=((("east", "north"), ("speed", "course"), ("forward",)),),
+        messages=TWISTS[1:],
+        axes={"x": "speed", "y": "speed"},
+    ),
     "odometry": Role(
         type_name=ODOMETRY,
         frame="odom",
@@ -185,6 +197,7 @@ ROLE_OF_TOPIC: Mapping[str, str] = {
     "gnss_pose": "pose",
     "fix": "fix",
     "heading": "heading",
+    "fix_velocity": "velocity",
     "swing": "swing",
     "hydraulics": "hydraulics",
 }

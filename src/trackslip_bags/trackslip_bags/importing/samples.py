@@ -8,6 +8,7 @@
     pose         pose (n, 3): x, y, yaw; covariance (n, 3, 3)                       m, m, rad
     fix          place (n, 3): latitude, longitude, altitude; covariance (n, 3, 3);
                  kind, status (n,)                                                  rad, rad, m
+    velocity     velocity (n, 2): east, north; variances (n, 2), 0: unknown         m/s
     odometry     place (n, 3), turn (n, 4): x, y, z, w; variances (n, 12) of pose and of twist   m, 1
     hydraulics   left_pressure … supply_pressure (n,)                               Pa, 1
 
@@ -165,6 +166,16 @@ def _hydraulics(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     return {name: float(value) for name, value in values.items()}
 
 
+def _velocity(values: Mapping[str, FloatArray]) -> dict[str, Any]:
+    v_x, v_y = values["velocity"].tolist()
+    variances = np.full(6, UNOBSERVED)
+    variances[:2] = values["variances"]
+    linear = make("geometry_msgs/msg/Vector3", x=v_x, y=v_y, z=0.0)
+    twist = make("geometry_msgs/msg/Twist", linear=linear)
+    covariance = np.diag(variances).ravel()
+    return {"twist": make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance)}
+
+
 def _odometry(values: Mapping[str, FloatArray]) -> dict[str, Any]:
     place = make("geometry_msgs/msg/Point", **dict(zip("xyz", values["place"].tolist(), strict=True)))
     turn = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", values["turn"].tolist(), strict=True)))
@@ -182,6 +193,7 @@ _BUILDERS: Mapping[str, Callable[[Mapping[str, FloatArray]], dict[str, Any]]] = 
     "heading": _imu,
     "swing": _swing,
     "fix": _fix,
+    "velocity": _velocity,
     "odometry": _odometry,
     "hydraulics": _hydraulics,
 }

@@ -23,6 +23,7 @@ from trackslip_drivers.records import (
     ScanSample,
     SprocketSample,
     SwingSample,
+    VelocitySample,
 )
 from trackslip_drivers.stamping import InOrder, StampEvent
 from trackslip_drivers.transports.host_clock import HostClock
@@ -30,7 +31,15 @@ from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
 S = TypeVar(
-    "S", SprocketSample, HydraulicsSample, SwingSample, ImuSample, ScanSample, FixSample, HeadingSample
+    "S",
+    SprocketSample,
+    HydraulicsSample,
+    SwingSample,
+    ImuSample,
+    ScanSample,
+    FixSample,
+    HeadingSample,
+    VelocitySample,
 )
 
 _STALE_PERIODS = 10

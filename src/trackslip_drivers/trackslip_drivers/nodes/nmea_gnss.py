@@ -2,23 +2,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """``nmea_gnss``: a GNSS receiver that speaks NMEA 0183 or UBX, on a serial line or a network."""
 
+import math
 import sys
+import time
 from collections.abc import Iterable
+from pathlib import Path
 from types import MappingProxyType
 
-from trackslip_common.nodes.health import Health
+from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_common.nodes.messages import make, topic_class
 from trackslip_common.nodes.run import run
 from trackslip_drivers import conversions
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.nodes.driver import DriverNode
-from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, NmeaStream, Sample
-from trackslip_drivers.records import FixSample
+from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
+from trackslip_drivers.protocols.nmea_sentences import Position, gga
+from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, VELOCITY, NmeaStream, Sample
+from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
+from trackslip_drivers.transports.ntrip import MOST_RATE, STALL_S, NtripClient, read_credentials
 from trackslip_drivers.transports.serial_port import SerialPort
+
+_QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
 
 
 class NmeaNode(DriverNode[NmeaParameters]):
-    """Bytes in, ``fix`` and ``heading`` out."""
+    """Bytes in, ``fix``, ``fix_velocity`` and ``heading`` out."""
 
     device = "GNSS receiver"
     passing = MappingProxyType({"no fix": "give the antenna sight of the sky"})
@@ -33,7 +41,37 @@ class NmeaNode(DriverNode[NmeaParameters]):
         self.period = 1.0 / self.settings.rate
         self._fixes = self.advertise(topic_class(FIX), FIX)
         self._headings = self.advertise(topic_class(HEADING), HEADING)
+        self._velocities = self.advertise(topic_class(VELOCITY), VELOCITY)
         self._stream = self._new_stream()
+        self._position: bytes | None = None  # GGA, for a caster
+        file = self.settings.ntrip.credentials_file
+        self._credentials = read_credentials(Path(file)) if self.settings.ntrip.host and file else None
+        self._caster: NtripClient | None = None
+
+    def activate(self) -> None:
+        """Open the link, and ask the caster, where there is one."""
+        super().activate()
+        p = self.settings
+        if p.ntrip.host:
+            most_rate = (
+                MOST_RATE if "://" in p.serial_port else min(p.serial_baud // BITS_PER_CHAR, MOST_RATE)
+            )
+            self._caster = NtripClient(
+                p.ntrip, self._credentials, most_rate, self._pass_on, lambda: self._position
+            )
+            self._caster.start()
+
+    def deactivate(self) -> None:
+        """Close the link, and leave the caster."""
+        if self._caster is not None:
+            self._caster.stop()
+            self._caster = None
+        super().deactivate()
+
+    def _pass_on(self, message: bytes) -> None:
+        """A correction to the receiver."""
+        if self._link is not None:
+            self._link.write(message)
 
     def open_port(self) -> SerialPort:
         """The serial port, or a socket."""
@@ -58,7 +96,24 @@ class NmeaNode(DriverNode[NmeaParameters]):
         entry.values["sentences of other kinds"] = self._stream.others
         entry.values["measurements stated twice"] = self._stream.repeated
         entry.values["bytes between sentences"] = self._stream.binary
-        return [entry, *others]
+        return [entry, *others, *self._health_of_corrections()]
+
+    def _health_of_corrections(self) -> list[Health]:
+        if self._caster is None:
+            return []
+        state, where = self._caster.state(), self._caster.where
+        values = {
+            "age of corrections (s)": f"{state.age_s:.1f}" if math.isfinite(state.age_s) else "none yet",
+            "messages": state.messages,
+            "bytes": state.bytes,
+            "left out": state.left_out,
+            "connections": state.connections,
+        }
+        if not state.fault and state.age_s <= STALL_S:
+            return [Health(OK, f"{where}: corrections come", values, part="corrections")]
+        fault = state.fault or "sends no more corrections"
+        message = f"{where}: {fault}; the receiver goes on without corrections"
+        return [Health(WARN, message, values, part="corrections")]
 
     def lack(self) -> str:
         """Whole sentences, but none with a position."""
@@ -77,10 +132,21 @@ class NmeaNode(DriverNode[NmeaParameters]):
             if isinstance(decoded, FixSample):
                 fix = self.stamped(decoded)
                 self._fixes.publish(conversions.nav_sat_fix(make, fix, self.settings.frame_id))
+                if self._caster is not None:
+                    self._position = _gga_of(fix)
                 self.count()
+            elif isinstance(decoded, VelocitySample):
+                velocity = self.stamped(decoded)
+                self._velocities.publish(conversions.velocity(make, velocity, self.settings.frame_id))
             else:
                 heading = self.stamped(decoded)
                 self._headings.publish(conversions.heading(make, heading, self.settings.heading_frame_id))
+
+
+def _gga_of(fix: FixSample) -> bytes:
+    """Where the receiver is, for a caster."""
+    altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
+    return gga(Position(time.time_ns(), fix.latitude, fix.longitude, altitude, _QUALITY[fix.status]))
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""NMEA 0183 sentences of GNSS receivers: positions, their accuracy, headings.
+"""NMEA 0183 sentences of GNSS receivers: positions, their accuracy, velocities, headings.
 
     $GNGGA,101530.20,3352.1234567,S,15112.7654321,E,4,18,0.6,41.20,M,22.10,M,1.0,0021*5C
 
@@ -40,6 +40,9 @@ STATUS_OF_QUALITY = {
 _NO_FIX, _DEAD_RECKONING = 0, 6
 _WORST_STDDEV = 1e4  # m
 _HIGHEST = 1e5  # m, of an altitude either way
+_FASTEST = 100.0  # m/s
+_COURSELESS = 0.2  # m/s, up to which receivers leave out the course
+_KNOT, _KM_PER_H = 1852.0 / 3600.0, 1.0 / 3.6  # m/s
 _NS_PER_S = 1_000_000_000
 _TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s, leading zeros left out by some makes
 _ANGLE = re.compile(r"(\d{1,5})(?:\.(\d*))?")  # dddmm.m, the same
@@ -59,6 +62,7 @@ class Rejection(Enum):
     DEAD_RECKONING = "dead reckoning"
     NOT_MEASURED = "manual or simulated"
     NO_HEADING = "no heading"
+    NO_VELOCITY = "no speed or course"
     NO_PAIR = "heading to a base that does not move along"
     NOT_FIXED = "ambiguities of the heading are not fixed"
     NOT_TRUE_NORTH = "heading is not from true north"
@@ -90,10 +94,21 @@ class Gst(NamedTuple):
     up: float
 
 
-class Rmc(NamedTuple):
-    """That the receiver finds its position valid."""
+class Velocity(NamedTuple):
+    """Of the antenna over the ground."""
 
     time_ns: int | None
+    east: float  # m/s
+    north: float
+    stddev: float  # m/s, of each; 0: unknown
+    unseen: float = 0.0  # m/s, speed whose direction is unknown: it is no part of east and north
+
+
+class Rmc(NamedTuple):
+    """That the receiver finds its position valid, and how fast the antenna moves."""
+
+    time_ns: int | None
+    velocity: Velocity | Rejection | None = None  # None: the sentence leaves it out
 
 
 class Heading(NamedTuple):
@@ -105,7 +120,7 @@ class Heading(NamedTuple):
     needs_fix: bool = False  # the sentence has no validity field of its own
 
 
-Reading = Gga | Gst | Rmc | Heading
+Reading = Gga | Gst | Rmc | Heading | Velocity
 
 
 class Sentence(NamedTuple):
@@ -206,7 +221,32 @@ def _gst(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 def _rmc(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if found.status != "A":
         return Rejection.WARNING
-    return _rejected_mode(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(_time_ns(fields[0]))
+    time_ns, speed, course = _time_ns(fields[0]), _number(fields[6]), _number(fields[7])
+    velocity = None if math.isnan(speed) else _velocity(time_ns, speed * _KNOT, course)
+    return _rejected_mode(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(time_ns, velocity)
+
+
+def _vtg(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """Course and speed; old receivers leave out units and mode."""
+    if len(fields) < 8 or fields[1] not in ("T", "") or fields[7] not in ("K", ""):
+        return Rejection.MALFORMED
+    speed, knots = _number(fields[6]) * _KM_PER_H, _number(fields[4]) * _KNOT
+    if math.isnan(speed):
+        speed = knots
+    rejected = _rejected_mode(fields[8] if len(fields) > 8 else "", Rejection.WARNING)
+    return rejected or _velocity(None, speed, _number(fields[0]))
+
+
+def _velocity(time_ns: int | None, speed: float, course: float) -> Velocity | Rejection:
+    """From m/s and ° clockwise from true north; nan: unknown."""
+    if math.isnan(speed) or (math.isnan(course) and speed > _COURSELESS):
+        return Rejection.NO_VELOCITY
+    if not 0.0 <= speed < _FASTEST or course < 0.0 or course > 360.0:
+        return Rejection.OUT_OF_RANGE
+    if math.isnan(course):
+        return Velocity(time_ns, 0.0, 0.0, 0.0, speed)
+    yaw = yaw_of_heading(course)
+    return Velocity(time_ns, speed * math.cos(yaw), speed * math.sin(yaw), 0.0)
 
 
 def _rejected_mode(mode: str, invalid: Rejection) -> Rejection | None:
@@ -289,6 +329,7 @@ _DECODERS: dict[str, Callable[[Any, Sequence[str]], Reading | Rejection]] = {
     "GGA": _gga,
     "GST": _gst,
     "RMC": _rmc,
+    "VTG": _vtg,
     "HDT": _hdt,
     "THS": _ths,
     "PASHR": _pashr,

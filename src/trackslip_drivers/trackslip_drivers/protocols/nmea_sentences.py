@@ -24,6 +24,8 @@ class Position(NamedTuple):
     up_stddev: float = 0.0  # m
     heading: float | None = None  # ° clockwise from true north
     heading_stddev: float = 0.0  # °
+    speed: float | None = None  # m/s, horizontal
+    course: float = 0.0  # ° clockwise from true north
 
 
 def sentence(content: str) -> bytes:
@@ -50,11 +52,12 @@ def gst(at: Position) -> bytes:
 
 
 def rmc(at: Position) -> bytes:
-    """Whether the position is valid; without speed, course and date."""
+    """Whether the position is valid, speed in knots and course; without a date."""
     if at.quality == 0:
         return sentence(f"GNRMC,{_time(at.time_ns)},V,,,,,,,,,,N,V")
     north, east = _angle(at.latitude, 2, "NS"), _angle(at.longitude, 3, "EW")
-    return sentence(f"GNRMC,{_time(at.time_ns)},A,{north},{east},,,,,,R,V")
+    motion = "," if at.speed is None else f"{at.speed * 3600.0 / 1852.0:.3f},{at.course:.2f}"
+    return sentence(f"GNRMC,{_time(at.time_ns)},A,{north},{east},{motion},,,,R,V")
 
 
 def hdt(at: Position) -> bytes:

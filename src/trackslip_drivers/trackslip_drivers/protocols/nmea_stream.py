@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes of a GNSS receiver to positions and headings with stamps and variances.
+"""Bytes of a GNSS receiver to positions, velocities and headings with stamps and variances.
 
 A receiver states one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
-the epoch; HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the one
-before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls silent.
-UBX messages may come between sentences, or alone. A NAV-PVT waits for NAV-HPPOSLLH and NAV-COV of its epoch,
-where the one before had them. Of several messages that state the same measurement of an epoch, one is used.
+the epoch; VTG, HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the
+one before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls
+silent. UBX messages may come between sentences, or alone. A NAV-PVT waits for NAV-HPPOSLLH and NAV-COV of its
+epoch, where the one before had them. Of several messages that state one measurement of an epoch, one is used.
 """
 
 import math
@@ -26,13 +26,22 @@ from trackslip_drivers.protocols.nmea import (
     Heading,
     Reading,
     Rejection,
+    Rmc,
     Sentence,
+    Velocity,
     read,
 )
-from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample, Vector
+from trackslip_drivers.records import (
+    CovarianceType,
+    FixSample,
+    FixStatus,
+    HeadingSample,
+    Vector,
+    VelocitySample,
+)
 from trackslip_drivers.stamping import SenderClock
 
-FIX, HEADING = "fix", "heading"
+FIX, HEADING, VELOCITY = "fix", "heading", "fix_velocity"
 RECEIVER_CLOCK = "receiver's clock"
 
 _CLOCK_TOLERANCE = 5e-5  # of a host's quartz
@@ -46,9 +55,10 @@ _MOST_KINDS = 64  # of sentences, that are told apart
 _BY_ACCURACY = 2  # rank of a position that states its accuracy itself
 _RECENT_NS = 10_000_000_000
 _HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
+_TOPICS = {**dict.fromkeys(_HEADINGS, HEADING), "VTG": VELOCITY}
 _REASONS = {Kind.TEXT: Rejection.NOT_NMEA, Kind.OVERLONG: Rejection.OVERLONG}
 
-Sample = FixSample | HeadingSample
+Sample = FixSample | HeadingSample | VelocitySample
 
 
 class ClockEvent(Enum):
@@ -77,7 +87,7 @@ class NmeaStream:
         self._utc = utc
         self._frames = FrameCutter(0 if "://" in p.serial_port else p.serial_baud)
         self._clock = SenderClock(_CLOCK_TOLERANCE, _PATIENCE)
-        self._position, self._direction = EpochSource(), EpochSource()
+        self._position, self._direction, self._speed = EpochSource(), EpochSource(), EpochSource()
         self._kinds: dict[str, int] = {}  # kind of sentence → when the latest one ended
         self.reset()
 
@@ -89,7 +99,7 @@ class NmeaStream:
     @property
     def repeated(self) -> int:
         """Measurements that another message of the same epoch had stated."""
-        return self._position.repeated + self._direction.repeated
+        return self._position.repeated + self._direction.repeated + self._speed.repeated
 
     @property
     def kinds(self) -> list[str]:
@@ -103,6 +113,7 @@ class NmeaStream:
         self._clock.restart()
         self._position.reset()
         self._direction.reset()
+        self._speed.reset()
         self._kinds.clear()
         self._burst_ns: int | None = None  # the epoch of this burst
         self._burst_end_ns: int | None = None
@@ -144,7 +155,7 @@ class NmeaStream:
         if isinstance(reading, Heading):
             return self._on_reading(reading, kind, begun_ns)
         if isinstance(reading, ubx.Pvt):
-            samples = self._release_pvt()
+            samples = self._release_pvt() + self._on_velocity(reading.velocity, "UBX", begun_ns)
             self._pvt = reading, self._stamp(reading.time_ns, begun_ns), begun_ns
             self._pvt_parts = set()
         elif self._pvt is None or self._pvt[0].time_ns != reading.time_ns:
@@ -169,7 +180,7 @@ class NmeaStream:
 
     def _pvt_out(self) -> list[Sample]:
         assert self._pvt is not None
-        (self._pvt_out_ns, *place, quality, stddevs), stamp_ns, begun_ns = self._pvt
+        (self._pvt_out_ns, *place, quality, stddevs, _), stamp_ns, begun_ns = self._pvt
         self._pvt = None
         if not self._position.accept("UBX", _BY_ACCURACY, stamp_ns, begun_ns):
             return []
@@ -192,7 +203,7 @@ class NmeaStream:
         if isinstance(reading, Heading) and reading.needs_fix and not self._has_fix:
             reading = Rejection.NO_FIX
         if isinstance(reading, Rejection):
-            self.tally.add(HEADING if kind in _HEADINGS else FIX, reading)
+            self.tally.add(_TOPICS.get(kind, FIX), reading)
             return []
         if reading is None:
             self.others += 1
@@ -212,6 +223,8 @@ class NmeaStream:
         return self._out()
 
     def _on_reading(self, reading: Reading, source: str, begun_ns: int) -> list[Sample]:
+        if isinstance(reading, Velocity):
+            return self._on_velocity(reading, source, begun_ns)
         stamp_ns = self._stamp(reading.time_ns, begun_ns)
         if isinstance(reading, Heading):
             if not self._direction.accept(source, reading.stddev > 0.0, stamp_ns, begun_ns):
@@ -227,7 +240,21 @@ class NmeaStream:
             self._last, self._waiting = (reading, stamp_ns), True
             if not self._gst_follows or reading.time_ns is None or self._has_gst(reading):
                 samples += self._out()
+        if isinstance(reading, Rmc):
+            samples += self._on_velocity(reading.velocity, source, begun_ns)
         return samples
+
+    def _on_velocity(self, reading: Velocity | Rejection | None, source: str, begun_ns: int) -> list[Sample]:
+        if reading is None:
+            return []
+        if isinstance(reading, Rejection):
+            self.tally.add(VELOCITY, reading)
+            return []
+        stamp_ns, rank = self._stamp(reading.time_ns, begun_ns), int(reading.stddev > 0.0)
+        if not self._speed.accept(source, rank, stamp_ns, begun_ns):
+            return []
+        stddev = reading.stddev or self._p.velocity_stddev
+        return [VelocitySample(stamp_ns, reading.east, reading.north, math.hypot(stddev, reading.unseen))]
 
     def _on_gst(self, gst: Gst, stamp_ns: int) -> list[Sample]:
         self._gst = gst, stamp_ns

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """UBX messages of u-blox receivers: NAV-PVT, NAV-HPPOSLLH, NAV-COV and NAV-RELPOSNED, read by pyubx2.
 
-    NAV-PVT         position, its quality and accuracy
+    NAV-PVT         position, its quality and accuracy, velocity
     NAV-HPPOSLLH    the same position to 0.1 mm, with an accuracy as fine
     NAV-COV         its covariance, north, east, down
     NAV-RELPOSNED   from the moving base to the rover: the heading of a pair of antennas
@@ -15,10 +15,18 @@ from typing import Any, NamedTuple
 
 from pyubx2 import UBXReader
 
-from trackslip_drivers.protocols.nmea import RTK_FIXED, RTK_FLOAT, Heading, Rejection, yaw_of_heading
+from trackslip_drivers.protocols.nmea import (
+    RTK_FIXED,
+    RTK_FLOAT,
+    Heading,
+    Rejection,
+    Velocity,
+    yaw_of_heading,
+)
 
 _MM = 1e-3
 _WORST_STDDEV = 1e4  # m
+_FASTEST, _WORST_SPEED = 100.0, 10.0  # m/s, and of its standard deviation
 _LEAP_MS = 18_000  # GPS ahead of UTC since 2017
 _DAY_MS = 86_400_000
 _NAV = 0x01
@@ -38,6 +46,7 @@ class Pvt(NamedTuple):
     altitude: float  # m above the ellipsoid; nan: unknown
     quality: int  # as that of GGA
     stddevs: Stddevs
+    velocity: Velocity | Rejection
 
 
 class FinePosition(NamedTuple):
@@ -84,8 +93,18 @@ def _pvt(found: Any) -> Reading | Rejection:
         return Rejection.NO_FIX
     quality = {_FIXED: RTK_FIXED, 1: RTK_FLOAT}.get(found.carrSoln, 2 if found.diffSoln else 1)
     altitude = math.nan if found.fixType == _TWO_D else found.height * _MM
-    place = _place(found, altitude)
-    return place or Pvt(_time_ns(found.iTOW), found.lat, found.lon, altitude, quality, _accuracy(found))
+    if (refused := _place(found, altitude)) is not None:
+        return refused
+    place = found.lat, found.lon, altitude
+    return Pvt(_time_ns(found.iTOW), *place, quality, _accuracy(found), _velocity(found))
+
+
+def _velocity(found: Any) -> Velocity | Rejection:
+    """An accuracy of 0 is unknown."""
+    east, north, stddev = found.velE * _MM, found.velN * _MM, found.sAcc * _MM
+    if math.hypot(east, north) >= _FASTEST or stddev >= _WORST_SPEED:
+        return Rejection.OUT_OF_RANGE
+    return Velocity(_time_ns(found.iTOW), east, north, stddev)
 
 
 def _fine(found: Any) -> Reading | Rejection:

@@ -8,7 +8,16 @@ from pathlib import Path
 from trackslip_common.config_files import node_defaults
 from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 
-SENSOR_TOPICS = ("sprockets", "hydraulics", "imu/data_raw", "imu/mag", "scan", "fix", "heading")
+SENSOR_TOPICS = (
+    "sprockets",
+    "hydraulics",
+    "imu/data_raw",
+    "imu/mag",
+    "scan",
+    "fix",
+    "heading",
+    "fix_velocity",
+)
 
 _CAN = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2"}
 

@@ -48,7 +48,7 @@ class NmeaDevice:
         seed: of its latency.
 
     Attributes:
-        fixes_emitted, headings_emitted: how many were begun to be sent.
+        fixes_emitted, velocities_emitted, headings_emitted: how many were begun to be sent.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class NmeaDevice:
         start_ns: int,
         seed: int,
     ) -> None:
-        self.fixes_emitted = self.headings_emitted = 0
+        self.fixes_emitted = self.velocities_emitted = self.headings_emitted = 0
         self._p = p
         self._line = line
         self._measure = measure
@@ -103,5 +103,6 @@ class NmeaDevice:
             return ()
         at = Position(None) if best == 0 else self._measure(epoch_ns, best)
         self.fixes_emitted += at.quality != 0
+        self.velocities_emitted += at.speed is not None
         self.headings_emitted += at.heading is not None
         return gga(at), gst(at), rmc(at), pashr(at)

@@ -179,6 +179,7 @@ class EmulatedExcavator:
             "imu/mag": lines,
             "scan": self.sick.scans_emitted,
             "fix": self.gnss.fixes_emitted,
+            "fix_velocity": self.gnss.velocities_emitted,
             "heading": self.gnss.headings_emitted,
         }
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a GNSS receiver on the machine finds of the truth: antenna position by quality, heading of a pair.
+"""What a GNSS receiver on the machine finds of the truth: position by quality, velocity, heading of a pair.
 
     e     error of a position, east and north: white, and a first-order Gauss–Markov process of σ, τ;
           that of the altitude is twice as large                                                       m
@@ -33,6 +33,7 @@ _FIXED_TIME = 5.0  # s
 _UP_SHARE = 2.0  # error of an altitude over that of the position
 _CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m, s
 _NS_PER_S = 1_000_000_000
+_APART_NS = 10_000_000  # from an epoch to both places whose difference is the velocity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,9 @@ class GnssParameters(Parameters):
     antenna_z: float = parameter("antenna above base_link", unit="m")
     heading_offset: float = parameter("direction of the antenna pair in base_link", unit="rad")
     heading_stddev: float = parameter("noise of the heading, white; 0: one antenna", unit="rad", ge=0.0)
+    velocity_stddev: float = parameter(
+        "noise of the Doppler velocity, east and north, white", unit="m/s", ge=0.0
+    )
     fixed_stddev: float = parameter("error of a fixed solution, east and north", unit="m", gt=0.0)
     float_stddev: float = parameter("error of a floating solution", unit="m", gt=0.0)
     float_time: float = parameter("for which that error lasts", unit="s", gt=0.0)
@@ -92,6 +96,7 @@ class GnssModel:
         self._faults = faults
         self._random = np.random.default_rng(seed)
         self._of_altitude = np.random.default_rng((seed, 1))  # its own: the other draws stay what they are
+        self._of_velocity = np.random.default_rng((seed, 2))
         self._lasting, self._lasting_up = self._processes(1.0), self._processes(_UP_SHARE)
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
         self._held: Placement | None = None
@@ -118,10 +123,24 @@ class GnssModel:
             stddev=self._stddevs[quality],
             up_stddev=_UP_SHARE * self._stddevs[quality],
         )
+        at = at._replace(**self._velocity(stamp_ns))
         if p.heading_stddev == 0.0:
             return at
         heading = heading_of_yaw(machine.azimuth(p.heading_offset) + heading_error)
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
+
+    def _velocity(self, stamp_ns: int) -> dict[str, float]:
+        """Speed and course of the antenna; a receiver that is stuck stands."""
+        arm = self._p.antenna_x, self._p.antenna_y, self._p.antenna_z
+        error, velocity = self._p.velocity_stddev * self._of_velocity.standard_normal(2), np.zeros(2)
+        if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
+            before, after = (
+                np.array(self._placement(stamp_ns + apart_ns).point(*arm)[:2])
+                for apart_ns in (-_APART_NS, _APART_NS)
+            )
+            velocity = (after - before) / (2e-9 * _APART_NS)
+        east, north = (velocity + error).tolist()
+        return {"speed": math.hypot(east, north), "course": heading_of_yaw(math.atan2(north, east))}
 
     def _processes(self, share: float) -> dict[int, _GaussMarkov]:
         """What lasts of the errors, by quality, times a share."""

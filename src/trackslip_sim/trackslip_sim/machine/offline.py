@@ -25,11 +25,11 @@ from trackslip_drivers.can_parameters import CanDriverParameters
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.can_frames import load_frames
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
-from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, NmeaStream, Sample
+from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, VELOCITY, NmeaStream, Sample
 from trackslip_drivers.protocols.sick_session import Phase, SickSession
 from trackslip_drivers.protocols.watson import Layout
 from trackslip_drivers.protocols.watson_stream import WatsonStream
-from trackslip_drivers.records import FixSample, ImuSample, ScanSample, SprocketSample
+from trackslip_drivers.records import FixSample, ImuSample, ScanSample, SprocketSample, VelocitySample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_estimation.box import parameters as box_parameters
@@ -222,6 +222,10 @@ class _Host:
             self.recording.add("box_pose", message, now_ns)
 
     def _on_gnss(self, sample: Sample, now_ns: int) -> None:
+        if isinstance(sample, VelocitySample):
+            velocity = of_sensors.velocity(make, sample, self._receiver.frame_id)
+            self.recording.add(VELOCITY, velocity, now_ns)
+            return
         if not isinstance(sample, FixSample):
             heading = of_sensors.heading(make, sample, self._receiver.heading_frame_id)
             self.recording.add(HEADING, heading, now_ns)

@@ -31,6 +31,7 @@ _ENDS = {  # topic → nodes that must have found each other on it, if all of th
     "scan": {"sick_pls", "box_localizer", "record", "demo"},
     "box_pose": {"box_localizer", "slip_estimator", "record", "demo"},
     "fix": {"nmea_gnss", "gnss_localizer", "record", "demo"},
+    "fix_velocity": {"nmea_gnss", "record", "demo"},
     "heading": {"nmea_gnss", "slip_estimator", "record", "demo"},
     "gnss_pose": {"gnss_localizer", "slip_estimator", "record", "demo"},
     "hydraulics": {"can_driver", "soil_estimator", "record", "demo"},

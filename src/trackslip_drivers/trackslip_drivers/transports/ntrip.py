@@ -1,0 +1,311 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Corrections from an NTRIP caster, in a thread of its own: RTCM 3 messages of one mountpoint.
+
+NTRIP 2 is HTTP, which ``http.client`` speaks; a caster of version 1 answers ``ICY 200 OK``, and where it has
+no such mountpoint a list of those that it has. Whatever the caster does ends here: the fault is kept as text
+for diagnostics, and the caster is asked again after a pause. User and password are in the request alone.
+"""
+
+import base64
+import math
+import os
+import socket
+import ssl
+import stat
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
+from pathlib import Path
+from typing import NamedTuple
+
+from trackslip_common.errors import InputError
+from trackslip_drivers.nmea_parameters import NtripParameters
+from trackslip_drivers.protocols.gnss_frames import FrameCutter, Kind
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+STALL_S = 10.0  # without a byte, after which the caster is asked again
+MOST_RATE = 50_000  # B/s of a caster over a network; corrections of all satellites are 4 kB/s
+_BURST = 64_000  # bytes beyond the rate, as casters send at first
+_RATE_OVER_S = 2.0  # the time that a rate is counted over
+_AHEAD_S = 0.4  # of what the line takes, that may be written to it at once
+_STEADY_S = 60.0  # of corrections, after which the next fault is the first one again
+_PIECE = 4096  # bytes
+_MOST_SILENT = 20_000  # bytes without a whole message that are no corrections
+_LONGEST_FILE = 1024  # bytes
+_LOOK_S = 0.2  # between two looks for a position
+
+
+class Credentials(NamedTuple):
+    """Of a user of the caster; their text hides them."""
+
+    user: str
+    password: str
+
+    def __repr__(self) -> str:
+        return "Credentials(…)"
+
+    __str__ = __repr__
+
+
+def read_credentials(path: Path) -> Credentials:
+    """A file of two lines, user and password, that only its owner may read.
+
+    Raises:
+        InputError: it is none, or others may read it.
+    """
+    where = f"nmea_gnss: ntrip.credentials_file '{path}'"
+    try:
+        with path.expanduser().open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            if not stat.S_ISREG(mode):
+                raise InputError(f"{where}: no file; accepted: two lines, user and password")
+            if stat.S_IMODE(mode) & 0o077:
+                raise InputError(
+                    f"{where}: mode {stat.S_IMODE(mode):04o}: others may read it; accepted: 0600 (chmod 600)"
+                )
+            lines = file.read(_LONGEST_FILE).decode("utf-8").split("\n")
+    except OSError as error:
+        raise InputError(f"{where}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{where}: no UTF-8; accepted: two lines, user and password") from None
+    found = [line.rstrip("\r") for line in lines]
+    if len(found) < 2 or not all(found[:2]) or any(found[2:]) or ":" in found[0]:
+        raise InputError(f"{where}: accepted: two lines, user (without ':') and password")
+    return Credentials(found[0], found[1])
+
+
+@dataclass(frozen=True)
+class CorrectionState:
+    """A look at the corrections, for diagnostics."""
+
+    fault: str  # why none come; empty where they do
+    age_s: float  # since the latest; infinite before the first
+    messages: int
+    bytes: int
+    left_out: int  # messages that came faster than the line takes them
+    connections: int
+
+
+class _Fault(Exception):
+    """What is wrong with the caster, in words."""
+
+
+class _Line:
+    """What the receiver's line takes of a stream that comes in bursts."""
+
+    def __init__(self, rate: int) -> None:
+        self._rate = rate  # B/s
+        self._free, self._at_s = rate * _AHEAD_S, time.monotonic()
+        self._counted, self._since_s, self._burst = 0, self._at_s, _BURST
+
+    def check(self, size: int, now_s: float) -> None:
+        """More bytes from the caster.
+
+        Raises:
+            _Fault: it sends more than the line takes, and not only at first.
+        """
+        if now_s - self._since_s > _RATE_OVER_S:
+            self._counted, self._since_s, self._burst = 0, now_s, 0
+        self._counted += size
+        if self._counted > self._burst + self._rate * _RATE_OVER_S:
+            raise _Fault(f"sends more than the {self._rate / 1e3:g} kB/s that the receiver's line takes")
+
+    def takes(self, size: int, now_s: float) -> bool:
+        """Whether a message may be sent now: a part of one is of no use."""
+        free = min(self._free + (now_s - self._at_s) * self._rate, self._rate * _AHEAD_S)
+        taken = size <= free
+        self._free, self._at_s = free - size if taken else free, now_s
+        return taken
+
+
+class _Response(HTTPResponse):
+    """Of a caster of version 1, too."""
+
+    def _read_status(self) -> tuple[str, int, str]:
+        line = self.fp.peek(32)[:32] if hasattr(self.fp, "peek") else b""
+        if line.startswith(b"ICY 200"):
+            self.fp.readline(_PIECE)
+            return "HTTP/1.0", 200, "OK"
+        if line.startswith(b"SOURCETABLE"):
+            return "HTTP/1.0", 404, "sourcetable"
+        found: tuple[str, int, str] = super()._read_status()  # type: ignore[misc]
+        return found
+
+
+class NtripClient:
+    """Asks the caster again and again, and hands on whole messages.
+
+    Args:
+        p: the caster.
+        credentials: None where it wants none.
+        most_rate: bytes a second that the receiver takes.
+        on_message: called in the client's thread with each message of RTCM 3.
+        gga: the receiver's position as a sentence, for a caster that makes corrections for it; None: unknown.
+    """
+
+    def __init__(
+        self,
+        p: NtripParameters,
+        credentials: Credentials | None,
+        most_rate: int,
+        on_message: Callable[[bytes], object],
+        gga: Callable[[], bytes | None],
+    ) -> None:
+        self.where = f"NTRIP caster {p.host}:{p.port}, mountpoint {p.mountpoint}"
+        self._p, self._credentials, self._most_rate = p, credentials, most_rate
+        self._on_message, self._gga = on_message, gga
+        self._lock = threading.Lock()  # guards what follows
+        self._fault = "not asked yet"
+        self._latest_s = -math.inf
+        self._messages = self._bytes = self._left_out = self._connections = 0
+        self._stopping = threading.Event()
+        self._socket: socket.socket | None = None
+        self._thread = threading.Thread(target=self._run, name="ntrip", daemon=True)
+
+    def start(self) -> None:
+        """Begin asking."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a read that hangs ends with its socket."""
+        self._stopping.set()
+        with self._lock:
+            line = self._socket
+        if line is not None:
+            with suppress(OSError):
+                line.shutdown(socket.SHUT_RDWR)
+
+    def state(self) -> CorrectionState:
+        """How the corrections are doing."""
+        with self._lock:
+            age_s = time.monotonic() - self._latest_s
+            return CorrectionState(
+                self._fault, age_s, self._messages, self._bytes, self._left_out, self._connections
+            )
+
+    def _run(self) -> None:
+        """The loop; leaves only when stopped."""
+        pause_s = FIRST_PAUSE_S
+        while not self._stopping.is_set():
+            begun_s = time.monotonic()
+            try:
+                self._receive()
+            except Exception as error:  # noqa: BLE001 (whatever a library raises, the caster is what failed)
+                with self._lock:
+                    self._fault = self._words(error)
+            if time.monotonic() - begun_s > _STEADY_S:
+                pause_s = FIRST_PAUSE_S
+            self._stopping.wait(pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+    def _receive(self) -> None:
+        """One connection, until it ends.
+
+        Raises:
+            _Fault, OSError, HTTPException: why it does.
+        """
+        position = self._position()
+        if self._stopping.is_set():
+            return
+        connection, response = self._connection(), None
+        try:
+            connection.connect()
+            line = connection.sock  # which the connection forgets with the answer
+            with self._lock:
+                self._socket = line
+            response = self._ask(connection, position)
+            if position is not None:
+                line.sendall(position)
+            self._hand_on(line, response)
+        finally:
+            with self._lock:
+                self._socket = None
+            if response is not None:
+                response.close()
+            connection.close()
+
+    def _position(self) -> bytes | None:
+        """The sentence for the caster, once there is one; None where it wants none."""
+        while self._p.gga_interval > 0.0 and not self._stopping.is_set():
+            if (sentence := self._gga()) is not None:
+                return sentence
+            with self._lock:
+                if self._messages == 0:
+                    self._fault = "waits for the receiver's first position, which the caster wants"
+            self._stopping.wait(_LOOK_S)
+        return None
+
+    def _connection(self) -> HTTPConnection:
+        p = self._p
+        if p.tls:
+            context = ssl.create_default_context()
+            connection: HTTPConnection = HTTPSConnection(p.host, p.port, timeout=STALL_S, context=context)
+        else:
+            connection = HTTPConnection(p.host, p.port, timeout=STALL_S)
+        connection.response_class = _Response
+        with self._lock:
+            self._connections += 1
+        return connection
+
+    def _ask(self, connection: HTTPConnection, position: bytes | None) -> HTTPResponse:
+        headers = {"Ntrip-Version": "Ntrip/2.0", "User-Agent": "NTRIP trackslip", "Connection": "close"}
+        if self._credentials is not None:
+            both = f"{self._credentials.user}:{self._credentials.password}".encode()
+            headers["Authorization"] = f"Basic {base64.b64encode(both).decode()}"
+        if position is not None:
+            headers["Ntrip-GGA"] = position.decode("ascii").strip()
+        connection.request("GET", f"/{self._p.mountpoint}", headers=headers)
+        response = connection.getresponse()
+        if response.status in (401, 403):
+            raise _Fault(f"refuses user or password ({response.status}); check ntrip.credentials_file")
+        if response.status == 404 or response.headers.get_content_type() == "gnss/sourcetable":
+            raise _Fault("has no such mountpoint; check ntrip.mountpoint")
+        if response.status != 200:
+            raise _Fault(f"answers {response.status}")
+        return response
+
+    def _hand_on(self, line: socket.socket, response: HTTPResponse) -> None:
+        cutter, receiver, silent = FrameCutter(0), _Line(self._most_rate), 0
+        sent_s = time.monotonic()
+        while not self._stopping.is_set():
+            data = response.read1(_PIECE)
+            if not data:
+                raise _Fault("closed the connection")
+            now_s = time.monotonic()
+            receiver.check(len(data), now_s)
+            silent += len(data)
+            for frame in cutter.feed(data, time.monotonic_ns()):
+                if frame.kind is Kind.RTCM:
+                    silent = 0
+                    taken = receiver.takes(len(frame.content), now_s)
+                    if taken:
+                        self._on_message(frame.content)
+                    self._count(len(frame.content), taken=taken)
+            if silent > _MOST_SILENT:
+                raise _Fault("sends no RTCM 3; check ntrip.mountpoint")
+            if 0.0 < self._p.gga_interval <= now_s - sent_s and (sentence := self._gga()) is not None:
+                line.sendall(sentence)
+                sent_s = now_s
+
+    def _count(self, size: int, *, taken: bool) -> None:
+        with self._lock:
+            self._left_out += not taken
+            self._messages, self._bytes = self._messages + taken, self._bytes + taken * size
+            self._latest_s, self._fault = time.monotonic(), ""
+
+    @staticmethod
+    def _words(error: Exception) -> str:
+        """Of a fault, without anything that was sent or received."""
+        if isinstance(error, _Fault):
+            return str(error)
+        if isinstance(error, TimeoutError):
+            return f"sends nothing for {STALL_S:g} s"
+        if isinstance(error, HTTPException):
+            return "closed the connection" if "Disconnected" in type(error).__name__ else "answers no HTTP"
+        if isinstance(error, OSError) and error.strerror:
+            return f"not connected ({error.strerror})"
+        return f"not connected ({type(error).__name__})"

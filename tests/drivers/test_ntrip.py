@@ -1,0 +1,275 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Corrections from a caster on loopback: whatever it does, whole messages arrive and no password leaks."""
+
+import base64
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from pyrtcm import calc_crc24q
+
+from trackslip_common.config_files import node_defaults
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import from_flat
+from trackslip_drivers.nmea_parameters import NmeaParameters, NtripParameters
+from trackslip_drivers.transports import ntrip
+from trackslip_drivers.transports.ntrip import Credentials, NtripClient, read_credentials
+
+USER, PASSWORD = "crew7", "s3cret-Zq9"
+OK = b"HTTP/1.1 200 OK\r\nContent-Type: gnss/data\r\n\r\n"
+GGA = b"$GNGGA,101530.20,4806.0,N,01136.0,E,4,18,0.6,500.0,M,20.0,M,1.0,0000*4B\r\n"
+LINE_RATE = 11_520  # B/s
+Serve = Callable[[socket.socket, bytes], None]
+
+
+def rtcm(size: int = 100, number: int = 0) -> bytes:
+    body = b"\xd3" + size.to_bytes(2, "big") + number.to_bytes(2, "big") + bytes(size - 2)
+    return body + calc_crc24q(body).to_bytes(3, "big")
+
+
+class Caster:
+    """Serves each connection by the next of some behaviours; the last one serves all that follow."""
+
+    def __init__(self, *behaviours: Serve) -> None:
+        self._behaviours = list(behaviours)
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._socket.getsockname()[1])
+        self.requests: list[bytes] = []
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            behaviour = self._behaviours[min(len(self.requests), len(self._behaviours) - 1)]
+            threading.Thread(target=self._serve, args=(connection, behaviour), daemon=True).start()
+
+    def _serve(self, connection: socket.socket, behaviour: Serve) -> None:
+        with connection:
+            try:
+                request = b""
+                while b"\r\n\r\n" not in request:
+                    request += connection.recv(4096)
+                self.requests.append(request)
+                behaviour(connection, request)
+            except OSError:
+                pass
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def casters() -> Iterator[Callable[..., Caster]]:
+    made: list[Caster] = []
+
+    def make(*behaviours: Serve) -> Caster:
+        made.append(Caster(*behaviours))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture(autouse=True)
+def _short_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ntrip, "STALL_S", 0.5)
+    monkeypatch.setattr(ntrip, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(ntrip, "LONGEST_PAUSE_S", 0.2)
+
+
+def parameters(port: int, **more: object) -> NtripParameters:
+    values = {"ntrip.host": "127.0.0.1", "ntrip.port": port, "ntrip.mountpoint": "SITE1"}
+    values |= {f"ntrip.{name}": value for name, value in more.items()}
+    defaults = node_defaults("nmea_gnss", "nmea_gnss.yaml")
+    return from_flat(NmeaParameters, defaults | values, "nmea_gnss").ntrip
+
+
+class Receiver:
+    """What has reached it, from a client that runs while it is entered."""
+
+    def __init__(self, caster: Caster, gga: bytes | None = GGA, **more: object) -> None:
+        self.got: list[bytes] = []
+        self.faults: list[str] = []
+        p = parameters(caster.port, **more)
+        self.client = NtripClient(p, Credentials(USER, PASSWORD), LINE_RATE, self.got.append, lambda: gga)
+
+    def __enter__(self) -> "Receiver":
+        self.client.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.client.stop()
+
+    def wait(self, until: Callable[[], bool]) -> None:
+        """For something that a working client brings about; half a minute is for a busy host."""
+        end = time.monotonic() + 30.0
+        while not until() and time.monotonic() < end:
+            fault = self.client.state().fault
+            if fault not in self.faults:
+                self.faults.append(fault)
+            time.sleep(0.01)
+        assert until(), self.faults
+
+    def wait_for_fault(self, words: str) -> None:
+        self.wait(lambda: words in self.client.state().fault)
+
+
+def streams(count: int, answer: bytes = OK) -> Serve:
+    """As many messages, then silence until the client leaves."""
+
+    def serve(connection: socket.socket, _: bytes) -> None:
+        connection.sendall(answer)
+        for k in range(count):
+            connection.sendall(rtcm(number=k))
+            time.sleep(0.001)
+        while connection.recv(4096):
+            pass
+
+    return serve
+
+
+def replies(data: bytes) -> Serve:
+    return lambda connection, _: connection.sendall(data)
+
+
+@pytest.mark.parametrize("answer", [OK, b"ICY 200 OK\r\n\r\n", b"ICY 200 OK\r\nServer: old\r\n\r\n"])
+def test_whole_messages_arrive_in_order(casters: Callable[..., Caster], answer: bytes) -> None:
+    caster = casters(streams(20, answer))
+    with Receiver(caster) as receiver:
+        receiver.wait(lambda: len(receiver.got) == 20)
+        assert receiver.got == [rtcm(number=k) for k in range(20)]
+        state = receiver.client.state()
+        assert (state.fault, state.messages, state.left_out) == ("", 20, 0)
+    request = caster.requests[0].decode()
+    assert request.startswith("GET /SITE1 HTTP/1.1")
+    assert f"Basic {base64.b64encode(f'{USER}:{PASSWORD}'.encode()).decode()}" in request
+    assert f"Ntrip-GGA: {GGA.decode().strip()}" in request
+
+
+def test_chunked_streams_are_read(casters: Callable[..., Caster]) -> None:
+    def serve(connection: socket.socket, _: bytes) -> None:
+        connection.sendall(OK[:-2] + b"Transfer-Encoding: chunked\r\n\r\n")
+        for k in range(5):
+            connection.sendall(b"%x\r\n%s\r\n" % (len(rtcm()), rtcm(number=k)))
+        connection.recv(4096)
+
+    with Receiver(casters(serve)) as receiver:
+        receiver.wait(lambda: len(receiver.got) == 5)
+        assert receiver.got == [rtcm(number=k) for k in range(5)]
+
+
+def test_positions_go_back_to_the_caster(casters: Callable[..., Caster]) -> None:
+    heard: list[bytes] = []
+
+    def serve(connection: socket.socket, _: bytes) -> None:
+        connection.sendall(OK)
+        while len(b"".join(heard)) < 3 * len(GGA):
+            connection.sendall(rtcm())
+            connection.settimeout(0.05)
+            try:
+                heard.append(connection.recv(4096))
+            except TimeoutError:
+                continue
+
+    with Receiver(casters(serve, streams(0)), gga_interval=0.1) as receiver:
+        receiver.wait(lambda: len(b"".join(heard)) >= 3 * len(GGA))
+    assert b"".join(heard).startswith(3 * GGA)
+
+
+def test_caster_is_not_asked_before_there_is_a_position_for_it(casters: Callable[..., Caster]) -> None:
+    caster = casters(streams(1))
+    with Receiver(caster, gga=None) as receiver:
+        receiver.wait_for_fault("waits for the receiver's first position")
+        assert caster.requests == []
+    with Receiver(caster, gga=None, gga_interval=0.0) as receiver:
+        receiver.wait(lambda: len(receiver.got) == 1)
+
+
+FAULTS: dict[str, tuple[Serve, str]] = {
+    "stalls": (streams(0), "sends nothing for"),
+    "drops": (replies(OK + rtcm()), "closed the connection"),
+    "drops before it answers": (replies(b""), "closed the connection"),
+    "garbage for an answer": (replies(b"\x00\xff garbage\r\n" * 50), "answers no HTTP"),
+    "garbage for a stream": (replies(OK + bytes(range(256)) * 400), "sends no RTCM 3"),
+    "refuses": (replies(b"HTTP/1.1 401 Unauthorized\r\n\r\n"), "refuses user or password (401)"),
+    "no mountpoint": (replies(b"SOURCETABLE 200 OK\r\n\r\nSTR;OTHER;\r\n"), "has no such mountpoint"),
+    "sourcetable": (
+        replies(b"HTTP/1.1 200 OK\r\nContent-Type: gnss/sourcetable\r\n\r\nSTR;OTHER;\r\n"),
+        "has no such mountpoint",
+    ),
+    "fails": (replies(b"HTTP/1.1 503 Busy\r\n\r\n"), "answers 503"),
+    "1 MB/s": (
+        lambda c, _: [c.sendall(OK)] and [c.sendall(50 * rtcm(1000)) for _ in range(40)],
+        "sends more than",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_named_and_corrections_come_again_after_it(
+    casters: Callable[..., Caster], name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    serve, words = FAULTS[name]
+    caster = casters(serve, serve, streams(30))
+    with Receiver(caster) as receiver:
+        receiver.wait_for_fault(words)
+        receiver.wait(lambda: receiver.client.state().fault == "" and receiver.got[-1:] == [rtcm(number=29)])
+        texts = " ".join([*receiver.faults, receiver.client.where, repr(vars(receiver.client))])
+    out, err = capfd.readouterr()
+    assert out + err == ""
+    for secret in (PASSWORD, USER, base64.b64encode(f"{USER}:{PASSWORD}".encode()).decode()):
+        assert secret not in texts
+
+
+def test_flood_reaches_the_receiver_no_faster_than_its_line(casters: Callable[..., Caster]) -> None:
+    with Receiver(casters(FAULTS["1 MB/s"][0], streams(0))) as receiver:
+        receiver.wait_for_fault("sends more than")
+        assert sum(map(len, receiver.got)) < LINE_RATE
+        assert receiver.client.state().left_out > 0
+
+
+def test_caster_that_is_not_there_is_named(casters: Callable[..., Caster]) -> None:
+    caster = casters(streams(0))
+    caster.close()
+    with Receiver(caster) as receiver:
+        receiver.wait_for_fault("not connected")
+
+
+def test_credentials_are_two_lines_of_a_file_that_only_its_owner_reads(tmp_path: Path) -> None:
+    file = tmp_path / "ntrip"
+    file.write_text(f"{USER}\n{PASSWORD}\n", encoding="utf-8")
+    file.chmod(0o600)
+    found = read_credentials(file)
+    assert (found.user, found.password) == (USER, PASSWORD)
+    assert PASSWORD not in f"{found} {found!r}"
+
+
+@pytest.mark.parametrize(
+    ("content", "mode"),
+    [(f"{USER}\n{PASSWORD}\n", 0o640), (f"{USER}\n", 0o600), ("", 0o600), (f"a:b\n{PASSWORD}\n", 0o600)],
+)
+def test_other_files_of_credentials_are_refused_without_their_content(
+    tmp_path: Path, content: str, mode: int
+) -> None:
+    file = tmp_path / "ntrip"
+    file.write_text(content, encoding="utf-8")
+    file.chmod(mode)
+    with pytest.raises(InputError) as refused:
+        read_credentials(file)
+    assert PASSWORD not in str(refused.value)
+    assert "\n" not in str(refused.value)
+    with pytest.raises(InputError):
+        read_credentials(tmp_path / "missing")
+
+
+def test_caster_without_a_mountpoint_is_refused() -> None:
+    with pytest.raises(InputError, match="mountpoint"):
+        parameters(2101, mountpoint="a b")
