@@ -76,7 +76,7 @@ def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
     devices, drive = programs.folder / "devices", programs.folder / "to_and_fro.yaml"
     drive.write_text(to_and_fro("sand"), encoding="utf-8")
     nodes: dict[str, Values] = {
-        "can_driver": can,
+        "can_driver": dict(can),
         "watson_imu": {"serial_port": str(devices / "watson")},
         "sick_pls": {"serial_port": str(devices / "sick")},
         "box_localizer": {},
