@@ -22,8 +22,7 @@ KEPT = ROOT / "out/wheel/compiled"  # of the last time too: what did not change 
 
 os.environ |= {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(KEPT)}  # before numba is loaded
 
-from numba.core.dispatcher import Dispatcher  # noqa: E402
-
+from trackslip_common.machine_code import KernelCache  # noqa: E402
 from trackslip_sim.demo import warm_up  # noqa: E402
 from trackslip_tools.cli.main import main as trackslip  # noqa: E402
 
@@ -63,8 +62,8 @@ def compile_kernels() -> None:
             trackslip(command)
         os.chdir(before)
     warm_up.main(["soil", "box"])
-    used = {Path(each._cache.cache_path) for each in gc.get_objects() if isinstance(each, Dispatcher)}
-    for directory in filter(Path.is_dir, used):
+    caches = [each for each in gc.get_objects() if isinstance(each, KernelCache)]
+    for directory in {Path(each.cache_path) for each in caches if Path(each.cache_path).is_dir()}:
         shutil.copytree(directory, KERNELS / directory.name)
 
 

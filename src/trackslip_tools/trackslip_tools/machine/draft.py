@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from trackslip_common.errors import InputError
-from trackslip_common.parameter_spec import Spec
+from trackslip_common.parameter_spec import Spec, check
 from trackslip_common.parameters import flat_fields
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_files import vehicle_of
@@ -111,6 +111,9 @@ def draft(name: str, known: Mapping[str, float]) -> Draft:
     Raises:
         InputError: too little is known, a number is refused, or numbers do not go together.
     """
+    for one, spec in _specs():
+        if one in known:
+            check(f"vehicle '{name}': {one}", known[one], float, spec)
     values, guessed = dict(known), dict[str, float]()
     lacking = [one for one in NEEDED if one not in values]
     if MASS in lacking and len(lacking) > 1:
