@@ -49,6 +49,7 @@ from trackslip_tools.cli.main import main as cli
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 FAST_TURN = 1.37  # rad/s, one track braked
+_JOURNAL = "/measurement_reports"
 NORMAL_MU_L = (0.5, 1.3)
 DEMO_SCENARIO, DEMO_SOIL, DEMO_DURATION = "thesis", "sand", 40.0  # s; what make demo does by default
 
@@ -212,12 +213,13 @@ def draw_demo(output: Path) -> None:
         record_drive(p, drive(p), sensed)
         cli(["replay", str(sensed), "--output", str(estimated)])
         with open_bag(sensed) as inputs, open_bag(estimated) as estimates, BagWriter(whole) as bag:
-            for message in merge(inputs.messages(), estimates.messages(), key=lambda m: m.log_time_ns):
+            live = (each for each in estimates.messages() if each.topic != _JOURNAL)  # it is by stamps there
+            for message in merge(inputs.messages(), live, key=lambda m: m.log_time_ns):
                 bag.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
         with open_bag(whole) as bag:
             result = evaluate(bag, {}, {}, START_NS + round(p.lead_in * 1e9))
-    if result is None:
-        raise RuntimeError(f"{DEMO_SCENARIO} on {DEMO_SOIL}: no estimates")
+    if result is None or result.soil is None:
+        raise RuntimeError(f"{DEMO_SCENARIO} on {DEMO_SOIL}: no estimates of motion or soil")
     draw(result, f"{result.vehicle}: {DEMO_SCENARIO}, {DEMO_SOIL}, {DEMO_DURATION:g} s", output / "demo.png")
     animate(result, load_vehicle().kinematics, output / "demo.gif")
     print(output / "demo.png", output / "demo.gif", sep="\n")

@@ -5,6 +5,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import readability
@@ -22,9 +23,14 @@ def main() -> int:
     if not built():
         return ExitCode.FAILED
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-    counts = {
-        str(page.relative_to(ROOT)): readability.count(page.read_text(encoding="utf-8")) for page in pages
-    }
+    report({str(page.relative_to(ROOT)): page.read_text(encoding="utf-8") for page in pages})
+    print(f"{sum(1 for _ in OUTPUT.rglob('*.html'))} pages: {OUTPUT / 'index.html'}")
+    return ExitCode.DONE
+
+
+def report(pages: Mapping[str, str]) -> None:
+    """Print how long the sentences of each page are."""
+    counts = {name: readability.count(text) for name, text in pages.items()}
     print(f"{'words a sentence:':25s}  mean  longest  sentences")
     for name, found in counts.items():
         if found.sentences:
@@ -33,8 +39,6 @@ def main() -> int:
     sentences = sum(found.sentences for found in counts.values())
     mean = sum(found.mean * found.sentences for found in counts.values()) / sentences
     print(f"  {'all':24s} {mean:5.1f}")
-    print(f"{sum(1 for _ in OUTPUT.rglob('*.html'))} pages: {OUTPUT / 'index.html'}")
-    return ExitCode.DONE
 
 
 def built() -> bool:

@@ -74,9 +74,9 @@ def parameters_page() -> Iterator[str]:
         "# Parameters",
         "",
         "Every parameter of every node, with its default in `config/`. Give others in a parameter file",
-        "(`params_file:=mine.yaml`), or by `-p` of `ros2 run`, or by `--set NODE.PARAMETER=VALUE` of `trackslip replay`.",
-        "A value out of range is refused with one line. *live*: the parameter may change while the node runs.",
-        "Of the vehicle's parameters, which `vehicle` names, see [its file](#vehicle-file).",
+        "(`params_file:=mine.yaml`), by `-p` of `ros2 run`, or by `--set NODE.PARAMETER=VALUE` of",
+        "`trackslip replay`. A value out of range is refused with one line. *live*: the parameter may change",
+        "while the node runs. The vehicle, which `vehicle` names, has [a file](#vehicle-file).",
         "",
     )
     for name, node in NODES.items():
@@ -161,9 +161,9 @@ def topics_page() -> Iterator[str]:
     yield from (
         "# Topics, messages, services",
         "",
-        "x points forward, y to the left, yaw counts counter-clockwise (REP-103). `base_link` is the track-contact centre.",
-        "Delivery: *sensor* allows best effort; *reliable* delivers every message in order; *latched* also keeps the last one",
-        "for later subscribers.",
+        "x points forward, y to the left, yaw counts counter-clockwise (REP-103). `base_link` is the",
+        "track-contact centre. Delivery: *sensor* allows best effort; *reliable* delivers every message in",
+        "order; *latched* also keeps the last one for later subscribers.",
         "",
         "## Topics",
         "",
@@ -242,9 +242,9 @@ def commands_page() -> Iterator[str]:
     yield from (
         "# Commands",
         "",
-        "`trackslip COMMAND --help` prints the same. Exit codes: 0 done, 1 ran but failed its check, 2 bad input,",
-        "130 Ctrl-C. A command that takes a while shows a bar with the remaining time. An existing bag is refused before the",
-        "work. JSON is written with `--json FILE` alone.",
+        "`trackslip COMMAND --help` prints the same. Exit codes: 0 done, 1 ran but failed its check, 2 bad",
+        "input, 130 Ctrl-C. A command that takes a while shows a bar with the remaining time. An existing bag",
+        "is refused before the work. JSON is written with `--json FILE` alone.",
         "",
     )
     for name, command in commands().items():
