@@ -76,7 +76,8 @@ def parameters_page() -> Iterator[str]:
         "Every parameter of every node, with its default in `config/`. Give others in a parameter file",
         "(`params_file:=mine.yaml`), by `-p` of `ros2 run`, or by `--set NODE.PARAMETER=VALUE` of",
         "`trackslip replay`. A value out of range is refused with one line. *live*: the parameter may change",
-        "while the node runs. The vehicle, which `vehicle` names, has [a file](#vehicle-file).",
+        "while the node runs. *basic*: states a machine or what is connected to it; all others are for",
+        "experts. The vehicle, which `vehicle` names, has [a file](#vehicle-file).",
         "",
     )
     for name, node in NODES.items():
@@ -121,9 +122,8 @@ def _parameters(fields: Iterable[Any], defaults: Mapping[str, Any]) -> Iterator[
 
 
 def _mark(spec: Spec) -> str:
-    """Basic or expert, where the declaration says so."""
-    basic = getattr(spec, "basic", None)
-    return "" if basic is None else "basic" if basic else "expert"
+    """Basic, where the declaration says so; else expert, which is not written."""
+    return "basic" if getattr(spec, "basic", False) else ""
 
 
 def _type(kind: Any) -> str:
