@@ -11,8 +11,8 @@ import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.compiling import TEXT
+from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import WARN
 from trackslip_common.parameters import Parameters
 
