@@ -41,8 +41,9 @@ def _with_roles(change: Callable[[Roles], Roles]) -> Callable[[Path], Values]:
     def write(folder: Path) -> Values:
         tree = yaml.safe_load(config_file(ROLES).read_text(encoding="utf-8"))
         tree["roles"] |= change(tree["roles"])
-        (folder / ROLES).write_text(yaml.safe_dump(tree), encoding="utf-8")
-        return {"roles_file": str(folder / ROLES)}
+        file = folder / "wrong_roles.yaml"
+        file.write_text(yaml.safe_dump(tree), encoding="utf-8")
+        return {"roles_file": str(file)}
 
     return write
 
