@@ -159,7 +159,7 @@ def graph(directory: Path, seconds: float) -> Graph:
             running.start_node(node)
         script = str(Path(__file__).parent / "bench_ros.py")
         running.start("floor", [sys.executable, script, "odometry"])
-        _hear(listener, ours)
+        _receive(listener, ours)
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds / 2)
         after, took = running.cpu_s(), time.monotonic() - began
@@ -168,7 +168,7 @@ def graph(directory: Path, seconds: float) -> Graph:
         running.stop(("record", "slip_estimator"))
         running.start("relay", [sys.executable, script, "relay"])
         listener.forget()
-        _hear(listener, ours)
+        _receive(listener, ours)
         listener.listen(seconds / 4)
         relayed = Latency.of(listener.ages_ms[ours])
     loads = {name: 100.0 * (after[name] - before[name]) / took for name in before}
@@ -182,14 +182,14 @@ def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float
     with children(directory) as running, _listener((), ("odometry",)) as listener:
         for name in found.loads.keys() & found.ends.keys():
             running.start(name, [sys.executable, script, str(topics), name])
-        _hear(listener, "odometry")
+        _receive(listener, "odometry")
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds)
         after, took = running.cpu_s(), time.monotonic() - began
     return {name: 100.0 * (after[name] - before[name]) / took for name in before}
 
 
-def _hear(listener: Listener, topic: str) -> None:
+def _receive(listener: Listener, topic: str) -> None:
     """Wait until the topic flows, and forget how that began."""
     until = time.monotonic() + _APPEAR
     while len(listener.ages_ms[topic]) < 100 and time.monotonic() < until:

@@ -177,13 +177,13 @@ def test_a_sender_that_comes_back_faster_is_not_held_back():
 def test_frames_that_waited_as_the_bus_was_opened_anew_were_dropped_uncounted(modulus):
     events = Counter()
 
-    def tell(event, times):
+    def report(event, times):
         events[event] += times
 
     timing = (
-        CountedFrames(10.0 * MS, modulus, tell, *SENDER)
+        CountedFrames(10.0 * MS, modulus, report, *SENDER)
         if modulus
-        else UncountedFrames(10.0 * MS, tell, *SENDER)
+        else UncountedFrames(10.0 * MS, report, *SENDER)
     )
     placed = [timing.add(number % 16, 10 * number * MS, number) for number in (*range(100), 176)]
     assert sum(map(len, placed)) == 100

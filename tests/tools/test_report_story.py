@@ -30,7 +30,7 @@ from trackslip_tools.report.motion_panels import motion_panels
 from trackslip_tools.report.plots import plot_text
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run, aligned
-from trackslip_tools.report.spells import Spell, lasting, spells
+from trackslip_tools.report.spells import Spell, spells, total_duration
 from trackslip_tools.report.story import events_of, message_strips, silence_limits, strips
 from trackslip_tools.report.verdict import State, verdicts
 
@@ -182,7 +182,7 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
 def test_spells_follow_each_other_and_last_to_the_end() -> None:
     found = spells(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
     assert found == [Spell(0.0, 2.0, 1), Spell(2.0, 5.0, 2), Spell(5.0, 5.0, 1)]
-    assert lasting(found, 1) == 2.0
+    assert total_duration(found, 1) == 2.0
     assert spells(np.empty(0), np.empty(0)) == []
 
 

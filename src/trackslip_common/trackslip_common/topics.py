@@ -310,7 +310,7 @@ TOPICS = {
         "1 Hz",
         "–",
         "state, rates, ages, counts of rejections; "
-        "[field-guide.md](field-guide.md#what-diagnostics-says-and-what-to-do)",
+        "[field-guide.md](field-guide.md#diagnostics-meaning-and-remedy)",
     ),
     "tf": Topic(
         "tf2_msgs/msg/TFMessage",

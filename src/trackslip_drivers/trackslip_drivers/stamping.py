@@ -99,35 +99,35 @@ class SenderClock:
     def __init__(self, tolerance: float, patience: int) -> None:
         self._pace = 1.0 + tolerance
         self._patience = patience
-        self._told_ns: int | None = None  # what follows belongs to it
+        self._stated_ns: int | None = None  # what follows belongs to it
         self._raw_ns = self._last_ns = 0
         self._late, self._least_late_ns = 0, _DAY_NS
 
     def restart(self) -> None:
         """Start over: what comes next may not continue what was."""
-        self._told_ns = None
+        self._stated_ns = None
 
-    def filter(self, raw_ns: int, told_ns: int) -> int:
-        """The stamp of a reading that the sender says was made at ``told_ns`` of its day."""
-        if self._told_ns is None:
-            return self._restart_from(raw_ns, told_ns)
-        elapsed_ns = (told_ns - self._told_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
+    def filter(self, raw_ns: int, stated_ns: int) -> int:
+        """The stamp of a reading that the sender says was made at ``stated_ns`` of its day."""
+        if self._stated_ns is None:
+            return self._restart_from(raw_ns, stated_ns)
+        elapsed_ns = (stated_ns - self._stated_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
         if elapsed_ns == 0 and raw_ns - self._raw_ns < _SAME_READING_NS:  # more of the same reading
             self._last_ns = min(self._last_ns, raw_ns)
             return self._last_ns
         modelled_ns = self._last_ns + round(elapsed_ns * self._pace)
         if not 0 < elapsed_ns < _LONGEST_SILENCE_NS or raw_ns <= modelled_ns:
-            return self._restart_from(raw_ns, told_ns)
+            return self._restart_from(raw_ns, stated_ns)
         if raw_ns - self._raw_ns > elapsed_ns // 2:  # else it is catching up
             self._late += 1
             self._least_late_ns = min(self._least_late_ns, raw_ns - modelled_ns)
-        self._told_ns, self._raw_ns, self._last_ns = told_ns, raw_ns, modelled_ns
+        self._stated_ns, self._raw_ns, self._last_ns = stated_ns, raw_ns, modelled_ns
         if self._late >= self._patience:
-            return self._restart_from(modelled_ns + self._least_late_ns, told_ns)
+            return self._restart_from(modelled_ns + self._least_late_ns, stated_ns)
         return modelled_ns
 
-    def _restart_from(self, stamp_ns: int, told_ns: int) -> int:
-        self._told_ns, self._raw_ns, self._last_ns = told_ns, stamp_ns, stamp_ns
+    def _restart_from(self, stamp_ns: int, stated_ns: int) -> int:
+        self._stated_ns, self._raw_ns, self._last_ns = stated_ns, stamp_ns, stamp_ns
         self._late, self._least_late_ns = 0, _DAY_NS
         return stamp_ns
 

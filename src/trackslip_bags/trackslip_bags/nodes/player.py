@@ -71,7 +71,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         self._is_open = False  # whether playing has begun
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK, self._play, clock=steady)
-        self.create_timer(_CLOCK_PERIOD, self._tell_time, clock=steady)
+        self.create_timer(_CLOCK_PERIOD, self._publish_time, clock=steady)
 
     def deactivate(self) -> None:
         """Halt, as ``~/pause`` does."""
@@ -112,7 +112,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
             if others:
                 self.get_logger().warning(f"{topic} is published by {', '.join(sorted(others))} too")
 
-    def _tell_time(self) -> None:
+    def _publish_time(self) -> None:
         sec, nanosec = divmod(self._playback.bag_ns, 1_000_000_000)
         self._time.publish(ClockMessage(clock=Time(sec=sec, nanosec=nanosec)))
         if self._keys().count(_PAUSE_KEY) % 2 == 1:

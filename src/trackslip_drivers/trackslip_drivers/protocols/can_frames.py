@@ -239,15 +239,15 @@ class FrameDecoder:
             self._timings.clear()  # of a bus full of nonsense
         tally = self._tally
 
-        def tell(event: TimingEvent, times: int) -> None:
+        def report(event: TimingEvent, times: int) -> None:
             tally.add(codec.name, event, times)
 
         timing: FrameTiming
         source = arbitration_id & 0xFF if arbitration_id < _EXTENDED else 0
         if codec.modulus:
-            timing = CountedFrames(codec.nominal_ns, codec.modulus, tell, codec.name, source)
+            timing = CountedFrames(codec.nominal_ns, codec.modulus, report, codec.name, source)
         else:
-            timing = UncountedFrames(codec.nominal_ns, tell, codec.name, source)
+            timing = UncountedFrames(codec.nominal_ns, report, codec.name, source)
         self._timings[arbitration_id] = timing
         return timing
 

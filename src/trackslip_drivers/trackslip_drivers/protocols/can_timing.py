@@ -38,7 +38,7 @@ class TimingEvent(Enum):
     CUT_OFF = "waited for the next as the bus was opened anew"
 
 
-Tell = Callable[[TimingEvent, int], None]  # what befell frames, and how many
+Report = Callable[[TimingEvent, int], None]  # what befell frames, and how many
 
 
 class Frame(NamedTuple):
@@ -70,14 +70,14 @@ class FrameTiming(ABC):
 
     Args:
         nominal_ns: cycle that the DBC states; 0 where it does not.
-        tell: called with what befell frames.
+        report: called with each event of the frames.
         name, source: of its frames.
     """
 
-    def __init__(self, nominal_ns: float, tell: Tell, name: str, source: int) -> None:
+    def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
         self._name, self._source = name, source
         self._meter = CycleMeter(nominal_ns)
-        self._tell = tell
+        self._report = report
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
         self._seen_ns = 0  # and seen
         self._stamp_ns = 0  # of the last one placed
@@ -125,12 +125,12 @@ class CountedFrames(FrameTiming):
     """Those of a sender that counts.
 
     Args:
-        nominal_ns, tell, name, source: as of ``FrameTiming``.
+        nominal_ns, report, name, source: as of ``FrameTiming``.
         modulus: where the counter goes round.
     """
 
-    def __init__(self, nominal_ns: float, modulus: int, tell: Tell, name: str, source: int) -> None:
-        super().__init__(nominal_ns, tell, name, source)
+    def __init__(self, nominal_ns: float, modulus: int, report: Report, name: str, source: int) -> None:
+        super().__init__(nominal_ns, report, name, source)
         self._modulus = modulus
         self._count: int | None = None
         self._held: list[_Step] = []
@@ -139,7 +139,7 @@ class CountedFrames(FrameTiming):
         """Frames held are dropped, and counted."""
         super().resume()
         if self._held:
-            self._tell(TimingEvent.CUT_OFF, len(self._held))
+            self._report(TimingEvent.CUT_OFF, len(self._held))
         self._held, self._count = [], None
 
     def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
@@ -164,7 +164,7 @@ class CountedFrames(FrameTiming):
         elif cycles:
             placed.append(self._accept(arrival_ns, values, count, cycles))
         else:
-            self._tell(TimingEvent.ALIVE_REPEATED, 1)
+            self._report(TimingEvent.ALIVE_REPEATED, 1)
         return placed
 
     def _since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
@@ -194,7 +194,7 @@ class CountedFrames(FrameTiming):
             if step.cycles or turns:
                 placed.append(self._accept(*step.frame, step.cycles + turns * self._modulus))
             else:
-                self._tell(TimingEvent.ALIVE_REPEATED, 1)
+                self._report(TimingEvent.ALIVE_REPEATED, 1)
             turns = 0
         self._held = []
         return placed
@@ -202,7 +202,7 @@ class CountedFrames(FrameTiming):
     def _accept(self, arrival_ns: int, values: Any, count: int, cycles: int) -> Frame:
         """A frame ``cycles`` after the one before; 0 if unknown."""
         if cycles > 1:
-            self._tell(TimingEvent.LOST, cycles - 1)
+            self._report(TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
             self._meter.add(arrival_ns - self._accepted_ns, cycles)
         self._count, self._seen_ns = count, arrival_ns
@@ -212,15 +212,15 @@ class CountedFrames(FrameTiming):
 class UncountedFrames(FrameTiming):
     """Those of a sender that does not count."""
 
-    def __init__(self, nominal_ns: float, tell: Tell, name: str, source: int) -> None:
-        super().__init__(nominal_ns, tell, name, source)
+    def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
+        super().__init__(nominal_ns, report, name, source)
         self._held: _Arrival | None = None
 
     def resume(self) -> None:
         """A frame held is dropped, and counted."""
         super().resume()
         if self._held:
-            self._tell(TimingEvent.CUT_OFF, 1)
+            self._report(TimingEvent.CUT_OFF, 1)
         self._held = None
 
     def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
@@ -232,7 +232,7 @@ class UncountedFrames(FrameTiming):
         self._meter.add(since_ns, 1)
         cycle_ns = self._meter.cycle_ns
         if cycle_ns and 0 <= since_ns < PROMPT * cycle_ns:
-            self._tell(TimingEvent.BURST, 1)
+            self._report(TimingEvent.BURST, 1)
             if self._held:
                 self._held = frame
             return []

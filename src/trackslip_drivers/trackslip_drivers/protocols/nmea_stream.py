@@ -295,19 +295,19 @@ class NmeaStream:
             return errors.rtk_fixed if gga.quality == RTK_FIXED else errors.rtk_float
         return errors.differential if gga.status is FixStatus.DIFFERENTIAL else errors.single
 
-    def _stamp(self, told_ns: int | None, begun_ns: int) -> int:
+    def _stamp(self, stated_ns: int | None, begun_ns: int) -> int:
         """The moment of a reading, on the steady clock."""
-        if told_ns is not None:
-            self._burst_ns = self._epoch(told_ns, begun_ns)
+        if stated_ns is not None:
+            self._burst_ns = self._epoch(stated_ns, begun_ns)
             self.latency_ns = begun_ns - self._burst_ns
         moment_ns = begun_ns - self._latency_ns if self._burst_ns is None else self._burst_ns
         return moment_ns + round(self._p.time_offset * 1e9)
 
-    def _epoch(self, told_ns: int, begun_ns: int) -> int:
+    def _epoch(self, stated_ns: int, begun_ns: int) -> int:
         """When it was at the receiver what it says it was."""
-        first_byte_ns = self._clock.filter(begun_ns, told_ns)
+        first_byte_ns = self._clock.filter(begun_ns, stated_ns)
         if self._utc is not None:
-            late_ns = (self._utc(begun_ns) - told_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
+            late_ns = (self._utc(begun_ns) - stated_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
             if _EARLY_NS <= late_ns <= _LATE_NS:
                 return begun_ns - late_ns
             self.tally.add(RECEIVER_CLOCK, ClockEvent.NOT_UTC)

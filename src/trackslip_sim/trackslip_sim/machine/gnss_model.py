@@ -97,7 +97,7 @@ class GnssModel:
         self._random = np.random.default_rng(seed)
         self._of_altitude = np.random.default_rng((seed, 1))  # its own: the other draws stay what they are
         self._of_velocity = np.random.default_rng((seed, 2))
-        self._lasting, self._lasting_up = self._processes(1.0), self._processes(_UP_SHARE)
+        self._correlated, self._correlated_up = self._processes(1.0), self._processes(_UP_SHARE)
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
         self._held: Placement | None = None
 
@@ -153,11 +153,15 @@ class GnssModel:
 
     def _error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
         """East, north, up, m; all processes go on, whichever of them shows."""
-        normal = self._random.standard_normal((len(self._lasting), 2))
+        normal = self._random.standard_normal((len(self._correlated), 2))
         t = stamp_ns / _NS_PER_S
-        errors = {q: process.at(t, n) for (q, process), n in zip(self._lasting.items(), normal, strict=True)}
-        of_up = self._of_altitude.standard_normal((len(self._lasting), 1))
-        ups = {q: process.at(t, n) for (q, process), n in zip(self._lasting_up.items(), of_up, strict=True)}
+        errors = {
+            q: process.at(t, n) for (q, process), n in zip(self._correlated.items(), normal, strict=True)
+        }
+        of_up = self._of_altitude.standard_normal((len(self._correlated), 1))
+        ups = {
+            q: process.at(t, n) for (q, process), n in zip(self._correlated_up.items(), of_up, strict=True)
+        }
         white = self._random.standard_normal(3)
         east, north = errors.get(quality, np.zeros(2))
         spread = self._p.fixed_stddev * math.sqrt(1.0 - _FIXED_SPREAD)

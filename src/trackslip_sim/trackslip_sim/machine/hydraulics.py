@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the soil estimator is given on a true drive: hydraulics, and slips with errors that last.
 
-v_x, v_y, φ̇   true twist, and what an estimator with lasting errors makes of it   m/s, rad/s
+v_x, v_y, φ̇   true twist, and what an estimator with time-correlated errors makes of it   m/s, rad/s
 r ω_j          true track speeds: encoders are good                               m/s
 i_j            1 − v_j/(r ω_j) with the estimated v_j                             1
 """

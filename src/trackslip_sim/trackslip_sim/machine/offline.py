@@ -144,10 +144,10 @@ class _Host:
         self.recording.add(VEHICLE, text, START_NS)
         self._swings = swing_topics(p.vehicle)
         self._tasks = [
-            _Task(self._hear_bus, partial(self._next_look_ns, CAN)),
-            _Task(self._hear_inertial, partial(self._next_look_ns, WATSON)),
+            _Task(self._receive_bus, partial(self._next_look_ns, CAN)),
+            _Task(self._receive_inertial, partial(self._next_look_ns, WATSON)),
             _Task(self._talk_to_scanner, self._next_talk_ns),
-            _Task(self._hear_gnss, partial(self._next_look_ns, GNSS)),
+            _Task(self._receive_gnss, partial(self._next_look_ns, GNSS)),
             _Task(self._record_truth, partial(self._repeated_ns, TRUTH_NS)),
             _Task(self._record_swing, partial(self._repeated_ns, SWING_NS)),
             _Task(lambda _: self.recording.write(), partial(self._repeated_ns, _WRITE_NS)),
@@ -166,7 +166,7 @@ class _Host:
                 task.due_ns = task.after(now_ns)
 
     def _next_look_ns(self, sensor: str, now_ns: int) -> int:
-        """The next tick at which a sensor may be heard."""
+        """The next tick at which a sensor may be received."""
         wanted_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _LOOK_NS)
         return now_ns + max(1, -((now_ns - wanted_ns) // TICK_NS)) * TICK_NS
 
@@ -180,13 +180,13 @@ class _Host:
         next_ns = now_ns + period_ns
         return next_ns if next_ns <= self.excavator.end_ns else NEVER_NS
 
-    def _hear_bus(self, now_ns: int) -> None:
+    def _receive_bus(self, now_ns: int) -> None:
         for frame in self.excavator.step_can(now_ns):
             for sample in self._can.receive(*frame, now_ns):
                 topic = "sprockets" if isinstance(sample, SprocketSample) else "hydraulics"
                 self.recording.add(topic, sample, now_ns)
 
-    def _hear_inertial(self, now_ns: int) -> None:
+    def _receive_inertial(self, now_ns: int) -> None:
         readings: Sequence[ImuSample] = self._imu.feed(self.excavator.step_watson(now_ns), now_ns)
         if self.excavator.inertial is not None:
             readings = self.excavator.step_inertial(now_ns)
@@ -195,7 +195,7 @@ class _Host:
             if reading.magnetic_field is not None:
                 self.recording.add("imu/mag", reading, now_ns)
 
-    def _hear_gnss(self, now_ns: int) -> None:
+    def _receive_gnss(self, now_ns: int) -> None:
         sent = self.excavator.step_gnss(now_ns)
         for found in self._gnss.feed(sent, now_ns) if sent else ():
             self._on_gnss(found, now_ns)

@@ -131,7 +131,7 @@ class Scenario:
 
     def swing_targets(self, step: float, begin: int, end: int) -> FloatArray:
         """(n,) where the upper structure is to swing to in each step, rad; at first it looks forward."""
-        return self._lasting([segment.swing_to for segment in self.segments], step, begin, end)
+        return self._held([segment.swing_to for segment in self.segments], step, begin, end)
 
     @property
     def carries(self) -> bool:
@@ -140,9 +140,9 @@ class Scenario:
 
     def carried(self, step: float, begin: int, end: int) -> FloatArray:
         """(n,) mass in the bucket in each step, kg; at first it is empty."""
-        return self._lasting([segment.load for segment in self.segments], step, begin, end)
+        return self._held([segment.load for segment in self.segments], step, begin, end)
 
-    def _lasting(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
+    def _held(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
         """(n,) of each step what its segment gives, or the last that gave any; 0 before."""
         values = [0.0]
         for value in given:

@@ -48,7 +48,7 @@ def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
     return content
 
 
-def is_sure(probability: float, is_identifiable: bool) -> bool:
+def is_certain(probability: float, is_identifiable: bool) -> bool:
     """Whether the likeliest class may be called the soil."""
     return is_identifiable and probability >= SURE
 
@@ -73,7 +73,9 @@ def soil_lines(result: SoilReplay) -> list[str]:
     likely = sorted(last.classes.items(), key=lambda item: -item[1])[:3]
     if likely:
         lines += (
-            [] if is_sure(likely[0][1], found.identifiable) else ["  the class is undetermined; likeliest:"]
+            []
+            if is_certain(likely[0][1], found.identifiable)
+            else ["  the class is undetermined; likeliest:"]
         )
         lines.append("  " + "  ".join(f"{name} {100 * p:.0f} %" for name, p in likely))
     return lines if result.live is None else [*lines, str(result.live)]

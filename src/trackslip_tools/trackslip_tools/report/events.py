@@ -61,7 +61,7 @@ class Events:
             before = self._conditions.get(name, (Level.OK, ""))
             if level == before[0] and (level is Level.OK or same_text(message, before[1])):
                 continue
-            self.add(level, _said(name, level, message, before[1]), now_s, time_ms)
+            self.add(level, _reported(name, level, message, before[1]), now_s, time_ms)
         for name, (level, _) in self._conditions.items():
             if name not in conditions and level is not Level.OK:
                 self.add(Level.OK, f"{name}: well again", now_s, time_ms)
@@ -109,7 +109,7 @@ def without_numbers(text: str) -> str:
     return _NUMBERS.sub("#", _LESS_PROBABLE.sub(r"explanations: \1", text))
 
 
-def _said(name: str, level: Level, message: str, before: str) -> str:
+def _reported(name: str, level: Level, message: str, before: str) -> str:
     if message.startswith(_LOST):
         return f"fix lost: {_DURATIONS.sub('', message.removeprefix(_LOST))}"
     if level is Level.OK and before.startswith(_LOST):

@@ -97,7 +97,7 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
         return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} %")
     times = run.recording.seconds(states.path.stamps_ns)
     slips = np.column_stack(
-        [lasting_slips(times, np.where(known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
+        [persistent_slips(times, np.where(known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
     )
     if not np.isfinite(slips).any():
         return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LASTING_S:g} s")
@@ -112,7 +112,7 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
     )
 
 
-def lasting_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
+def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
     """(n,) medians over ``_LASTING_S`` of (n,) slips at times in s; nan where one of them is unknown."""
     period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     size = round(_LASTING_S / period) | 1 if period > 0.0 else 1

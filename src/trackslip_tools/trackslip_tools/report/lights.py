@@ -72,7 +72,7 @@ def _text(text: str) -> str:
 
 
 @dataclass
-class _Heard:
+class _Received:
     status: Status
     at_s: float
 
@@ -81,7 +81,7 @@ class Lights:
     """The last line of each name; times are seconds of one clock that goes forward."""
 
     def __init__(self) -> None:
-        self._heard: dict[str, _Heard] = {}
+        self._received: dict[str, _Received] = {}
         self._news: dict[str, Mapping[str, str]] = {}
         self.left_out = 0  # lines that found no room
 
@@ -89,12 +89,12 @@ class Lights:
         """One DiagnosticArray: parts of a node that it no longer mentions are well again, and go."""
         found = {status.name: status for status in statuses}
         nodes = {status.node for status in found.values()}
-        for name, heard in list(self._heard.items()):
-            if heard.status.node in nodes and name not in found:
-                del self._heard[name]
+        for name, received in list(self._received.items()):
+            if received.status.node in nodes and name not in found:
+                del self._received[name]
         for name, status in found.items():
-            if name in self._heard or len(self._heard) < MOST:
-                self._heard[name] = _Heard(status, now_s)
+            if name in self._received or len(self._received) < MOST:
+                self._received[name] = _Received(status, now_s)
                 self._news[name] = status.values
             else:
                 self.left_out += 1
@@ -106,11 +106,11 @@ class Lights:
 
     def at(self, now_s: float) -> list[Light]:
         """All, by name."""
-        return [_light(self._heard[name], now_s) for name in sorted(self._heard)]
+        return [_light(self._received[name], now_s) for name in sorted(self._received)]
 
 
-def _light(heard: _Heard, now_s: float) -> Light:
-    status, quiet_s = heard.status, now_s - heard.at_s
+def _light(received: _Received, now_s: float) -> Light:
+    status, quiet_s = received.status, now_s - received.at_s
     rate, age = (_number(status.values.get(key, "")) for key in (_RATE, _AGE))
     age = quiet_s if math.isnan(age) else age + quiet_s
     if quiet_s > SILENT_S:

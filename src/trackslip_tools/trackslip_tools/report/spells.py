@@ -62,6 +62,6 @@ def spells(times: FloatArray, states: NDArray[Any]) -> list[Spell]:
     return [Spell(float(a), float(b), int(s)) for a, b, s in zip(starts, stops, states[begins], strict=True)]
 
 
-def lasting(found: Iterable[Spell], state: int) -> float:
+def total_duration(found: Iterable[Spell], state: int) -> float:
     """Seconds that the spells of a state last together."""
     return sum(spell.stop - spell.start for spell in found if spell.state == state)

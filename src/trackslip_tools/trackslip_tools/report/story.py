@@ -22,7 +22,7 @@ from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run, recordings
-from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, lasting, spells
+from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, spells, total_duration
 
 FloatArray = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
         f"{WORDS[trouble]}: {side} track {seconds:.1f} s"
         for trouble in (Trouble.STALLED, Trouble.STUCK)
         for side, own in found.items()
-        if (seconds := lasting(own, trouble)) > 0.0
+        if (seconds := total_duration(own, trouble)) > 0.0
     ]
     return "; ".join(reported)
 
