@@ -243,8 +243,8 @@ def commands_page() -> Iterator[str]:
         "# Commands",
         "",
         "`trackslip COMMAND --help` prints the same. Exit codes: 0 done, 1 ran but failed its check, 2 bad",
-        "input, 130 Ctrl-C. A command that takes a while shows a bar with the time left. An existing bag is",
-        "refused before the work. JSON is written with `--json FILE` alone.",
+        "input, 130 Ctrl-C. A command that takes a while shows a bar with the remaining time. An existing",
+        "bag is refused before the work. JSON is written with `--json FILE` alone.",
         "",
     )
     for name, command in commands().items():
