@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from fixtures.setup_drives import make_drive
 
 import trackslip as ts
 
@@ -50,7 +51,7 @@ def result() -> ts.Result:
 def test_path_of_a_frame_is_found(result: ts.Result) -> None:
     columns, pose = drive(), result.estimates.pose[-1]
     at = np.flatnonzero(np.isfinite(columns["x"]))[-1]
-    since = int(round((columns["t"][-1] - columns["t"][at]) * 1e9))
+    since = round((columns["t"][-1] - columns["t"][at]) * 1e9)
     k = np.searchsorted(result.estimates.stamp_ns, result.estimates.stamp_ns[-1] - since)
     place = result.estimates.pose[k, :2]
     assert np.hypot(*(place - (columns["x"][at], columns["y"][at]))) < 0.1
@@ -95,6 +96,22 @@ def test_bad_sources_are_named(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ts.InputError, match=sentence) as caught:
         estimator(**change).run(drive(3.0))
     assert "/tmp" not in str(caught.value)
+
+
+def test_setup_of_a_frame_is_checked() -> None:
+    log = make_drive()
+    tracks, gyro, fixes = log.tracks, log.gyros[0], log.fixes[0]
+    parts = (
+        {"t": tracks.t, "left": tracks.speeds[:, 0], "right": tracks.speeds[:, 1]},
+        {"t": gyro.t, "gz": -np.degrees(gyro.rates[:, 2])},  # of the wrong sign
+        {"t": fixes.t, "x": fixes.places[:, 0], "y": fixes.places[:, 1]},
+    )
+    frame = pl.concat([pl.DataFrame(part) for part in parts], how="diagonal").sort("t", maintain_order=True)
+    machine = {**MACHINE, "kinematics": {"rolling_radius": 0.35, "tread": 2.0, "contact_length": 2.5}}
+    lever = {"sources.fixes.lever_arm_x": 0.5, "sources.fixes.lever_arm_y": 0.2}
+    found = ts.Estimator(vehicle=machine, sources=SOURCES, parameters=lever).run(frame).setup
+    assert {cause.source for cause in found.causes} == {"imu/data_raw"}
+    assert found.causes[0].cause in str(found)
 
 
 def test_times_that_go_back_are_refused() -> None:

@@ -70,7 +70,9 @@ def lines_of(program: str) -> Iterator[Place]:
 def options_of(command: str) -> frozenset[str]:
     parser = argparse.ArgumentParser()
     importlib.import_module(commands()[command].module).add_arguments(parser)
-    return frozenset(parser._option_string_actions)
+    actions = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    parsers = [parser, *(inner for action in actions for inner in action.choices.values())]
+    return frozenset(option for one in parsers for option in one._option_string_actions)
 
 
 @cache
