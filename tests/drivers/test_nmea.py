@@ -218,6 +218,31 @@ def test_altitude_is_unknown_without_the_geoid():
     assert math.isnan(found.altitude)
 
 
+GNS = "GNGNS,101530.20,3352.1234567,S,15112.7654321,E,{},18,0.6,41.20,22.10,1.0,0021{}"
+
+
+@pytest.mark.parametrize(
+    ("modes", "status", "expected"),
+    [
+        ("RR", ",S", FixStatus.RTK),
+        ("NF", "", FixStatus.RTK),
+        ("AD", ",S", FixStatus.DIFFERENTIAL),
+        ("ANN", "", FixStatus.SINGLE),
+        ("NN", "", Rejection.NO_FIX),
+        ("", "", Rejection.NO_FIX),
+        ("E", "", Rejection.DEAD_RECKONING),
+        ("S", "", Rejection.NOT_MEASURED),
+        ("RR", ",V", Rejection.WARNING),
+        ("?", "", Rejection.MALFORMED),
+    ],
+)
+def test_gns_is_a_position_of_the_best_mode(modes, status, expected):
+    found = decode(line(GNS.format(modes, status)))
+    assert (found.status if isinstance(found, Gga) else found) is expected
+    if isinstance(found, Gga):
+        assert found[:4] == decode(line(GGA.format(4)))[:4]
+
+
 @given(
     st.floats(-89.9, 89.9),
     st.floats(-179.9, 179.9),

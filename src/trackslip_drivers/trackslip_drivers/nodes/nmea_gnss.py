@@ -118,9 +118,9 @@ class NmeaNode(DriverNode[NmeaParameters]):
     def lack(self) -> str:
         """Whole sentences, but none with a position."""
         kinds = self._stream.kinds
-        if not kinds or {"GGA", "NAV-PVT"} & set(kinds):
+        if not kinds or {"GGA", "GNS", "NAV-PVT"} & set(kinds):
             return ""
-        remedy = "but neither GGA nor NAV-PVT; switch GGA on at the receiver"
+        remedy = "but no GGA, GNS or NAV-PVT; switch GGA on at the receiver"
         return f"whole sentences come ({', '.join(kinds)}), {remedy}"
 
     def _new_stream(self) -> NmeaStream:

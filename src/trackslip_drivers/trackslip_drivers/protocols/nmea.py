@@ -38,6 +38,8 @@ STATUS_OF_QUALITY = {
     9: FixStatus.DIFFERENTIAL,  # by satellite, as one make has it
 }
 _NO_FIX, _DEAD_RECKONING = 0, 6
+_QUALITY_OF_MODE = {"N": 0, "A": 1, "D": 2, "P": 2, "R": 4, "F": 5, "E": 6, "M": 7, "S": 8}  # of GNS
+_BEST_FIRST = (RTK_FIXED, RTK_FLOAT, 2, 1, 6, 7, 8)
 _WORST_STDDEV = 1e4  # m
 _HIGHEST = 1e5  # m, of an altitude either way
 _FASTEST = 100.0  # m/s
@@ -191,20 +193,41 @@ def _parsed(kind: str, content: bytes, checksum: bytes) -> Any:
 
 
 def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    quality = found.quality
+    if {getattr(found, "altUnit", ""), getattr(found, "sepUnit", "")} - {"M", ""}:
+        return _refused_quality(found.quality) or Rejection.NOT_METRES
+    return _place(found.quality, fields, found.HDOP, (found.alt, found.sep))
+
+
+def _gns(found: Any, fields: Sequence[str]) -> Reading | Rejection:
+    """Its mode has a letter for each system of satellites, of which the best one counts."""
+    if fields[12:] and fields[12] == "V":
+        return Rejection.WARNING
+    qualities = [_QUALITY_OF_MODE[letter] for letter in fields[5]]
+    quality = next((one for one in _BEST_FIRST if one in qualities), _NO_FIX)
+    return _place(quality, fields, fields[7], (fields[8], fields[9]))
+
+
+def _refused_quality(quality: Any) -> Rejection | None:
     if quality in ("", _NO_FIX):
         return Rejection.NO_FIX
     if quality not in STATUS_OF_QUALITY:
         return Rejection.DEAD_RECKONING if quality == _DEAD_RECKONING else Rejection.NOT_MEASURED
+    return None
+
+
+def _place(
+    quality: Any, fields: Sequence[str], dilution: Any, heights: tuple[Any, Any]
+) -> Reading | Rejection:
+    """``fields`` begin with time, latitude and longitude; ``heights``: above the geoid, and of that, m."""
+    if (refused := _refused_quality(quality)) is not None:
+        return refused
     latitude, longitude = _angle(fields[1], fields[2], "NS", 90.0), _angle(fields[3], fields[4], "EW", 180.0)
     if math.isnan(latitude) or math.isnan(longitude):
         return Rejection.OUT_OF_RANGE
-    if {getattr(found, "altUnit", ""), getattr(found, "sepUnit", "")} - {"M", ""}:
-        return Rejection.NOT_METRES
-    altitude = _number(found.alt) + _number(found.sep)
+    altitude = sum(map(_number, heights))
     if abs(altitude) > _HIGHEST:
         return Rejection.OUT_OF_RANGE
-    hdop = _number(found.HDOP)
+    hdop = _number(dilution)
     time_ns = _time_ns(fields[0])
     return Gga(time_ns, latitude, longitude, altitude, quality, hdop if hdop > 0.0 else math.nan)
 
@@ -327,6 +350,7 @@ def _accuracy(degrees: Any) -> float:
 
 _DECODERS: dict[str, Callable[[Any, Sequence[str]], Reading | Rejection]] = {
     "GGA": _gga,
+    "GNS": _gns,
     "GST": _gst,
     "RMC": _rmc,
     "VTG": _vtg,

@@ -198,7 +198,7 @@ class NmeaStream:
         talker, kind, reading = sentence
         if len(self._kinds) < _MOST_KINDS or kind in self._kinds:
             self._kinds[kind] = frame.ended_ns
-        if kind == "GGA":
+        if kind in ("GGA", "GNS"):
             self._has_fix = reading is not Rejection.NO_FIX
         if isinstance(reading, Heading) and reading.needs_fix and not self._has_fix:
             reading = Rejection.NO_FIX
