@@ -39,7 +39,7 @@ def animate(result: DemoResult, kinematics: Kinematics, file: Path) -> None:
         for each in slips:
             each.draw(int(moments[frame]))
 
-    moving = FuncAnimation(figure, draw, frames=FRAMES)  # type: ignore[arg-type]
+    moving = FuncAnimation(figure, draw, frames=FRAMES)
     moving.save(file, writer=PillowWriter(fps=FRAMES_PER_SECOND), dpi=80)
     plt.close(figure)
 

@@ -34,7 +34,7 @@ class Dependencies(MetadataHookInterface):
         metadata["dependencies"] = needed
 
 
-class MachineCode(BuildHookInterface):  # type: ignore[type-arg]
+class MachineCode(BuildHookInterface):
     """Puts what was compiled into the wheel, which then is of one Python on one platform."""
 
     PLUGIN_NAME = "custom"

@@ -54,7 +54,7 @@ class Estimates:
     def time(self) -> FloatArray:
         """(n,) s since the first estimate."""
         since: IntArray = self.stamp_ns - self.stamp_ns[:1]
-        return since * 1e-9
+        return np.asarray(since * 1e-9, np.float64)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Name → (n,) column: ``t`` s, ``stamp_ns``, each quantity, and its standard deviation ``sd_…``."""

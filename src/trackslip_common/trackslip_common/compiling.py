@@ -36,7 +36,7 @@ def compilation_reported(log: Callable[[str], None], report: Callable[[str], Non
     ended = threading.Event()
     thread = threading.Thread(target=_repeat, args=(report, ended), name="compiling", daemon=True)
 
-    class Listener(event.Listener):
+    class Listener(event.Listener):  # type: ignore[misc]  # numba has no types
         def on_start(self, _: Any) -> None:
             if thread.ident is None:
                 log(TEXT)

@@ -17,10 +17,9 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
-from typing import NamedTuple
 
 from trackslip_common.errors import InputError
 from trackslip_drivers.nmea_parameters import NtripParameters
@@ -39,16 +38,12 @@ _LONGEST_FILE = 1024  # bytes
 _LOOK_S = 0.2  # between two looks for a position
 
 
-class Credentials(NamedTuple):
-    """Of a user of the caster; their text hides them."""
+@dataclass(frozen=True)
+class Credentials:
+    """Of a user of the caster; no text of the object has them."""
 
-    user: str
-    password: str
-
-    def __repr__(self) -> str:
-        return "Credentials(…)"
-
-    __str__ = __repr__
+    user: str = field(repr=False)
+    password: str = field(repr=False)
 
 
 def read_credentials(path: Path) -> Credentials:

@@ -123,14 +123,15 @@ class GnssModel:
             stddev=self._stddevs[quality],
             up_stddev=_UP_SHARE * self._stddevs[quality],
         )
-        at = at._replace(**self._velocity(stamp_ns))
+        speed, course = self._velocity(stamp_ns)
+        at = at._replace(speed=speed, course=course)
         if p.heading_stddev == 0.0:
             return at
         heading = heading_of_yaw(machine.azimuth(p.heading_offset) + heading_error)
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
 
-    def _velocity(self, stamp_ns: int) -> dict[str, float]:
-        """Speed and course of the antenna; a receiver that is stuck stands."""
+    def _velocity(self, stamp_ns: int) -> tuple[float, float]:
+        """Speed, m/s, and course, rad, of the antenna; a receiver that is stuck stands."""
         arm = self._p.antenna_x, self._p.antenna_y, self._p.antenna_z
         error, velocity = self._p.velocity_stddev * self._of_velocity.standard_normal(2), np.zeros(2)
         if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
@@ -140,7 +141,7 @@ class GnssModel:
             )
             velocity = (after - before) / (2e-9 * _APART_NS)
         east, north = (velocity + error).tolist()
-        return {"speed": math.hypot(east, north), "course": heading_of_yaw(math.atan2(north, east))}
+        return math.hypot(east, north), heading_of_yaw(math.atan2(north, east))
 
     def _processes(self, share: float) -> dict[int, _GaussMarkov]:
         """What lasts of the errors, by quality, times a share."""

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _asked(known: dict[str, float]) -> dict[str, float]:
     """What the user answers for the numbers that matter; an empty answer leaves one out."""
-    found = {}
+    found: dict[str, float] = {}
     specs = {name: spec for _, name, spec in options()}
     for name in (MASS, *NEEDED[1:]):
         if name in known:
