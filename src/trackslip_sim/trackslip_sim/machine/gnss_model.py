@@ -131,7 +131,7 @@ class GnssModel:
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
 
     def _velocity(self, stamp_ns: int) -> tuple[float, float]:
-        """Speed, m/s, and course, rad, of the antenna; a receiver that is stuck stands."""
+        """Speed, m/s, and course, °, of the antenna; a receiver that is stuck stands."""
         arm = self._p.antenna_x, self._p.antenna_y, self._p.antenna_z
         error, velocity = self._p.velocity_stddev * self._of_velocity.standard_normal(2), np.zeros(2)
         if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
