@@ -100,7 +100,7 @@ def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update:
         _weigh_repeat(again, m, c, update)
         return
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
-    if kind == POSE:
+    if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _whiten(state, o.innovation, predicted + R, update)
     if not used:
         return
@@ -285,7 +285,7 @@ def _weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
 
 @compiled
 def _whiten(state: State, innovation: FloatArray, S: FloatArray, update: Update) -> None:
-    """Innovation along and across the heading, over its standard deviation, for the CUSUM."""
+    """Innovation of a place or a velocity along and across the heading, over its deviation: for the CUSUM."""
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     along = cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]
     across = sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]

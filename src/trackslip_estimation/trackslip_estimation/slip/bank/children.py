@@ -96,6 +96,8 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
         elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
         branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET)
+    if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
+        follows = fault == IS_SOUND and state.motion.motion != _STANDING
     if follows and not is_correlated(state, source, c):
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
@@ -133,7 +135,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if measurement.kind == POSE and outside_range(before, c) > 0.0:
         return True
-    if measurement.kind == POSE and fault == IS_SOUND:
+    if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
         return bool((update.repeated == 1 and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
@@ -172,8 +174,9 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     if m.kind != POSE:
         if contradicts:
             _have_angle_children(window, p, k, c)
-            if m.kind == VELOCITY:
-                _have_earlier_children(window, p, k, contradicts, False, c)
+        shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
+        if m.kind == VELOCITY and (contradicts or shows):
+            _have_earlier_children(window, p, k, contradicts, False, c)
         return
     if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
         _child(window, p, k, REPEATS, 0, False, now + log_rate(REPEATS, source, c), c)
