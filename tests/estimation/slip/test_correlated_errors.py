@@ -25,7 +25,7 @@ from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, Y
 from trackslip_estimation.slip.own_errors import (
     begin_offset,
-    lasting_share,
+    correlated_share,
     learn_jitter,
     pass_offsets,
     prepare_offset,
@@ -194,7 +194,7 @@ def test_what_precise_fixes_do_not_jitter_by_lasts(lasting: float, least: float,
     fixes = way + slow + math.sqrt(1.0 - lasting) * 0.01 * rng.normal(size=(t.size, 2))
     for fix, driven in zip(fixes, 1.01 * way, strict=True):
         learn_jitter(offset, fix, driven, 0.1, 1e-4, C)
-    assert least <= lasting_share(offset, C) <= most
+    assert least <= correlated_share(offset, C) <= most
 
 
 def test_ten_fixes_a_second_whose_errors_last_leave_the_estimate_consistent() -> None:

@@ -14,7 +14,7 @@ from trackslip_common.parameters import reloadable
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.classes import limit_of
-from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault
+from trackslip_estimation.soil.pressure_watch import PressureFault, Unused
 from trackslip_estimation.soil.records import (
     SOIL_INPUT,
     SOURCES,
@@ -82,7 +82,7 @@ def corrupted(corrupt: Corrupt) -> list[SoilInput]:
 
 def accused(estimator: SoilEstimator) -> set[str]:
     """Of what the pressures were accused; the first moment has none, for readings come after the slips."""
-    before = {*(doubt.value for doubt in Doubt), PressureFault.DROPPED.value}
+    before = {*(unused.value for unused in Unused), PressureFault.DROPPED.value}
     return {reason for _, reason in estimator.tally.total} - before
 
 
@@ -98,8 +98,8 @@ def test_oil_that_something_presses_on_at_rest_is_counted() -> None:
     still, digs = SoilEstimator(P), SoilEstimator(P)
     run(inputs, still)
     run(digging, digs)
-    assert still.tally.total["hydraulics", Doubt.AT_REST.value] == 0
-    assert digs.tally.total["hydraulics", Doubt.AT_REST.value] == pytest.approx(400, abs=5)
+    assert still.tally.total["hydraulics", Unused.AT_REST.value] == 0
+    assert digs.tally.total["hydraulics", Unused.AT_REST.value] == pytest.approx(400, abs=5)
 
 
 FAULTS: dict[PressureFault, Corrupt] = {

@@ -66,7 +66,7 @@ def test_what_digging_presses_on_is_no_offset() -> None:
 def test_an_offset_that_has_become_another_is_believed_in_the_end() -> None:
     meter, noise = Meter(), P.thrust.pressure_stddev
     learned(meter, np.zeros(2), 10.0, noise)
-    learned(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.insist_time, noise)
+    learned(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.persist_time, noise)
     np.testing.assert_allclose(meter.offsets["mean"], 3.0 * BAR, atol=0.2 * BAR)
 
 

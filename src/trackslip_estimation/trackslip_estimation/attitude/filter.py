@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-GRAVITY_DOUBT = 1.0  # m/s², by which the mean of what is felt may differ from gravity
+GRAVITY_TOLERANCE = 1.0  # m/s², by which the mean of what is felt may differ from gravity
 UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
 _RATE_UNKNOWN = 1.0  # (rad/s)², variance beyond which a rate says nothing (an axis that was not measured)
 _FORCE_UNKNOWN = 1e6  # (m/s²)², variance beyond which a force says nothing
@@ -77,7 +77,7 @@ def feels_gravity(a: Attitude) -> bool:
     """Whether what the IMU shows on average is gravity, from below."""
     x, y, z = a.mean_force
     size = math.sqrt(x * x + y * y + z * z)
-    return bool(abs(size - GRAVITY) <= GRAVITY_DOUBT and z >= UPRIGHT)
+    return bool(abs(size - GRAVITY) <= GRAVITY_TOLERANCE and z >= UPRIGHT)
 
 
 @compiled
@@ -212,38 +212,38 @@ def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: Attitude
 def _level_by(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
     """Update with both horizontal axes by a span that ends here; ``motion``: u̇ of it, m/s²."""
     x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
-    doubt = 0.0 if a.span.known == 1 else n.unknown_acceleration**2
-    doubt += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
+    spread = 0.0 if a.span.known == 1 else n.unknown_acceleration**2
+    spread += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
     pitch = mean_tilt(a)[1]
     h[PITCH], h[BIAS_X], h[BIAS_Y] = -GRAVITY * math.cos(pitch), imu.cos, -imu.sin
     bias = imu.cos * x[BIAS_X] - imu.sin * x[BIAS_Y]
-    _use(a, 0, a.span.force[0] - motion[0] + GRAVITY * math.sin(pitch) - bias, h, doubt, n)
+    _use(a, 0, a.span.force[0] - motion[0] + GRAVITY * math.sin(pitch) - bias, h, spread, n)
     roll, pitch = mean_tilt(a)
     up, aside = math.cos(roll), math.sin(roll)
     h[PITCH], h[BIAS_X] = -GRAVITY * aside * math.sin(pitch), imu.sin
     h[ROLL], h[BIAS_Y] = GRAVITY * up * math.cos(pitch), imu.cos
     bias = imu.sin * x[BIAS_X] + imu.cos * x[BIAS_Y]
-    _use(a, 1, a.span.force[1] - motion[1] - GRAVITY * aside * math.cos(pitch) - bias, h, doubt, n)
+    _use(a, 1, a.span.force[1] - motion[1] - GRAVITY * aside * math.cos(pitch) - bias, h, spread, n)
 
 
 @compiled
 def _use(
-    a: Attitude, axis: int, innovation: float, h: FloatArray, doubt: float, n: AttitudeConstants
+    a: Attitude, axis: int, innovation: float, h: FloatArray, spread: float, n: AttitudeConstants
 ) -> None:
-    """Update with one axis, whose noise is learned of the innovation where that is no doubt of the tilt."""
+    """Update with one axis, whose noise is learned of the innovation where the tilt does not explain it."""
     P, dt = a.covariance[:], a.span.time
     stated = max(a.sample.force_variance, _LEAST) / a.span.samples
     H = h.reshape((1, SIZE))
     predicted = predicted_covariance(P, H)[0, 0]
     noise = max(a.noise[axis], stated)
-    share = noise / (predicted + noise + doubt)
-    shown = min(innovation * innovation, n.surprise * (predicted + noise)) - predicted
+    share = noise / (predicted + noise + spread)
+    shown = min(innovation * innovation, n.outlier_nis * (predicted + noise)) - predicted
     a.noise[axis] = max(a.noise[axis] + share * (shown - a.noise[axis]) / (a.noise_count[axis] + 1.0), 0.0)
     R, most = max(a.noise[axis], stated), 1.0
     if dt > 0.0:
         R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
     a.noise_count[axis] = min(a.noise_count[axis] + share, most)
-    R = max(R + doubt, innovation * innovation / n.surprise - predicted)
+    R = max(R + spread, innovation * innovation / n.outlier_nis - predicted)
     correct(a.mean[:], P, observe_alone(np.array((innovation,)), H, np.array(((R,),))))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from trackslip_common.orientations import is_heading_known
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.attitude.filter import GRAVITY_DOUBT, UPRIGHT
+from trackslip_estimation.attitude.filter import GRAVITY_TOLERANCE, UPRIGHT
 from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, AttitudeRefusal
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def _lacking(a: Attitude, source: str) -> str:
         return f"{source} has no accelerations"
     force = a["mean_force"]
     size = float(np.linalg.norm(force))
-    if abs(size - GRAVITY) > GRAVITY_DOUBT:
+    if abs(size - GRAVITY) > GRAVITY_TOLERANCE:
         return (
             f"accelerations of {source} are refused: {size:.2f} m/s² on average, and gravity is {GRAVITY:.2f}"
         )

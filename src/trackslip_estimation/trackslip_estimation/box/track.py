@@ -46,7 +46,7 @@ class Expectation:
     headings: Headings
     elapsed: float
 
-    def surprise_variance(self, fix: Mode) -> float:
+    def innovation_variance(self, fix: Mode) -> float:
         """Heading variance, rad², with which a fix that its own track contradicts agrees with it; else 0.
 
         Few beams now and then fit a corner where there is a side, and are sure of it.

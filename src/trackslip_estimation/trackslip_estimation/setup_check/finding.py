@@ -77,7 +77,7 @@ class Result:
         return not self.causes
 
     @property
-    def doubts(self) -> tuple[Undetermined, ...]:
+    def open_questions(self) -> tuple[Undetermined, ...]:
         """Mistakes that are certain, but not which of several they are."""
         return tuple(one for one in self.undetermined if one.is_wrong)
 
@@ -85,7 +85,7 @@ class Result:
     def headline(self) -> str:
         """One sentence for the first line of a command."""
         if not self.causes:
-            return "; ".join(f"{one.what}: {one.needed}" for one in self.doubts) or "setup plausible"
+            return "; ".join(f"{one.what}: {one.needed}" for one in self.open_questions) or "setup plausible"
         return "; ".join(f"{c.cause}: {c.evidence}" for c in self.causes)
 
     def as_dict(self) -> dict[str, Any]:

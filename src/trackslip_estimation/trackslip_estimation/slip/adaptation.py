@@ -142,7 +142,7 @@ def resume_adaptation(a: Adaptation, start: Adaptation) -> None:
 
 
 @compiled
-def pass_time(state: State, dt: float, c: Config) -> None:
+def add_track_error_noise(state: State, dt: float, c: Config) -> None:
     """What the tracks' speeds, which last for ``dt`` s, err by more than those before is added to P."""
     a, P = state.adaptation, state.covariance
     U = track_exposure(state, c)
@@ -163,7 +163,7 @@ def pass_time(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def lose_track(a: Adaptation) -> None:
+def clear_track_error(a: Adaptation) -> None:
     """The sprockets are silent: the velocity errors hold all, and nothing of it is the tracks' error."""
     a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
 

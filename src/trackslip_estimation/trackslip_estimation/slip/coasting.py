@@ -83,7 +83,7 @@ def inflate(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def doubt_start(state: State, reached_ns: int, c: Config) -> None:
+def widen_start(state: State, reached_ns: int, c: Config) -> None:
     """What may have been driven otherwise than the first sample shows, from the state's stamp on."""
     P, start_ns = state.covariance, state.sample.stamp_ns
     before, after = (state.stamp_ns - start_ns) * 1e-9, (reached_ns - start_ns) * 1e-9

@@ -190,7 +190,7 @@ def _learn(s: Receiver, masses: Masses, R: float, spread: float, c: Config) -> N
         likelihood = -math.log(S) - (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis / _HEAVY)
         w[k] = n.memory * w[k] + (1.0 - n.memory) * LOG_PRIOR[k] + likelihood
         if nis > 2.0:
-            more = surprise(nis, 2) * S
+            more = student_inflation(nis, 2) * S
             S += more
             bb += more if G[k] > 0.0 else 0.0
         hb, hc, hd = bb + bc, bc + cc, bd + cd
@@ -206,7 +206,7 @@ def _learn(s: Receiver, masses: Masses, R: float, spread: float, c: Config) -> N
 
 
 @compiled
-def surprise(nis: float, m: int) -> float:
+def student_inflation(nis: float, m: int) -> float:
     """By what share S of an innovation (m,) grows, as Student's t of four degrees of freedom has it."""
     return max((4.0 + nis) / (4.0 + m) - 1.0, 0.0)
 

@@ -43,7 +43,7 @@ def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config)
 
 
 @compiled
-def hear(state: State, measurement: MeasurementRecord, c: Config) -> None:
+def note_reception(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """A source outside its gate insists for longer by the time since its last measurement, not by silence."""
     source = measurement.source
     if state.consistent_ns[source] >= state.heard_ns[source]:

@@ -11,7 +11,7 @@ from trackslip_common.parameters import Parameters, parameter
 class GroundParameters(Parameters):
     """Of yaw rates by a gyro, and of increments by odometry."""
 
-    doubt: float = parameter("standard deviations that a gyro may show against its tracks", gt=0.0)
+    against_tracks: float = parameter("standard deviations that a gyro may show against its tracks", gt=0.0)
     lag: float = parameter(
         "of the yaw rate without slip, by which the machine may still turn the other way", ge=0.0
     )

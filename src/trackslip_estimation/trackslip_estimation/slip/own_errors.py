@@ -71,7 +71,7 @@ def prepare_offset(
     other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev, c)
     if other:
         offset.count = 0.0
-    wanted = (offset.g if is_coarse(R, c) else lasting_share(offset, c)) * stddev * stddev
+    wanted = (offset.g if is_coarse(R, c) else correlated_share(offset, c)) * stddev * stddev
     if other or (wanted > 0.0) != (offset.variance > 0.0):
         update.renewed |= 3 << own
         begins = wanted > 0.0 and not other and offset.stddev > 0.0
@@ -89,7 +89,7 @@ def prepare_offset(
 
 
 @compiled
-def lasting_share(offset: Offset, c: Config) -> float:
+def correlated_share(offset: Offset, c: Config) -> float:
     """Share of the variance of precise fixes by which they do not jitter, although they state it."""
     share = 1.0 - offset.jitter
     known = offset.count >= c.receivers.jitters and share > c.receivers.least_lasting

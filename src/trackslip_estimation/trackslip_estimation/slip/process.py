@@ -74,7 +74,7 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
                 outcome, entry = _DIVERGED, 0
                 break
         if taken > 0:
-            _tell(window, arrival, (outcome, entry), was_head_ns, results[taken - 1], c)
+            _fill_result(window, arrival, (outcome, entry), was_head_ns, results[taken - 1], c)
         if taken == arrivals.size or (is_full(window) and not trim(window, c)):
             return taken
         was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
@@ -97,7 +97,7 @@ def _take(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[in
 
 
 @inlined
-def _tell(
+def _fill_result(
     window: Window,
     measurement: MeasurementRecord,
     became: tuple[int, int],

@@ -7,7 +7,7 @@ timeout) is taken to go on as the interval before; the rest is *silence*: how fa
 is unknown, whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond
 the newest sample it is the same. The longer speeds are taken to go on, the more they may have changed, up to
 what silence leaves of them (``coasting``). Between a start and the first sample, where that comes within the
-timeout, the speeds are those that it shows, and may have been others (``coasting.doubt_start``).
+timeout, the speeds are those that it shows, and may have been others (``coasting.widen_start``).
 
 Speeds come from the difference of positions where there are positions and they do not jump; else they are the
 measured ones of the sample that closes the interval.

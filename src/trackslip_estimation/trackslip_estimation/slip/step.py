@@ -25,8 +25,8 @@ from trackslip_estimation.kalman import daf
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
-from trackslip_estimation.slip.adaptation import lose_track, pass_time
-from trackslip_estimation.slip.coasting import begin_coast, decay_yaw_rate, doubt_start, inflate, reset_speed
+from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
+from trackslip_estimation.slip.coasting import begin_coast, decay_yaw_rate, inflate, reset_speed, widen_start
 from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
@@ -39,15 +39,15 @@ from trackslip_estimation.slip.models.dispatch import (
 )
 from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import build_up
-from trackslip_estimation.slip.models.slope import meet_direction
+from trackslip_estimation.slip.models.slope import update_direction
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.observations.altitude import use_altitude
-from trackslip_estimation.slip.observations.odometry import follow_motion
+from trackslip_estimation.slip.observations.odometry import integrate_motion
 from trackslip_estimation.slip.own_errors import pass_offsets
 from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
-from trackslip_estimation.slip.tilt import follow_ground, rise
+from trackslip_estimation.slip.tilt import rise, update_ground
 from trackslip_estimation.slip.update import use
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def step(
     else:
         use(state, measurement, c, update)
         _settle_heading(state)
-        _follow_ground(state, update)
+        _update_ground(state, update)
         if measurement.kind == POSE and update.outcome == _ACCEPTED:
             update.attitude = use_altitude(state, measurement, c)
     if measurement.kind != SPROCKETS:
@@ -94,12 +94,12 @@ def step(
 
 
 @inlined
-def _follow_ground(state: State, update: Update) -> None:
+def _update_ground(state: State, update: Update) -> None:
     """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
     jumped = update.opened == MOVED or update.opened == FOLDED or update.opened == TURNED
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         before = update.prior_mean
-        follow_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
+        update_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
 
 
 @inlined
@@ -120,7 +120,7 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
         update_motion(state.motion, state.speeds, dt, c.motion_limits, c.encoder_resolution)
         propagate(state, dt, c)
         if not state.sample.seen:
-            doubt_start(state, known_ns, c)
+            widen_start(state, known_ns, c)
         state.coasting, reached_ns = False, known_ns
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
@@ -139,7 +139,7 @@ def coast(state: State, dt: float, c: Config) -> None:
         variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
         begin_coast(state, (rate, variance), c)
     stand_still(state.speeds)
-    lose_track(state.adaptation)
+    clear_track_error(state.adaptation)
     reset_motion(state.motion)
     state.shear[:] = 0.0
     propagate(state, dt, c)
@@ -164,7 +164,7 @@ def limit_heading(state: State) -> None:
 
 
 @compiled
-def follow_tracks(state: State, dt: float, c: Config) -> None:
+def integrate_tracks(state: State, dt: float, c: Config) -> None:
     """Distance of the tracks, forward or not, after ``dt`` s more."""
     left, right = state.speeds.left, state.speeds.right
     state.ran += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
@@ -174,12 +174,12 @@ def follow_tracks(state: State, dt: float, c: Config) -> None:
 def propagate(state: State, dt: float, c: Config) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     x, P = state.mean[: c.size], state.covariance[:]
-    follow_motion(state, dt, c)
-    follow_tracks(state, dt, c)
+    integrate_motion(state, dt, c)
+    integrate_tracks(state, dt, c)
     rise(state, dt, c)
     if has_velocity_errors(c):
-        pass_time(state, dt, c)
-        meet_direction(state)
+        add_track_error_noise(state, dt, c)
+        update_direction(state)
     moved, F, Q = linearize(x, P, state, dt, c)
     if P[YAW, YAW] > UNKNOWN_HEADING**2:  # it moves by as much to any side
         squared = (moved[X] - x[X]) ** 2 + (moved[Y] - x[Y]) ** 2

@@ -67,7 +67,7 @@ def rise(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def follow_ground(state: State, east: float, north: float) -> None:
+def update_ground(state: State, east: float, north: float) -> None:
     """The height, where a measurement has moved the place by so much: it has shown a way along the ground."""
     if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
         ahead, left = _along_ground(state, east, north)

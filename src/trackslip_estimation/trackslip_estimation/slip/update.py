@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.gate import hear
+from trackslip_estimation.slip.gate import note_reception
 from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, use_rate
 from trackslip_estimation.slip.observations.heading import observe_heading
 from trackslip_estimation.slip.observations.odometry import use_odometry
@@ -42,7 +42,7 @@ def use(state: State, measurement: MeasurementRecord, c: Config, update: Update)
     if kind in (POSE, HEADING, ON_SWING, VELOCITY):
         use_weighed(state, measurement, c, update)
         return
-    hear(state, measurement, c)
+    note_reception(state, measurement, c)
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
             update.attitude = tilt_by(state, measurement, bias_of(measurement.source, c), c)

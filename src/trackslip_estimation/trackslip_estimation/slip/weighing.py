@@ -31,7 +31,7 @@ from trackslip_estimation.slip.adaptation import (
     repeats,
     shared_error,
 )
-from trackslip_estimation.slip.correlated_errors import is_coarse, surprise
+from trackslip_estimation.slip.correlated_errors import is_coarse, student_inflation
 from trackslip_estimation.slip.events import (
     AREA,
     IS_IGNORED,
@@ -107,7 +107,7 @@ def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update:
     if kind == POSE and fault == IS_SOUND and update.nis <= update.gate:
         _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
     if update.coarse == 1 and is_correlated(state, source, c):
-        share = surprise(update.nis, m)
+        share = student_inflation(update.nis, m)
         inflate_offset(state, P, source, share * np.diag(predicted + R), c)
         predicted = predicted_covariance(P, o.jacobian)
     soften(R, o.innovation, predicted, c.gate_limits[m])

@@ -23,7 +23,7 @@ _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _TYPICAL = 5e6  # Pa over a travel motor of a machine that drives: 20 to 80 bar on the four soils
 
 
-class Doubt(Enum):
+class Unused(Enum):
     """Why pressures are not used before a fault is named."""
 
     BRIEF = "pressures in doubt for a moment"

@@ -20,7 +20,7 @@ from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
-from trackslip_estimation.soil.pressure_watch import Doubt, PressureFault, named_faults
+from trackslip_estimation.soil.pressure_watch import PressureFault, Unused, named_faults
 from trackslip_estimation.soil.records import (
     HYDRAULICS,
     SOIL_INPUT,
@@ -91,7 +91,7 @@ class SoilEstimator:
     def tally(self) -> Tally:
         """What was not used, by source and reason."""
         tally = Tally()
-        faults = zip((*PressureFault, *Doubt), self._state.faults.tolist(), strict=True)
+        faults = zip((*PressureFault, *Unused), self._state.faults.tolist(), strict=True)
         found = [(HYDRAULICS, fault, count) for fault, count in faults]
         for source, reason, count in (*self._state.interpolator.counts(), *found):
             if count:
@@ -145,9 +145,9 @@ class SoilEstimator:
             if reason == step.OPEN:
                 yield from self._finish(self._known)
             elif reason in (step.RESTART, step.DIVERGED):
-                self._begin_anew()
+                self._restart()
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         """Forget all that was learned; the transducers are still the same, but who knows for how long."""
         self._state.known[:] = step.initial(self.parameters)
         self._posterior.reset()

@@ -29,7 +29,7 @@ from trackslip_estimation.soil.ground_load import (
     set_load,
 )
 from trackslip_estimation.soil.interpolation import Interpolator, Sample, new_interpolator
-from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, Doubt, PressureFault, Watch
+from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, PressureFault, Unused, Watch
 from trackslip_estimation.soil.records import DIVERGED as REJECTED_DIVERGED
 from trackslip_estimation.soil.records import (
     FORCES,
@@ -105,7 +105,7 @@ class State(NamedTuple):
     """All that the loop works on; it never grows."""
 
     known: Table[Known]  # (1,)
-    faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and Doubt
+    faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and Unused
     interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
     limit_probabilities: FloatArray  # (l,) of the newest state
@@ -122,7 +122,7 @@ class Stop(NamedTuple):
 
 def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
     """At the start."""
-    faults = np.zeros(_BRIEF + len(Doubt), np.int64)
+    faults = np.zeros(_BRIEF + len(Unused), np.int64)
     forces = make_table(ForcesRecord, FORCES, _ROOM)
     return State(initial(p), faults, new_interpolator(p.moments), limits, np.zeros_like(limits), forces)
 

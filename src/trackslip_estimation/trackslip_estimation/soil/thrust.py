@@ -64,7 +64,7 @@ class ThrustParameters(Parameters):
     offset_stddev: float = parameter("offset of a transducer, before it is learned", unit="Pa", gt=0.0)
     offset_limit: float = parameter("beyond it a standing pressure is trapped, no offset", unit="Pa", gt=0.0)
     offset_residue: float = parameter("what standing cannot tell from an offset", unit="Pa", gt=0.0)
-    insist_time: float = parameter(
+    persist_time: float = parameter(
         "at rest, after which a pressure far from the offset that is known is another one", unit="s", gt=0.0
     )
     offset_drift: float = parameter("random walk of an offset", unit="Pa/√s", ge=0.0)
@@ -119,7 +119,7 @@ def update_offsets(
                 refused = True
             elif far > spread:
                 refused = True
-                variance += far * dt / p.insist_time
+                variance += far * dt / p.persist_time
             else:
                 gain = variance / spread
                 offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])

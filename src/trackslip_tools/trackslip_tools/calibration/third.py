@@ -35,7 +35,7 @@ def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> d
     """The findings, without the values that rest on a mistake of the setup."""
     kept = dict(findings)
     wrong = {cause.cause: _CONTRADICTED.get(cause.cause, ()) for setup in setups for cause in setup.causes}
-    wrong |= {doubt.what: _TRACKS for setup in setups for doubt in setup.doubts}
+    wrong |= {question.what: _TRACKS for setup in setups for question in setup.open_questions}
     for cause, names in wrong.items():
         for name in names:
             if name in kept and kept[name].is_found:

@@ -9,8 +9,8 @@ from trackslip_tools.terminal_text import table, wrapped
 def finding(result: Result) -> str:
     """What a command prints before its own results: one line for each cause, or that there is none."""
     if result.is_plausible:
-        doubts = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.doubts]
-        return "\n".join(doubts) or "setup plausible"
+        open_questions = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
+        return "\n".join(open_questions) or "setup plausible"
     lines = []
     for cause in result.causes:
         lines += [f"setup: {cause.cause} ({cause.source}): {cause.evidence}", f"  {cause.remedy}"]

@@ -74,7 +74,7 @@ def _setup(run: Run, _: VerdictLimits) -> Verdict:
     if not setup.is_plausible:
         words = "; ".join(f"{cause.evidence}. {cause.remedy}" for cause in setup.causes)
         return _checked(False, ", ".join(cause.cause for cause in setup.causes), f"{words}.")
-    if setup.doubts:
+    if setup.open_questions:
         return _checked(False, "undecided", f"{setup.headline}.")
     if not setup.facts:
         return _unknown("The drive is too short for the setup check.")

@@ -17,7 +17,7 @@ near. In a turn all of the shear is mobilised, and slides whichever way is downh
 depends on the soil (both factors are measured on the shear truth at 15°, on sand, sandy loam and dry
 clay; ± 0.5). How the machine turns changes with its direction on the slope, too: κ, η and x_I walk
 there. Near the strength the tracks spin uphill and roll downhill: what k says in one direction holds
-in another the less, the larger k is (``meet_direction``). Horizontal is
+in another the less, the larger k is (``update_direction``). Horizontal is
 
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
 """
@@ -104,7 +104,7 @@ def horizontal_jacobian(J: FloatArray, level: Level) -> None:
 
 
 @compiled
-def meet_direction(state: State) -> None:
+def update_direction(state: State) -> None:
     """Where the tracks drive down what they drove up, or aside, k is another one: the softer, the more."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
     if V == 0.0 or level.tilted == 0:

@@ -45,7 +45,7 @@ FloatArray = NDArray[np.float64]
 
 _NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
 _SLIP_TIME = 10.0  # s, T
-_INSISTS = 3  # altitudes that agree, and timeouts that they last
+_PERSISTS = 3  # altitudes that agree, and timeouts that they last
 _SHORTEST, _LONGEST = 1e-3, 3600.0  # s, of Δt
 
 
@@ -61,17 +61,17 @@ def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int
     expected, H = _expected(state, source, c)
     innovation, limit = measurement.altitude - expected, c.gate_limits[1]
     stated, R = _noise(state, measurement, dt, c)
-    doubt = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
-    predicted = predicted_covariance(a.covariance[:], H) + doubt
+    spread = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
+    predicted = predicted_covariance(a.covariance[:], H) + spread
     nis = innovation * innovation / (predicted[0, 0] + R)
     o = observe_alone(np.array((innovation,)), H, np.array(((R,),)))
     if nis > c.adaptation.soft_gate * limit:
-        if not _insists(a.climb, innovation, stated, measurement, c):
+        if not _persists(a.climb, innovation, stated, measurement, c):
             return _GATED
-        doubt += innovation * innovation
+        spread += innovation * innovation
     else:
         soften(o.noise, o.innovation, predicted, limit)
-    a.covariance[HEIGHT, HEIGHT] += doubt
+    a.covariance[HEIGHT, HEIGHT] += spread
     correct(a.mean[:], a.covariance[:], o)
     set_level(a)
     a.climb.used_ns, a.climb.refused = measurement.stamp_ns, 0
@@ -113,7 +113,7 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
 
 
 @compiled
-def _insists(
+def _persists(
     climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
 ) -> bool:
     """Whether this one, outside the gate, is the last of enough that agree."""
@@ -122,4 +122,4 @@ def _insists(
         climb.refused, climb.refused_ns, climb.apart = 0, measurement.stamp_ns, innovation
     climb.refused += 1
     lasted_ns = measurement.stamp_ns - climb.refused_ns
-    return bool(climb.refused >= _INSISTS and lasted_ns >= _INSISTS * c.timeouts_ns[measurement.source])
+    return bool(climb.refused >= _PERSISTS and lasted_ns >= _PERSISTS * c.timeouts_ns[measurement.source])

@@ -5,7 +5,7 @@
     z     yaw rate that it shows, of the upper structure where it sits there      rad/s
     h     (1 + s_g) (ω + σ̇) + b_g; b_g of a further gyro is a state of its own
     R     what the gyro states, and what the rounding of the counts moves h by    (rad/s)²
-    d²    ν²/S, and what it would be with the largest noise that may be: its surprise
+    d²    ν²/S, and what it would be with the largest noise that may be: its least_nis
 
 Inside its gate a reading is used in full; with less weight where only the largest noise that may be explains
 it; beyond that it is refused, until the gate has widened (``gate``). What passes only because the gate is
@@ -115,11 +115,11 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
     shown, of_shown = _rate_shown(state, measurement, o.noise[0, 0], c)
     possible = np.isinf(limit) or not _on_no_ground(shown, of_shown, left, right, c)
     S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
-    surprise = nis = innovation * innovation / S
+    least_nis = nis = innovation * innovation / S
     if possible and has_velocity_errors(c) and not state.coasting:
         by_tracks = state.adaptation.exposure * (1.0 + x[GYRO_SCALE]) ** 2
         stands = state.motion.motion == _STANDING
-        surprise = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, stands, c)
+        least_nis = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, stands, c)
     streak = state.streaks[source]
     forgets = nis > limit or streak.count > 0
     forgets = forgets and _other_ground(shown, x, streak, left, right, c)
@@ -127,22 +127,22 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
         streak.count = 0
         _forget_ground(P, c)
         S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
-        surprise = nis = innovation * innovation / S
+        least_nis = nis = innovation * innovation / S
     elif nis <= limit:
         streak.count = 0
-    elif surprise <= limit:
+    elif least_nis <= limit:
         soften(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
     update.nis, update.log_determinant = nis, np.log(S)
-    if surprise > update.gate or not possible:
+    if least_nis > update.gate or not possible:
         update.outcome, P[:] = _GATED, update.prior_covariance
         return
-    if surprise > limit:
+    if least_nis > limit:
         if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
             P[SWING_RATE, SWING_RATE] += c.swing.fastest**2
         else:
             bias = bias_of(source, c)
             P[bias, bias] += innovation * innovation
-    if forgets or surprise > limit:
+    if forgets or least_nis > limit:
         update.prior_covariance[:] = P
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
@@ -176,7 +176,7 @@ def _without_slip(left: float, right: float, c: Config) -> float:
 def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
     """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
     without_slip = _without_slip(left, right, c)
-    allowed = c.ground.doubt * np.sqrt(variance) + c.ground.lag * abs(without_slip)
+    allowed = c.ground.against_tracks * np.sqrt(variance) + c.ground.lag * abs(without_slip)
     return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
 
 

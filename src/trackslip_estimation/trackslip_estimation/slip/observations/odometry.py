@@ -78,7 +78,7 @@ def begin_odometry(state: State) -> None:
 
 
 @compiled
-def follow_motion(state: State, dt: float, c: Config) -> None:
+def integrate_motion(state: State, dt: float, c: Config) -> None:
     """What is predicted to move in the next ``dt`` s, before it does."""
     if c.odometries == 0:
         return
@@ -145,14 +145,14 @@ def _use(
         update.prior_covariance[:] = P
     predicted = predicted_covariance(P, H) + D
     update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
-    surprise = _least_surprise(state, source, innovation, predicted, stated, drive, update.gate, c)
+    least_nis = _least_nis(state, source, innovation, predicted, stated, drive, update.gate, c)
     R = factors[source] * stated
     L = root(predicted + R)
     update.nis, update.log_determinant = weighted_square(L, innovation), log_determinant(L)
-    if surprise > update.gate:
+    if least_nis > update.gate:
         update.outcome = _GATED
         return
-    if surprise > limit:
+    if least_nis > limit:
         update.prior_covariance[SPEED_ERROR, SPEED_ERROR] += innovation[0] ** 2
         update.prior_covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] += innovation[2] ** 2
         P[:] = update.prior_covariance
@@ -166,7 +166,7 @@ def _use(
 
 
 @inlined
-def _least_surprise(
+def _least_nis(
     state: State,
     source: int,
     innovation: FloatArray,
@@ -188,13 +188,13 @@ def _least_surprise(
         lacking = c.adaptation.track_variances[-1] - a.track_variance
         for k in range(3):
             most[k, k] += lacking * by_tracks[k]
-    surprise = weighted_square(root(most), innovation)
-    if has_velocity_errors(c) and surprise <= gate:
+    least_nis = weighted_square(root(most), innovation)
+    if has_velocity_errors(c) and least_nis <= gate:
         stands = state.motion.motion == _STANDING
         learn_from_speed(a, innovation[0], S[0, 0], by_tracks[0], stands, c)
         if weighted_square(root(S), innovation) <= c.gate_limits[3]:
             learn_from_fix(a, source, innovation, predicted, stated, c)
-    return surprise
+    return least_nis
 
 
 @compiled

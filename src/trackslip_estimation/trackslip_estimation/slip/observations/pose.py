@@ -29,7 +29,7 @@ from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above,
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
-from trackslip_estimation.slip.own_errors import is_new, lasting_share, number_of
+from trackslip_estimation.slip.own_errors import correlated_share, is_new, number_of
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def take_new(state: State, source: int, coarse: bool, R: FloatArray, c: Config) 
     offset = state.offsets[number]
     if offset.variance == 0.0 and not (coarse and state.fault[source] == IS_OFFSET):
         return
-    share = math.sqrt(offset.f if coarse else 1.0 - lasting_share(offset, c))
+    share = math.sqrt(offset.f if coarse else 1.0 - correlated_share(offset, c))
     R[:YAW] *= share
     R[:, :YAW] *= share
 
