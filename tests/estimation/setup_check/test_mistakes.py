@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check on made-up drives: it names each injected mistake, no other, and none on healthy drives."""
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -78,6 +79,24 @@ def test_each_cause_has_evidence_odds_and_a_remedy() -> None:
             assert cause.odds >= 100.0
             assert cause.evidence
             assert cause.remedy
+
+
+@pytest.mark.parametrize(
+    ("convention", "mistake", "remedy"),
+    [
+        ("enu", "compass heading", "convention=compass"),
+        ("compass", "compass heading", "convention=enu"),
+        ("enu", "clockwise heading", "sign=-1"),
+    ],
+)
+def test_remedy_of_a_heading_source_is_its_convention_or_sign(
+    convention: str, mistake: str, remedy: str
+) -> None:
+    log = drive()
+    compass = replace(log.compasses[0], name="heading", of_poses=False, convention=convention)
+    found = check(MISTAKES[mistake].inject(replace(log, compasses=(compass,))))
+    (cause,) = (one for one in found.causes if one.cause == "heading_convention")
+    assert f"slip_estimator.sources.heading.{remedy}" in cause.remedy
 
 
 def test_a_machine_that_stands_is_told_what_to_drive() -> None:
