@@ -59,6 +59,7 @@ PARAMETERS: dict[str, Any] = {
     "heading_sources": ["heading"],
     "odometry_sources": ["visual_odometry"],
     "slip_sources": ["slip_seed"],
+    "velocity_sources": ["fix_velocity"],
     "sources.imu_data_raw.use_orientation": True,
     "sources.gnss_pose.use_altitude": True,
 }
@@ -168,7 +169,7 @@ def slip_topics() -> dict[str, Topic]:
         p.odometries()["visual_odometry"],
         p.gyros()["imu/data_raw"],
     )
-    sprockets = LEFT_SPROCKET, RIGHT_SPROCKET
+    sprockets, receiver = (LEFT_SPROCKET, RIGHT_SPROCKET), p.velocities()["fix_velocity"]
     return {
         "sprockets": Topic(joints, lambda m: conversions.sprockets(m, "sprockets"), sprockets),
         "imu/data_raw": Topic(imu, lambda m: conversions.yaw_rate(m, "imu/data_raw", gyro)),
@@ -178,6 +179,10 @@ def slip_topics() -> dict[str, Topic]:
         "slip_seed": Topic("trackslip_msgs/msg/TrackSlip", lambda m: conversions.slip_fix(m, "slip_seed")),
         "swing": Topic(joints, lambda m: conversions.swing_angle(m, "swing", 1e-4), (SWING_JOINT,)),
         "heading": Topic(imu, lambda m: conversions.heading_fix(m, "heading", compass), packed=False),
+        "fix_velocity": Topic(
+            "geometry_msgs/msg/TwistWithCovarianceStamped",
+            lambda m: conversions.velocity_fix(m, "fix_velocity", receiver),
+        ),
         "visual_odometry": Topic(
             "nav_msgs/msg/Odometry", lambda m: conversions.odometry_pose(m, "visual_odometry", camera)
         ),

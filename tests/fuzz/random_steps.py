@@ -27,6 +27,7 @@ from trackslip_estimation.slip.records import (
     POSE,
     SLIPS,
     SPROCKETS,
+    VELOCITY,
     YAW_RATE,
 )
 
@@ -46,6 +47,7 @@ _ALL: dict[str, Any] = {
     "heading_sources": ["compass"],
     "odometry_sources": ["camera"],
     "slip_sources": ["slip_seed"],
+    "velocity_sources": ["fix_velocity"],
     "sources.imu_data_raw.use_orientation": True,
     "sources.gnss.use_heading": False,
     "sources.gnss.use_altitude": True,
@@ -145,6 +147,7 @@ def random_arrivals(
         HEADING: list(p.compasses()),
         ODOMETRY: list(p.odometries()),
         ON_SWING: list(p.angles()),
+        VELOCITY: list(p.velocities()),
         SLIPS: [name for name in p.slip_sources if name],
     }
     sources = [(kind, estimator.sources[name]) for kind, own in named.items() for name in own]
@@ -218,6 +221,9 @@ def _set_others(
     m["value"][of == YAW_RATE, 0] = (rates + error)[of == YAW_RATE]
     m["value"][of == HEADING, 0] = (truth[:, 2] + error)[of == HEADING]
     m["value"][of == ON_SWING, 0] = error[of == ON_SWING]
+    v = 0.95 * vehicle.rolling_radius * speeds.mean(axis=1)
+    velocities = np.column_stack((v * np.cos(truth[:, 2]) + error, v * np.sin(truth[:, 2]) - error))
+    m["value"][of == VELOCITY, :2] = velocities[of == VELOCITY]
     m["value"][of == SLIPS] = (0.05 + error)[of == SLIPS, None]
     odometry = of == ODOMETRY
     m["value"][odometry, :2], m["value"][odometry, 2] = truth[odometry, :2], 0.0
