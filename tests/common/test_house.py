@@ -153,7 +153,7 @@ def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
             yield node.name, bool(marks & {"compiled", "inlined"}), written
 
 
-@pytest.mark.parametrize("of", ["attitude", "box", "gnss", "soil", "terramechanics"])
+@pytest.mark.parametrize("of", ["attitude", "box", "gnss", "slip", "soil", "terramechanics"])
 def test_records_have_types_in_signatures(of: str) -> None:
     """Of kernels all, of others those that are passed on to kernels: an editor finds where a field is."""
     own = [module for module in sources() if module.startswith(f"trackslip_estimation.{of}.")]

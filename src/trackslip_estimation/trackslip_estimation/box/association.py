@@ -23,9 +23,6 @@ from trackslip_estimation.box.track import Expectation
 
 FloatArray = NDArray[np.float64]
 
-FORGOTTEN_NS = 10_000_000_000  # without being seen
-RIVAL_NS = 2_000_000_000  # for which an unseen candidate still makes another one uncertain
-DIFFERENCE, SHARE = 0.3, 0.1  # m and of the distance: between what the box and the odometry have moved
 _NS = 1e-9  # s
 
 
@@ -39,13 +36,15 @@ class _Follower:
     odometry: FloatArray | None
     likely_ns: int | None = None  # when the odometry's gate last accepted it, new as it is
 
-    def follow(self, place: FloatArray, stamp_ns: int, odometry: Odometry | None) -> None:
+    def follow(
+        self, place: FloatArray, stamp_ns: int, odometry: Odometry | None, p: BoxLocalizerParameters
+    ) -> None:
         """Add a place. A candidate that moves unlike the odometry starts again."""
         self.last, self.seen_ns = place, stamp_ns
         if odometry is None:
             return
         moved, driven = _apart(place, self.first), self.driven(odometry)
-        if driven is None or abs(moved - driven) > DIFFERENCE + SHARE * driven:
+        if driven is None or abs(moved - driven) > p.proof_difference + p.proof_share * driven:
             self.first, self.odometry = place, odometry.place
 
     def driven(self, odometry: Odometry | None) -> float | None:
@@ -59,9 +58,9 @@ class _Follower:
         moved, driven = _apart(self.last, self.first), self.driven(odometry)
         return moved if driven is None else min(moved, driven)
 
-    def is_likely(self, stamp_ns: int) -> bool:
-        """Whether it was within ``RIVAL_NS``."""
-        return self.likely_ns is not None and stamp_ns - self.likely_ns <= RIVAL_NS
+    def is_likely(self, stamp_ns: int, p: BoxLocalizerParameters) -> bool:
+        """Whether it was a moment ago."""
+        return self.likely_ns is not None and stamp_ns - self.likely_ns <= round(p.rival_time * 1e9)
 
 
 class Association:
@@ -120,20 +119,22 @@ class Association:
         stamp_ns: int,
     ) -> Candidate | None:
         """The only likely candidate, or the only one that drives."""
+        p = self._parameters
         followers = [self._follower(candidate, odometry, stamp_ns) for candidate in candidates]
-        self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= FORGOTTEN_NS]
+        kept_ns = round(p.forgotten_time * 1e9)
+        self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= kept_ns]
         likely = []
         for candidate, follower in zip(candidates, followers, strict=True):
             is_new = candidate.is_new or math.isinf(expected.elapsed)
             if is_new and self._is_accepted(candidate, odometry, stamp_ns):
                 follower.likely_ns = stamp_ns
                 likely.append(candidate)
-        if len(likely) == 1 and sum(f.is_likely(stamp_ns) for f in self._followers) == 1:
+        if len(likely) == 1 and sum(f.is_likely(stamp_ns, p) for f in self._followers) == 1:
             return likely[0]
         driving = [
             candidate
             for candidate, follower in zip(candidates, followers, strict=True)
-            if follower.moved(odometry) >= self._parameters.proof_distance
+            if follower.moved(odometry) >= p.proof_distance
         ]
         return driving[0] if len(driving) == 1 else None
 
@@ -144,7 +145,7 @@ class Association:
         if nearest is not None:
             reach = p.gate_distance + p.top_speed * (stamp_ns - nearest.seen_ns) * _NS
             if _apart(nearest.last, candidate.place) <= reach:
-                nearest.follow(candidate.place, stamp_ns, odometry)
+                nearest.follow(candidate.place, stamp_ns, odometry, p)
                 return nearest
         place = candidate.place
         follower = _Follower(place, place, stamp_ns, None if odometry is None else odometry.place)

@@ -182,7 +182,9 @@ class BoxLocalizer:
         stamp_ns = scan.time_ns(float(found.beams.indices.mean()))
         self._tracks = [self._continued(stamp_ns, after.modes[0], after.headings)]
         pose, covariance = mixed(after.modes, after.probabilities, expected.elapsed)
-        covariance[2, 2] = max(covariance[2, 2], expected.innovation_variance(after.modes[0]))
+        covariance[2, 2] = max(
+            covariance[2, 2], expected.innovation_variance(after.modes[0], self._parameters)
+        )
         yaw = float(np.arctan2(np.sin(pose[2]), np.cos(pose[2])))
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)
 

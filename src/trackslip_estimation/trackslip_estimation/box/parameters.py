@@ -29,8 +29,16 @@ class BoxLocalizerParameters(Parameters):
         "flattest view of a side that still makes one cluster", unit="rad", gt=0.0, lt=1.57
     )
     fit_probability: float = parameter("χ² probability above which a fit is refused", gt=0.5, lt=1.0)
+    good_fit: float = parameter("χ² probability up to which no better fit is sought", gt=0.0, lt=1.0)
+    seen_through: float = parameter("share of its beams that may go on behind a box", ge=0.0, lt=1.0)
     gate_distance: float = parameter("distance from the prediction allowed at once", unit="m", gt=0.0)
     gate_yaw: float = parameter("heading difference allowed at once", unit="rad", gt=0.0, lt=0.785)
+    yaw_spreads: float = parameter(
+        "standard deviations of the heading predicted by which gate_yaw is widened", gt=0.0
+    )
+    surprise: float = parameter(
+        "standard deviations between prediction and fix, beyond which its heading is doubted", gt=0.0
+    )
     top_speed: float = parameter("widens gate_distance while no fix comes", unit="m/s", gt=0.0)
     top_yaw_rate: float = parameter(
         "standard deviation of the yaw rate; widens gate_yaw while no fix comes", unit="rad/s", gt=0.0
@@ -40,6 +48,16 @@ class BoxLocalizerParameters(Parameters):
     )
     proof_distance: float = parameter(
         "what may be the box is it once it has driven this far", unit="m", gt=0.0
+    )
+    proof_difference: float = parameter(
+        "by which the way of what may be the box may differ from the odometry's", unit="m", gt=0.0
+    )
+    proof_share: float = parameter("and share of the way by which it may besides", ge=0.0, lt=1.0)
+    rival_time: float = parameter(
+        "for which what may be the box, seen no more, makes another thing uncertain", unit="s", gt=0.0
+    )
+    forgotten_time: float = parameter(
+        "without being seen, after which what may be the box is forgotten", unit="s", gt=0.0
     )
     coast_time: float = parameter(
         "time for which velocities last, beyond which the vehicle is sought where it was", unit="s", gt=0.0

@@ -28,8 +28,6 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 QUARTER = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)
-GOOD_FIT = 0.95  # χ² probability up to which no better fit is sought
-SEEN_THROUGH = 0.2  # share of its beams that may go on behind a box: those beside an end that is not seen
 
 
 class Reason(Enum):
@@ -124,7 +122,7 @@ class BoxSearch:
         best = min(fits, key=lambda fit: fit.chi2)
         through = seen_through(best.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
         is_explained = self._is_explained(best, self._parameters.fit_probability)
-        if not is_explained or through > SEEN_THROUGH * len(beams.ranges):
+        if not is_explained or through > self._parameters.seen_through * len(beams.ranges):
             return Reason.SHAPE
         pose = self._frames.odom_from_laser(best.pose)
         difference = pose - expected.pose
@@ -160,7 +158,7 @@ class BoxSearch:
         for start in starts:
             optimum = most_likely(start, self.box, beams, self.range_stddev)
             if abs(optimum.pose[2] - middle) <= 0.5 * QUARTER_TURN:
-                if self._is_explained(optimum, GOOD_FIT):
+                if self._is_explained(optimum, self._parameters.good_fit):
                     return optimum
                 stuck.append(optimum)
         if not stuck:  # each has left for another view of the box

@@ -26,8 +26,6 @@ from trackslip_estimation.box.quarters import CERTAIN, QUARTER_TURN, Headings, M
 FloatArray = NDArray[np.float64]
 
 INITIAL_YAW_STDDEV = np.pi / 16.0  # rad: the initial heading is given to within π/4
-SPREADS = 3.0  # standard deviations of the heading in its reach
-SURPRISE = 1.8  # standard deviations between prediction and fix
 _NS = 1e-9  # s
 
 
@@ -46,15 +44,15 @@ class Expectation:
     headings: Headings
     elapsed: float
 
-    def innovation_variance(self, fix: Mode) -> float:
+    def innovation_variance(self, fix: Mode, p: BoxLocalizerParameters) -> float:
         """Heading variance, rad², with which a fix that its own track contradicts agrees with it; else 0.
 
         Few beams now and then fit a corner where there is a side, and are sure of it.
         """
         turned = float(fix.pose[2] - self.pose[2])
         squared = (turned - QUARTER_TURN * round(turned / QUARTER_TURN)) ** 2
-        contradicts = squared > SURPRISE**2 * (self.yaw_variance + fix.covariance[2, 2])
-        return squared / SURPRISE**2 if contradicts else 0.0
+        contradicts = squared > p.surprise**2 * (self.yaw_variance + fix.covariance[2, 2])
+        return squared / p.surprise**2 if contradicts else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +98,7 @@ class Track:
         return Expectation(
             pose=there.mean[:, 0],
             reach=p.gate_distance + elapsed * p.top_speed,
-            yaw_reach=p.gate_yaw + SPREADS * np.sqrt(variance),
+            yaw_reach=p.gate_yaw + p.yaw_spreads * np.sqrt(variance),
             yaw_variance=variance,
             headings=self.headings,
             elapsed=elapsed,

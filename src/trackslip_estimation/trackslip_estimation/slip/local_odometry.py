@@ -14,12 +14,13 @@ an interval may be, the pose stays as it is.
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
 from trackslip_estimation.attitude.records import HEIGHT
 from trackslip_estimation.slip.estimator import Estimate, Tilt
 
@@ -28,44 +29,46 @@ Records = NDArray[np.void]
 _LONGEST = 1.0  # s, interval that a twist is taken to last
 _CORRELATION = 1.0  # s, τ
 
-TWIST = np.dtype(
-    [
-        ("stamp_ns", np.int64),
-        ("horizontal", np.float64, (3,)),
-        ("twist_covariance", np.float64, (3, 3)),
-        ("rise", np.float64),  # ż, m/s
-        ("rise_variance", np.float64),
-    ],
-    align=True,
-)
-LOCAL = np.dtype(
-    [
-        ("stamp_ns", np.int64),
-        ("pose", np.float64, (3,)),
-        ("pose_covariance", np.float64, (3, 3)),
-        ("horizontal", np.float64, (3,)),
-        ("height", np.float64),
-        ("height_stddev", np.float64),
-        ("rise", np.float64),  # ż, m/s
-        ("begun", np.int64),  # 0 or 1
-    ],
-    align=True,
-)
+
+class TwistRecord(Record):
+    """Of an estimate, what moves the pose."""
+
+    stamp_ns: int
+    horizontal: Annotated[FloatArray, 3]
+    twist_covariance: Annotated[FloatArray, (3, 3)]
+    rise: float  # ż, m/s
+    rise_variance: float
+
+
+class LocalRecord(Record):
+    """The pose in ``odom``, and what moves it next."""
+
+    stamp_ns: int
+    pose: Annotated[FloatArray, 3]
+    pose_covariance: Annotated[FloatArray, (3, 3)]
+    horizontal: Annotated[FloatArray, 3]
+    height: float
+    height_stddev: float
+    rise: float  # ż, m/s
+    begun: int  # 0 or 1
+
+
+TWIST, LOCAL = dtype_of(TwistRecord), dtype_of(LocalRecord)
 
 
 class LocalOdometry:
     """Follows the estimates in the order in which they are published."""
 
     def __init__(self) -> None:
-        self._known = np.zeros(1, LOCAL)
+        self._known = make_table(LocalRecord, LOCAL, 1)
         self.advance(np.zeros(0, TWIST))  # compiles now
 
     def advance(self, estimates: Records) -> Records:
         """(n,) of ``LOCAL`` after each of (n,) records that have the fields of ``TWIST``."""
-        twists = np.zeros(len(estimates), TWIST)
+        twists = make_table(TwistRecord, TWIST, len(estimates))
         for name in TWIST.names or ():
             twists[name] = estimates[name]
-        found = np.zeros(len(estimates), LOCAL)
+        found = make_table(LocalRecord, LOCAL, len(estimates))
         integrate(self._known, twists, found)
         return found
 
@@ -93,7 +96,7 @@ def _at_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
 
 
 @compiled
-def integrate(known: Records, twists: Records, found: Records) -> None:
+def integrate(known: Table[LocalRecord], twists: Table[TwistRecord], found: Table[LocalRecord]) -> None:
     """From ``known`` (1,) over (n,) of ``TWIST``: fills (n,) of ``LOCAL``, of which the last stays known."""
     local = known[0]
     for k in range(len(twists)):
@@ -110,7 +113,7 @@ def integrate(known: Records, twists: Records, found: Records) -> None:
 
 
 @compiled
-def _move(local: Any, given: Any, dt: float) -> None:
+def _move(local: LocalRecord, given: TwistRecord, dt: float) -> None:
     """Over one interval."""
     v_x = 0.5 * (local.horizontal[0] + given.horizontal[0])
     v_y = 0.5 * (local.horizontal[1] + given.horizontal[1])

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 SPEED, RATE, MU_R, MU_L = range(4)
 _SIZE, _SEEN = 4, 2
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
-_LONGEST_STEP = 0.5  # s: over a longer one the forces are not known
-_CERTAIN = 0.9  # of an expected sign
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: nothing is measured better
 
 
@@ -75,6 +73,8 @@ class DynamicsParameters(Parameters):
     error_time: float = parameter("for which errors of thrusts and model last", unit="s", gt=0.0)
     twist_error_time: float = parameter("for which errors of the estimated twist last", unit="s", gt=0.0)
     fading_speed: float = parameter("ground speed about which its sign is open", unit="m/s", gt=0.0)
+    certain_sign: float = parameter("expected sign of a track's speed that is certain", gt=0.0, lt=1.0)
+    longest_step: float = parameter("between two samples, over which forces are known", unit="s", gt=0.0)
 
 
 def new_dynamics(p: DynamicsParameters) -> Table[Dynamics]:
@@ -106,7 +106,7 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
     """``sample.dt`` s on, to where the slip estimator says ``sample.twist``."""
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
     moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
-    is_modelled = thrust.is_known and moves and 0.0 < dt <= _LONGEST_STEP
+    is_modelled = thrust.is_known and moves and 0.0 < dt <= p.dynamics.longest_step
     held = _is_held(sample, load, p)
     is_modelled = is_modelled and not held
     measured, noise = np.empty(_SEEN), np.empty((_SEEN, _SEEN))  # v_x, φ̇
@@ -139,7 +139,7 @@ def _is_held(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
     """Whether the ground may hold the machine on a slope: by how much, no track that stands on it tells."""
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
     steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
-    return bool(steep and min(abs(left), abs(right)) < _CERTAIN)
+    return bool(steep and min(abs(left), abs(right)) < p.dynamics.certain_sign)
 
 
 @compiled

@@ -77,7 +77,6 @@ class Burden(Record):
 
 
 CENTRE, GROUND_LOAD, BURDEN = dtype_of(Centre), dtype_of(GroundLoad), dtype_of(Burden)
-_LEAST = 0.05  # of g_j: a track that hardly touches the ground
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +92,9 @@ class LoadParameters(Parameters):
         "standard deviation of what a bucket may have taken up at a stand, of the weight", ge=0.0, lt=1.0
     )
     filling_time: float = parameter("of a stand in which it may", unit="s", ge=0.0)
+    least_strength: float = parameter(
+        "F_max at the least over that on level ground, of a track that hardly touches it", gt=0.0, lt=1.0
+    )
 
 
 class SwungCentre(NamedTuple):
@@ -172,5 +174,5 @@ def set_load(load: GroundLoad, centre: Centre, sample: Sample, p: SoilConfig) ->
         share = 0.5 + (1.0 - 2.0 * k) * y_N / vehicle.tread
         load.normal[k] = weight * down * min(max(share, 0.0), 1.0)
         more = 2.0 * load.normal[k] / weight - 1.0
-        load.strength[k] = max(1.0 + friction * more, _LEAST)
+        load.strength[k] = max(1.0 + friction * more, p.load.least_strength)
         load.strength_variance[k] = (spread * more) ** 2 + per_offset * uncertain + load.swing_variance

@@ -20,7 +20,6 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.interpolation import Sample
 
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
-_TYPICAL = 5e6  # Pa over a travel motor of a machine that drives: 20 to 80 bar on the four soils
 
 
 class Unused(Enum):
@@ -85,6 +84,7 @@ class WatchParameters(Parameters):
     grace_time: float = parameter("for which two equal readings are chance", unit="s", ge=0.0)
     relief_margin: float = parameter("over the relief pressure, as share of it", ge=0.0)
     least_pressure: float = parameter("sum of both that driving needs at the least", unit="Pa", gt=0.0)
+    typical_pressure: float = parameter("over a travel motor of a machine that drives", unit="Pa", gt=0.0)
     least_speed: float = parameter("track speed that counts as driving", unit="m/s", gt=0.0)
     telling_difference: float = parameter(
         "between both in a turn, beyond which it shows which is which", unit="Pa", gt=0.0
@@ -168,15 +168,15 @@ def _likely_unit(sample: Sample, p: WatchParameters) -> int:
         return _TOO_LOW
     best = 0
     for unit in range(len(_UNITS)):
-        if _distance(reading, unit) < _distance(reading, best):
+        if _distance(reading, unit, p) < _distance(reading, best, p):
             best = unit
-    return _IN_KPA + best if _distance(reading, best) < math.log(10.0) else _TOO_LOW
+    return _IN_KPA + best if _distance(reading, best, p) < math.log(10.0) else _TOO_LOW
 
 
 @compiled
-def _distance(reading: float, unit: int) -> float:
+def _distance(reading: float, unit: int, p: WatchParameters) -> float:
     """From what is typical, in the logarithm."""
-    return abs(math.log(reading * _UNITS[unit] / _TYPICAL))
+    return abs(math.log(reading * _UNITS[unit] / p.typical_pressure))
 
 
 @compiled

@@ -14,6 +14,7 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import WithVehicle
 from trackslip_estimation.soil.classes import ClassesParameters
 from trackslip_estimation.soil.dynamics import DynamicsParameters
+from trackslip_estimation.soil.flow_check import FlowParameters
 from trackslip_estimation.soil.ground_load import LoadParameters
 from trackslip_estimation.soil.interpolation import InterpolationParameters
 from trackslip_estimation.soil.pressure_watch import WatchParameters
@@ -40,12 +41,16 @@ class SoilNumbers(Parameters):
     strength: StrengthParameters
     classes: ClassesParameters
     seed: SeedParameters
+    flow: FlowParameters
     forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
     soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)
     low_reserve: float = parameter(
         "share of F_max that a track should keep in reserve", ge=0.0, lt=1.0, read_only=False
     )
     high_slip: float = parameter("slip of a track that digs in", gt=0.0, le=1.0, read_only=False)
+    stuck_probability: float = parameter(
+        "of having less reserve, from which on a track has none", gt=0.0, lt=1.0, read_only=False
+    )
     stuck_time: float = parameter(
         "without reserve and at high slip for so long, a track is getting stuck",
         unit="s",

@@ -57,7 +57,6 @@ from trackslip_estimation.soil.thrust import (
 from trackslip_estimation.soil.tracks import frame_speeds, track_speed
 
 _STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
-_LIKELY = 0.5  # probability
 _ROOM = 256  # forces that are kept until they are fetched
 _BRIEF = len(PressureFault)  # a doubt that has not lasted; it names nothing
 _AT_REST = _BRIEF + 1
@@ -223,7 +222,7 @@ def _measure(known: Known, sample: Sample, p: SoilConfig) -> None:
         speeds[k] = sample.tracks[k] / p.vehicle.rolling_radius
     if sample.motion == _STRAIGHT:
         known.volumetric_efficiency = volumetric_efficiency(
-            known.volumetric_efficiency, sample.spools, speeds, known.motor.full_flow_speed, sample.dt
+            known.volumetric_efficiency, sample.spools, speeds, known.motor.full_flow_speed, sample.dt, p.flow
         )
     measure_thrust(known.thrust, sample.pressures, speeds, known.offsets, p.thrust, known.motor)
 
@@ -253,7 +252,7 @@ def _publish_forces(state: State, p: SoilConfig) -> None:
         spread = forces.thrust_variance[k] + (force / strength) ** 2 * known.load.strength_variance[k]
         reserve = _reserve(state, force / strength, spread / strength**2, p)
         forces.reserve[k] = reserve.share
-        spins = sample.slips[k] > p.high_slip and reserve.exhausted > _LIKELY
+        spins = sample.slips[k] > p.high_slip and reserve.exhausted > p.stuck_probability
         known.spinning[k] = evidence_time(known.spinning[k], spins, p.forces_period, p.stuck_time)
         forces.trouble[k] = trouble_of(known.stalled[k], known.spinning[k], p)
 

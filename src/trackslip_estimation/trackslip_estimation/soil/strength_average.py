@@ -14,7 +14,6 @@ from trackslip_estimation.soil.thrust import ThrustRecord
 
 _LARGEST = 1e6  # m/s, and what else there is but thrusts: beyond it is no measurement
 _LARGEST_THRUST = 1e9  # N
-_LONGEST = 1.0  # s between two samples; beyond it, what the tracks did meanwhile is not known
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: by which a covariance may miss being one
 
 
@@ -51,8 +50,8 @@ def gather(
     is not usable, LOST where what the tracks did since the one before is not known either; the average then
     is clear.
     """
-    if not _is_usable(sample):
-        is_lost = not 0.0 < sample.dt <= _LONGEST
+    if not _is_usable(sample, p):
+        is_lost = not 0.0 < sample.dt <= p.longest_gap
         if is_lost:
             clear(average)
         return LOST if is_lost else BROKEN
@@ -64,9 +63,9 @@ def gather(
 
 
 @compiled
-def _is_usable(sample: Sample) -> bool:
+def _is_usable(sample: Sample, p: StrengthParameters) -> bool:
     """Whether a sample is in time, finite, and its covariance can be one."""
-    if not 0.0 < sample.dt <= _LONGEST:
+    if not 0.0 < sample.dt <= p.longest_gap:
         return False
     for k in range(2):
         if not abs(sample.tracks[k]) < _LARGEST:

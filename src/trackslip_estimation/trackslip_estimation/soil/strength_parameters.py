@@ -20,6 +20,9 @@ class StrengthParameters(Parameters):
     limit_cells: int = parameter("cells of the grid over ln F_max", ge=8, le=256)
     elements: int = parameter("pieces of a track's contact", ge=4, le=100)
     interval: float = parameter("time over which samples are averaged to one", unit="s", gt=0.0, le=1.0)
+    longest_gap: float = parameter(
+        "between two samples, beyond which nobody knows what the tracks did meanwhile", unit="s", gt=0.0
+    )
     slowest_track: float = parameter("track speed below which its slip is not used", unit="m/s", gt=0.0)
     correlation_time: float = parameter(
         "time after which slip errors in turns are new ones", unit="s", gt=0.0
@@ -42,6 +45,7 @@ class StrengthParameters(Parameters):
     degrees_of_freedom: float = parameter("of the Student-t errors; few forgive outliers", ge=1.0)
     change_distance: float = parameter("mean distance on one soil", unit="m", gt=0.0)
     widest_ratio: float = parameter("upper over lower end of an interval up to which it counts", gt=1.0)
+    edge_ratio: float = parameter("of an interval's end to that of the grid, at the least", gt=1.0)
 
     def __post_init__(self) -> None:
         """Check each number, then each range."""

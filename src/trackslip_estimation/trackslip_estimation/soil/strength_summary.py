@@ -13,7 +13,6 @@ from trackslip_estimation.soil.strength_parameters import StrengthParameters
 FloatArray = NDArray[np.float64]
 
 _SHARES = (0.05, 0.5, 0.95)
-_EDGE = 1.2  # how near an interval may come to an end of the grid
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ def _reason(
         return "F_max: thrusts far below it tell no more than K/F_max; a turn would"
     if k_high > p.widest_ratio * k_low:
         return "K: the slips are within their own errors"
-    if k_low < _EDGE * p.lowest_modulus or k_high * _EDGE > p.highest_modulus:
+    if k_low < p.edge_ratio * p.lowest_modulus or k_high * p.edge_ratio > p.highest_modulus:
         return "K: at the end of the range looked for"
     return ""
 

@@ -23,8 +23,6 @@ from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, m
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust_of_pressure
 
-_FAR = 5.0  # standard deviations from a known offset
-
 
 class Offsets(Record):
     """Of the transducers."""
@@ -67,6 +65,7 @@ class ThrustParameters(Parameters):
     persist_time: float = parameter(
         "at rest, after which a pressure far from the offset that is known is another one", unit="s", gt=0.0
     )
+    far_offset: float = parameter("standard deviations from the offset that is known, which are far", gt=0.0)
     offset_drift: float = parameter("random walk of an offset", unit="Pa/√s", ge=0.0)
     settling_time: float = parameter("standing with closed spools, before offsets show", unit="s", ge=0.0)
     closed_spool: float = parameter("spool position below which a valve is closed", gt=0.0, lt=1.0)
@@ -114,7 +113,8 @@ def update_offsets(
     for k in range(2):
         variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
         if stands and offsets.stood >= p.settling_time:
-            spread, far = variance + p.pressure_stddev**2, (pressures[k] - offsets.mean[k]) ** 2 / _FAR**2
+            spread = variance + p.pressure_stddev**2
+            far = (pressures[k] - offsets.mean[k]) ** 2 / p.far_offset**2
             if abs(pressures[k]) > p.offset_limit:
                 refused = True
             elif far > spread:
