@@ -71,6 +71,15 @@ def test_rtk_and_heading_keep_the_bars(fixed: Path, use_attitude: bool) -> None:
     assert "gnss_pose" not in found["rejected"]
 
 
+def test_velocities_of_the_receiver_keep_the_bars(fixed: Path) -> None:
+    found = replayed(fixed, **{"sources.heading.offset": OFFSET, "velocity_sources": ["fix_velocity"]})
+    assert found["messages"]["fix_velocity"] > 300
+    assert found["rmse"]["filter"] <= 0.022
+    assert found["rmse"]["heading"] <= 0.005
+    assert found["nees"] < 6.0
+    assert sum(found["rejected"].get("fix_velocity", {}).values()) < 0.05 * found["messages"]["fix_velocity"]
+
+
 def test_the_inertial_unit_of_the_20_t_machine_has_100_hz(fixed: Path, tmp_path: Path) -> None:
     """It was the PC05's, of 12 Hz; what is unplugged is silent."""
     with open_bag(fixed) as bag:
