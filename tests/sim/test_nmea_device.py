@@ -14,7 +14,7 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
-from trackslip_drivers.records import FixSample
+from trackslip_drivers.records import FixSample, VelocitySample
 from trackslip_estimation.gnss.localizer import Fix, GnssLocalizer, Place
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_sim.devices.line import BaudLine
@@ -53,6 +53,7 @@ class Chain:
         self.tally = Tally()
         self.stream = NmeaStream(DRIVER, self.tally)
         self.localizer = GnssLocalizer(MAP)
+        self.velocities = []
         self._bad_line = FaultySerial("gnss", self.faults, 1)
         self._off = False
 
@@ -64,6 +65,8 @@ class Chain:
             for sample in self._receive():
                 if isinstance(sample, FixSample):
                     places += self._locate(sample)
+                elif isinstance(sample, VelocitySample):
+                    self.velocities.append(sample)
                 else:
                     headings.append(sample)
         return np.array(places).reshape(-1, 4), headings
@@ -108,7 +111,7 @@ def test_fixes_come_at_their_rate_within_their_error_and_at_their_epochs(rate):
     chain = Chain(gnss=replace(GNSS, device=replace(GNSS.device, rate=rate)))
     places, headings = chain.run(20.0)
     assert len(places) == pytest.approx(20.0 * rate, abs=2)
-    assert len(headings) == pytest.approx(20.0 * rate, abs=2)
+    assert len(headings) == len(chain.velocities) == pytest.approx(20.0 * rate, abs=2)
     assert np.sqrt(np.mean(places[:, 1:3] ** 2)) == pytest.approx(0.01, rel=0.25)
     epochs = places[places[:, 0] > 1.0, 0]  # by then one answer was prompt
     assert np.abs(epochs - np.round(epochs * rate) / rate).max() < 0.001
