@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from fixtures.patience import PATIENCE
 
+from trackslip_common.config_files import config_directory
+
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = ROOT / "ros2_ws" / "install"
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/*/package.xml"))
@@ -81,7 +83,7 @@ def test_executables_have_code_behind_them(package: str) -> None:
 
 def test_all_configuration_and_launch_files_are_installed() -> None:
     files = {path.relative_to(ROOT / "config") for path in (ROOT / "config").rglob("*") if path.is_file()}
-    installed = INSTALL / "trackslip_common" / "share" / "trackslip_common" / "config"
+    installed = config_directory()
     assert {path.relative_to(installed) for path in installed.rglob("*") if path.is_file()} == files
     for launch in ROOT.glob("src/*/launch/*.launch.py"):
         package = launch.parents[1].name
