@@ -18,7 +18,7 @@ TURNS = [
 TIGHT = (12.0, 0.1, 2.0)
 
 
-@pytest.mark.parametrize("soil", ["sand", "clayey_soil"])
+@pytest.mark.parametrize("soil", ["sand", pytest.param("clayey_soil", marks=pytest.mark.slow)])
 def test_an_estimate_is_not_nine_sigma_ahead_as_tracks_shear_the_soil_at_a_start(
     soil: str, tmp_path: Path
 ) -> None:

@@ -229,6 +229,7 @@ def test_bag_with_absurd_metadata_is_read_without_them(
         assert bag.message_count == 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_metadata", [False, True])
 def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, has_metadata: bool) -> None:
     """One of 60 000 schemas took ``recover`` more than a minute."""

@@ -110,6 +110,7 @@ def is_grey(page: Any) -> bool:
     return all(red == green == blue != "0" for red, green, blue in shades)
 
 
+@pytest.mark.slow
 def test_three_pages_follow_the_machine_at_the_same_time(opened: Any, complaints: list[str]) -> None:
     shown = [opened(width) for width in WIDTHS]
     places = [page.locator('[data-fact="position"]').inner_text() for page in shown]

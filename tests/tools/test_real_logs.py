@@ -92,7 +92,8 @@ def test_what_the_log_of_the_warthog_holds(log: Import, tmp_path: Path) -> None:
     assert found["messages"] == {"sprockets": 4679, "imu/data_raw": 4682, "reference_pose": 935}
 
 
-@pytest.mark.parametrize("robot", ["marmotte", pytest.param("warthog", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["marmotte", "warthog"])
 def test_after_ten_metres_it_matters_not_which_heading_was_assumed(
     log: Import, tmp_path: Path, robot: str
 ) -> None:

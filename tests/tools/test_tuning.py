@@ -175,6 +175,7 @@ def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
     assert not numbers(result)["improves_unseen"]
 
 
+@pytest.mark.slow
 def test_position_is_an_objective_too(drive: Callable[..., Any], tmp_path: Path) -> None:
     task = task_of(drive, **{"sources.box_pose.position_floor": 0.01})
     result = tuned(tmp_path, [task], plan_of(tmp_path, objective="position"))
