@@ -85,6 +85,7 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
         "can_driver:roles_file": roles,
         "slip_estimator:pose_sources": "[box_pose, gnss_pose]",
         "slip_estimator:heading_sources": "[heading]",
+        "slip_estimator:velocity_sources": "[fix_velocity]",
         "slip_estimator:slip_sources": "[slip_seed]",
         "slip_estimator:vehicle": "pc05_cab",
         "soil_estimator:vehicle": "pc05_cab",
