@@ -176,7 +176,7 @@ def random_arrivals(
     _set_others(rng, m, truth, speeds, p)
     wild = rng.random(steps) < 0.01
     m["value"][wild] = rng.choice((np.nan, np.inf, 1e300, -1e12, 1e7, 0.0), (int(wild.sum()), 3))
-    late = m["stamp_ns"] + np.where(rng.random(steps) < 0.1, rng.integers(0, 3 * 10**8, steps), 0)
+    late = m["stamp_ns"] + np.where(rng.random(steps) < 0.02, rng.integers(0, 3 * 10**8, steps), 0)
     return m[np.argsort(late, kind="stable")]
 
 
