@@ -16,7 +16,7 @@ from trackslip_tools.cli.main import main
 
 BAGS = Path(__file__).parents[2] / "bags"
 MANIFEST: dict[str, Any] = yaml.safe_load((BAGS / "manifest.yaml").read_text(encoding="utf-8"))
-MOST_BYTES = 5_000_000  # of all together
+MOST_BYTES = 5_500_000  # of all together
 
 each = pytest.mark.parametrize("name", MANIFEST["bags"])
 
