@@ -94,7 +94,7 @@ wheel: setup ## the Python package of all desk commands, in dist/; no ROS in it 
 	@$(VENV)/python -m pip install -q -r requirements/wheel.txt
 	@$(ENTER) exec $(VENV)/python scripts/make_wheel.py $(ARGS)
 
-numbers: setup ## the measured figures of docs/, written anew (ARGS='slopes swing': of these pages)
+numbers: setup ## the measured figures of docs/, written again (ARGS='slopes swing': of these pages)
 	@$(ENTER) exec $(VENV)/python scripts/make_numbers.py $(ARGS)
 
 figures: setup ## the pictures of docs/figures (ARGS=--demo: that of the README alone)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured figures of the documents, written anew: ``make numbers`` (``ARGS='slopes swing'``).
+"""Measured figures of the documents, written again: ``make numbers`` (``ARGS='slopes swing'``).
 
 Each stands on its page between two comments that name a function of ``measurements/``, which drives the
 emulator, replays, and gives what belongs there. Pages are named by their files, with or without ``docs/`` and

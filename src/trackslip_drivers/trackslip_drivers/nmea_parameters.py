@@ -63,7 +63,7 @@ class NmeaParameters(Parameters):
     rate: float = parameter("fixes that the receiver was set to send", unit="Hz", gt=0.0, le=100.0)
     time_offset: float = parameter("added to every stamp", unit="s")
     latency: float = parameter(
-        "from the moment of a fix to the first byte that tells of it, at its shortest",
+        "from the moment of a fix to the first byte that reports it, at its shortest",
         unit="s",
         ge=0.0,
         lt=1.0,

@@ -30,7 +30,7 @@ _STATED, _MEASURED, _UNCOUNTED = 1e-3, 0.02, 0.1  # tolerance of a cycle: two cr
 
 
 class TimingEvent(Enum):
-    """What befell a frame on its way; LOST counts frames that never came."""
+    """What happened to a frame on its way; LOST counts frames that never came."""
 
     LOST = "lost"
     ALIVE_REPEATED = "alive counter repeated"
@@ -38,7 +38,7 @@ class TimingEvent(Enum):
     CUT_OFF = "waited for the next as the bus was opened anew"
 
 
-Report = Callable[[TimingEvent, int], None]  # what befell frames, and how many
+Report = Callable[[TimingEvent, int], None]  # what happened to frames, and how many
 
 
 class Frame(NamedTuple):

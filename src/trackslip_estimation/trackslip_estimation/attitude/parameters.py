@@ -48,7 +48,7 @@ class AttitudeParameters(Parameters):
     mean_time: float = parameter("of the mean of the specific force", unit="s", gt=0.0)
     lost: float = parameter("deviation of a roll or pitch that is not known any more", unit="rad", gt=0.0)
     outlier_nis: float = parameter("NIS beyond which a sample counts for less", gt=0.0)
-    unknown_acceleration: float = parameter("of a machine whose tracks nobody hears of", unit="m/s²", gt=0.0)
+    unknown_acceleration: float = parameter("of a machine whose tracks send nothing", unit="m/s²", gt=0.0)
     scale_time: float = parameter("for which a gyro shows too much to one side", unit="s", gt=0.0)
 
 

@@ -37,7 +37,7 @@ class BoxLocalizerParameters(Parameters):
         "standard deviations of the heading predicted by which gate_yaw is widened", gt=0.0
     )
     surprise: float = parameter(
-        "standard deviations between prediction and fix, beyond which its heading is doubted", gt=0.0
+        "standard deviations between prediction and fix, beyond which its heading is uncertain", gt=0.0
     )
     top_speed: float = parameter("widens gate_distance while no fix comes", unit="m/s", gt=0.0)
     top_yaw_rate: float = parameter(

@@ -126,7 +126,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     max_gap: float = parameter(
         "stamps further ahead of the sprockets must be confirmed; at least history_window", unit="s", le=600.0
     )
-    jump_confirmations: int = parameter("sprocket samples in a row that make another time believed", ge=2)
+    jump_confirmations: int = parameter("sprocket samples in a row that make another time accepted", ge=2)
     sprocket_timeout: float = parameter(
         "how long sprocket speeds are taken to go on; then the pose is held and its uncertainty grows",
         unit="s",
@@ -146,7 +146,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         read_only=False,
     )
     gate_confirmations: int = parameter(
-        "measurements in a row that must agree with each other before what the gate refuses is believed", ge=1
+        "measurements in a row that must agree with each other before what the gate refuses is accepted", ge=1
     )
     state_file: str = parameter(
         "file that keeps what was learned until the next start; ~ is the home directory, '' for none"

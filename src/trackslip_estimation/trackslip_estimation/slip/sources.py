@@ -57,11 +57,9 @@ class Mounted(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseSource(Mounted):
-    """Poses of one sensor."""
+class Placed(Mounted):
+    """A sensor whose measurements depend on where it is."""
 
-    use_heading: bool = parameter("whether its heading is a measurement too", basic=True)
-    use_altitude: bool = parameter("whether its z, where it has a variance, measures the height too")
     lever_arm_x: float = parameter(
         "place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0, basic=True
     )
@@ -69,11 +67,24 @@ class PoseSource(Mounted):
     lever_arm_z: float = parameter(
         "above the ground: how far it moves as the machine leans", unit="m", ge=-100.0, le=100.0, basic=True
     )
+
+    @property
+    def lever(self) -> tuple[float, float, float]:
+        """Place of the sensor in base_link, m."""
+        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSource(Placed):
+    """Poses of one sensor."""
+
+    use_heading: bool = parameter("whether its heading is a measurement too", basic=True)
+    use_altitude: bool = parameter("whether its z, where it has a variance, measures the height too")
     position_floor: float = parameter(
-        "smallest standard deviation of x and y that is believed", unit="m", gt=0.0
+        "smallest standard deviation of x and y that is accepted", unit="m", gt=0.0
     )
     heading_floor: float = parameter(
-        "smallest standard deviation of the heading that is believed", unit="rad", gt=0.0
+        "smallest standard deviation of the heading that is accepted", unit="rad", gt=0.0
     )
     heading_ceiling: float = parameter(
         "standard deviation of a heading beyond which it is not used", unit="rad", gt=0.0
@@ -103,11 +114,6 @@ class PoseSource(Mounted):
     def has_yaw_offset(self) -> bool:
         """Whether what its headings are off by is estimated."""
         return self.use_heading and self.yaw_offset_stddev > 0.0
-
-    @property
-    def lever(self) -> tuple[float, float, float]:
-        """Place of the sensor in base_link, m."""
-        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +206,7 @@ class HeadingSource(Mounted):
         basic=True,
     )
     stddev: float = parameter("where its message gives no variance", unit="rad", gt=0.0)
-    heading_floor: float = parameter("smallest standard deviation that is believed", unit="rad", gt=0.0)
+    heading_floor: float = parameter("smallest standard deviation that is accepted", unit="rad", gt=0.0)
     stamp_error: float = parameter(
         "standard deviation of a delay that all its stamps have, which is estimated: one for all sources",
         unit="s",
@@ -230,7 +236,7 @@ class SwingSource(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VelocitySource(Mounted):
+class VelocitySource(Placed):
     """Velocity over the ground: a GNSS receiver's, or a radar's."""
 
     axes: str = parameter(
@@ -243,20 +249,12 @@ class VelocitySource(Mounted):
         ge=-6.2832,
         le=6.2832,
     )
-    lever_arm_x: float = parameter("place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0)
-    lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
-    lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)
     latency: float = parameter(
         "by which its stamps are later than the instant of its velocity", unit="s", ge=-1.0, le=10.0
     )
     stddev: float = parameter("where its message gives no variance", unit="m/s", gt=0.0)
-    velocity_floor: float = parameter("smallest standard deviation that is believed", unit="m/s", gt=0.0)
+    velocity_floor: float = parameter("smallest standard deviation that is accepted", unit="m/s", gt=0.0)
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
-
-    @property
-    def lever(self) -> tuple[float, float, float]:
-        """Place of the sensor in base_link, m."""
-        return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
     @property
     def latency_ns(self) -> int:
@@ -296,7 +294,7 @@ class OdometrySource(Source):
     velocity_stddev: float = parameter("declared; also where its message has a zero", unit="m/s", gt=0.0)
     yaw_rate_stddev: float = parameter("the same", unit="rad/s", gt=0.0)
     drift: float = parameter("by how much its lengths err, over minutes: 0.01 is 1 %", ge=0.0, le=0.5)
-    max_gap: float = parameter("poses further apart begin anew", unit="s", gt=0.0, le=10.0)
+    max_gap: float = parameter("poses further apart are not compared", unit="s", gt=0.0, le=10.0)
 
     @property
     def lever(self) -> tuple[float, float, float]:

@@ -78,9 +78,9 @@ WATCH = dtype_of(Watch)
 
 @dataclass(frozen=True, kw_only=True)
 class WatchParameters(Parameters):
-    """When pressures are doubted."""
+    """When pressures are uncertain."""
 
-    naming_time: float = parameter("for which a doubt must last to be named a fault", unit="s", gt=0.0)
+    naming_time: float = parameter("for which evidence must last to be named a fault", unit="s", gt=0.0)
     grace_time: float = parameter("for which two equal readings are chance", unit="s", ge=0.0)
     relief_margin: float = parameter("over the relief pressure, as share of it", ge=0.0)
     least_pressure: float = parameter("sum of both that driving needs at the least", unit="Pa", gt=0.0)
