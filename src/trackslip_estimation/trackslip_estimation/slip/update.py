@@ -20,15 +20,12 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.gate import note_reception
 from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, use_rate
-from trackslip_estimation.slip.observations.heading import observe_heading
 from trackslip_estimation.slip.observations.odometry import use_odometry
-from trackslip_estimation.slip.observations.pose import observe_pose
 from trackslip_estimation.slip.observations.slips import observe_slips, use_slips
-from trackslip_estimation.slip.observations.swing import observe_swing
-from trackslip_estimation.slip.observations.velocity import observe_velocity
-from trackslip_estimation.slip.records import HEADING, ODOMETRY, ON_SWING, POSE, SLIPS, VELOCITY, YAW_RATE
+from trackslip_estimation.slip.records import ODOMETRY, SLIPS, YAW_RATE
 from trackslip_estimation.slip.tilt import tilt_by
-from trackslip_estimation.slip.weighing import use_weighed
+from trackslip_estimation.slip.weighing import observe_weighed, use_weighed
+from trackslip_estimation.slip.window import is_weighed
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -39,7 +36,7 @@ if TYPE_CHECKING:
 def use(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
     """The state, given the measurement."""
     kind = measurement.kind
-    if kind in (POSE, HEADING, ON_SWING, VELOCITY):
+    if is_weighed(measurement):
         use_weighed(state, measurement, c, update)
         return
     note_reception(state, measurement, c)
@@ -56,15 +53,8 @@ def use(state: State, measurement: MeasurementRecord, c: Config, update: Update)
 @compiled
 def observe(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """What a measurement says of a state by itself; of odometry, which knows of two states, nothing."""
-    kind = measurement.kind
-    if kind == POSE:
-        return observe_pose(state, measurement, c)
-    if kind == HEADING:
-        return observe_heading(state, measurement, c)
-    if kind == ON_SWING:
-        return observe_swing(state, measurement, c)
-    if kind == VELOCITY:
-        return observe_velocity(state, measurement, c)
-    if kind == SLIPS:
+    if measurement.kind == YAW_RATE:
+        return observe_rate(state, measurement, c)
+    if measurement.kind == SLIPS:
         return observe_slips(state, measurement, c)
-    return observe_rate(state, measurement, c)
+    return observe_weighed(state, measurement, c)

@@ -89,7 +89,7 @@ def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update:
         prepare_offset(state, update, source, stated, fault == IS_OFFSET, c)
         update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated, c) else 0
         again = _compare_with_last(state, measurement, update)
-    o = _observe(state, measurement, c)
+    o = observe_weighed(state, measurement, c)
     if kind == POSE:
         _show_place(state, source, o, elapsed, update, c)
     state.last_ns[source] = measurement.stamp_ns
@@ -120,8 +120,9 @@ def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update:
         update.outcome = _GATED
 
 
-@inlined
-def _observe(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
+@compiled
+def observe_weighed(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
+    """What a pose, heading, swing angle or velocity says of a state."""
     if measurement.kind == POSE:
         return observe_pose(state, measurement, c)
     if measurement.kind == HEADING:
