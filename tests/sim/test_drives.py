@@ -12,6 +12,7 @@ from trackslip_sim.drives.score import Score
 from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
 
 
+@pytest.mark.slow
 def test_an_estimator_that_nobody_tuned_is_consistent_on_drawn_machines() -> None:
     scores = [scored(seed)[2] for seed in range(4)]
     assert missed_bars(scores) == []

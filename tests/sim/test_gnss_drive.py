@@ -120,6 +120,7 @@ def simulated(path: Path, soil: str, seed: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_fixes_of_a_high_antenna_counted_for_too_little(tmp_path: Path) -> None:
     """Its lean, which all of them share, stood in the noise of each: 28.5 mm; 21.2 without altitudes."""
     found = replayed(simulated(tmp_path / "bag", "sand", 3))
@@ -127,6 +128,7 @@ def test_fixes_of_a_high_antenna_counted_for_too_little(tmp_path: Path) -> None:
     assert 1.0 < found["nees"] < 4.5
 
 
+@pytest.mark.slow
 def test_a_start_on_soft_soil_was_taken_for_a_delay_of_the_fixes(tmp_path: Path) -> None:
     """Where the tracks spin before the machine goes: 50 ms, and 36 mm."""
     found = replayed(simulated(tmp_path / "bag", "clayey_soil", 7))
@@ -140,6 +142,7 @@ def test_one_antenna_finds_the_heading(fixed: Path) -> None:
     assert abs(found["final"]["yaw"] - _final_yaw(fixed)) < 0.03
 
 
+@pytest.mark.slow
 def test_thirty_seconds_of_rtk_float_keep_the_bar(tmp_path: Path) -> None:
     found = replayed(record(tmp_path / "bag", [FLOAT]), **{"sources.heading.offset": OFFSET})
     assert found["rmse"]["filter"] <= 0.10

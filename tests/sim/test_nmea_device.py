@@ -180,6 +180,7 @@ KINDS = {
 }
 
 
+@pytest.mark.slow
 def test_a_hundred_faults_are_survived():
     """Unplugged, garbage, wrong baud, rebooted, leap seconds, another datum: fixes come back."""
     chooser, chain = random.Random(7), Chain()

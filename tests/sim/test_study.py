@@ -125,7 +125,7 @@ def assert_same(rows: Any, others: Any) -> None:
         assert_same(rows[name], others[name])
 
 
-@pytest.mark.parametrize("truth", [SHEAR, MATCHED])
+@pytest.mark.parametrize("truth", [SHEAR, pytest.param(MATCHED, marks=pytest.mark.slow)])
 def test_filters_are_compared_on_the_same_draws(
     truth: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
@@ -197,6 +197,7 @@ def _linearised(x: FloatArray, drive: np.void, config: ConfigRecord) -> tuple[Fl
     return np.stack(columns, axis=1), linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, c)[2]
 
 
+@pytest.mark.slow
 def test_where_all_is_linear_the_kalman_filter_attains_the_bound(
     drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:

@@ -110,6 +110,7 @@ def test_without_an_encoder_the_angle_at_the_start_errs_as_the_filter_expects(
 # The bound
 
 
+@pytest.mark.slow
 def test_of_n_readings_of_an_encoder_the_bound_is_their_mean(with_encoder: SlipEstimatorParameters) -> None:
     """While the brake holds the cab without play: of r each, r/n."""
     n, config = 40, make_config(with_encoder)
@@ -206,6 +207,7 @@ def _by_differences(function: Callable[[FloatArray], FloatArray], x: FloatArray)
 # What it says of filters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", [True, False])
 def test_a_filter_on_the_cab_is_near_its_bound(
     encoder: bool,

@@ -116,6 +116,7 @@ WIDEST |= {"effective_rolling_radius": 0.002, "common_slip": 0.012}
 WIDEST |= {"turning_efficiency": 0.02, "effective_tread": 0.08}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRUE)
 def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
     """And no more often than that by being wide: half of one is small."""

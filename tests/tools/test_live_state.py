@@ -212,6 +212,7 @@ def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], te
     as_json(state.whole())
 
 
+@pytest.mark.slow
 def test_an_hour_takes_no_more_memory_than_the_first_minutes(state: LiveState) -> None:
     ticks = strips.ROWS + 50
     drive(state, ticks, speed=40.0)

@@ -106,7 +106,7 @@ def test_measurements_and_their_records_are_one(log: Any) -> None:
     p, given = load_slip_parameters(), log.measurements[:600]
     estimator = SlipEstimator(p)
     steps = [
-        make_step(found, m.source)
+        make_step(found.item(), m.source)
         for found, m in zip(results_of(to_records(given, estimator.sources), [50]), given, strict=True)
     ]
     one_by_one = [estimator.process(m) for m in given]

@@ -129,7 +129,7 @@ def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:
     assert smoothed[0] < filtered[0]
 
 
-@pytest.mark.parametrize("model", ["icr", "free_slips"])
+@pytest.mark.parametrize("model", ["icr", pytest.param("free_slips", marks=pytest.mark.slow)])
 def test_serves_every_model_and_names_its_filter(log: Any, model: str) -> None:
     p = load_slip_parameters({"model": model, "filter": "daf"})
     found = smoothed_of(without(log.measurements, PoseFix, *OUTAGE), p)

@@ -87,7 +87,7 @@ def test_replay_gives_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
     rows = results["estimate"][results["published"] == 1]
     live = np.zeros(len(rows), SOIL_INPUT)
     for to, row in zip(live, rows, strict=True):
-        message = slip.machine_state(make, make_estimate(row), "map", "base_link")
+        message = slip.machine_state(make, make_estimate(row.item()), "map", "base_link")
         machine_state(message).write_to(to)
     np.testing.assert_array_equal(inputs_of(rows), live)
     assert len(rows) > 200

@@ -27,7 +27,7 @@ from trackslip_tools.tuning.task import Task
 
 PLAN = """
 objective: pose
-evaluations: 24
+evaluations: 20
 seed: 1
 parameters:
   sources.box_pose.timeout: {low: 0.1, high: 3.0, scale: log}
@@ -44,7 +44,7 @@ def plan(tmp_path: Path) -> Path:
 
 def tune(bag: Path, plan: Path, output: Path, *options: str) -> int:
     alone = () if "--scheduler" in options else ("--workers", "1")
-    named = ("--plan", str(plan), "--output", str(output), "--stop", "20")
+    named = ("--plan", str(plan), "--output", str(output), "--stop", "12")
     return main(["tune", str(bag), *named, *alone, *options])
 
 
@@ -116,6 +116,7 @@ def test_bad_input_is_refused_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_two_workers_of_a_cluster_find_what_one_process_finds(
     emulated_bag: Path, plan: Path, tmp_path: Path
 ) -> None:

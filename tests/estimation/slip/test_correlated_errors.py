@@ -32,7 +32,7 @@ from trackslip_estimation.slip.own_errors import (
     to_offset,
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.slip.records import UPDATE
+from trackslip_estimation.slip.records import PRIOR, UPDATE
 
 FloatArray = NDArray[np.float64]
 
@@ -103,10 +103,10 @@ def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float =
     return state
 
 
-def update_of(state: Any) -> Any:
-    update = np.zeros(1, UPDATE)[0]
-    update["prior_mean"], update["prior_covariance"] = state["mean"], state["covariance"]
-    return update
+def prior_of(state: Any) -> Any:
+    prior = np.zeros(1, PRIOR)[0]
+    prior["mean"], prior["covariance"] = state["mean"], state["covariance"]
+    return prior
 
 
 def test_the_place_that_a_fix_shows_and_back() -> None:
@@ -151,7 +151,7 @@ def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
         return P - P @ H.T @ np.linalg.solve(H @ P @ H.T + 0.5 * np.eye(3), H @ P)
 
     state = given_offset(Gaussian(np.zeros(SIZE), informed(before)), before, g)
-    prepare_offset(state, update_of(state), SOURCE, np.eye(2), False, C)
+    prepare_offset(state, np.zeros(1, UPDATE)[0], prior_of(state), SOURCE, np.eye(2), False, C)
     np.testing.assert_allclose(state["covariance"], informed(g), atol=1e-9)
     assert state["offsets"]["variance"][0] == pytest.approx(g)
 
@@ -160,13 +160,13 @@ def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
 def test_another_quality_has_another_error(stddev: float, variance: float) -> None:
     """What is known of the error of one solution tells nothing of that of another; a precise one has none."""
     state = given_offset(made_up(), 4.0)
-    update, wanted = update_of(state), state["covariance"].copy()
-    prepare_offset(state, update, SOURCE, stddev**2 * np.eye(2), False, C)
+    update, prior, wanted = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
+    prepare_offset(state, update, prior, SOURCE, stddev**2 * np.eye(2), False, C)
     assert state["offsets"]["variance"][0] == pytest.approx(variance)
     assert update["renewed"] == 3 << SENSOR_ERRORS
     wanted[OFFSET], wanted[:, OFFSET], wanted[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
     np.testing.assert_allclose(state["covariance"], wanted)
-    np.testing.assert_allclose(update["prior_covariance"], wanted)
+    np.testing.assert_allclose(prior["covariance"], wanted)
 
 
 @given(st.floats(0.01, 200.0), st.floats(1.0, 30.0))

@@ -16,7 +16,7 @@ from trackslip_estimation.slip import log as logs
 from trackslip_estimation.slip import process as live
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import SourceFault
-from trackslip_estimation.slip.log import Log, make_log, run_log, run_whole
+from trackslip_estimation.slip.log import Log, make_log, run_log, run_whole, script_of
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
@@ -81,11 +81,15 @@ class Ran(NamedTuple):
     measurements: Records
     states: Records
     updates: Records
+    priors: Records  # () without a script
 
 
-def ran(log: Log, p: SlipEstimatorParameters) -> Ran:
-    blocks = [[part.copy() for part in (b.measurements, b.states, b.updates)] for b in run_log(log, p)]
-    return Ran(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
+def ran(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> Ran:
+    parts = [
+        [part.copy() for part in (b.measurements, b.states, b.updates, b.priors)]
+        for b in run_log(log, p, script)
+    ]
+    return Ran(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
 def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any, list[Outcome]]:
@@ -157,10 +161,11 @@ def test_blocks_of_any_size_give_the_same_bits(
 
 def test_a_sprocket_sample_says_no_more_than_it_drove(drive: Callable[..., Any]) -> None:
     p = parameters()
-    run = ran(log_of(measurements(drive), p), p)
+    log = log_of(measurements(drive), p)
+    run = ran(log, p, script_of(log, p))
     samples = run.measurements["kind"] == SPROCKETS
-    for name, prior in (("mean", "prior_mean"), ("covariance", "prior_covariance")):
-        np.testing.assert_array_equal(run.states[name][samples], run.updates[prior][samples])
+    for name in ("mean", "covariance"):
+        np.testing.assert_array_equal(run.states[name][samples], run.priors[name][samples])
     for name in ("nis", "gate", "log_determinant"):
         assert np.isnan(run.updates[name][samples]).all()
         assert np.isfinite(run.updates[name][~samples]).all()
@@ -171,12 +176,13 @@ def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[.
     """Whatever was tried with it on the way: bit for bit the prior."""
     for filter_ in ("ekf", "daf"):
         p = parameters(filter=filter_, **{"sources.box_pose.lever_arm_x": 0.4})
-        run = ran(log_of(with_faults(measurements(drive)), p), p)
+        log = log_of(with_faults(measurements(drive)), p)
+        run = ran(log, p, script_of(log, p))
         gated = (run.updates["outcome"] == Outcome.GATED) & (run.states["fault"][:, 0] != SourceFault.OFFSET)
         assert set(run.measurements["kind"][gated]) >= {POSE}
         assert np.count_nonzero(gated) > 10
-        np.testing.assert_array_equal(run.states["mean"][gated], run.updates["prior_mean"][gated])
-        np.testing.assert_array_equal(run.states["covariance"][gated], run.updates["prior_covariance"][gated])
+        for name in ("mean", "covariance"):
+            np.testing.assert_array_equal(run.states[name][gated], run.priors[name][gated])
 
 
 def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[..., Any]) -> None:

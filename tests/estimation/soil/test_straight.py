@@ -182,6 +182,7 @@ def test_the_slip_distance_gives_the_modulus(sign: float) -> None:
     assert found.thrust_limit == pytest.approx(LIMIT, rel=0.02)
 
 
+@pytest.mark.slow
 def test_intervals_from_slip_distances_cover_as_often_as_they_say() -> None:
     random = np.random.default_rng(7)
     runs, stddev, covered = 60, 0.006, 0

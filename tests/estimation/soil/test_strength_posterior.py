@@ -166,6 +166,7 @@ def test_a_slip_within_its_error_leaves_the_modulus_open() -> None:
     assert found.thrust_limit == pytest.approx(4233.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_often_as_they_say() -> None:
     """Errors of slip and thrust that last for seconds, in 80 runs: nine of ten intervals hold the truth."""
     random = np.random.default_rng(5)

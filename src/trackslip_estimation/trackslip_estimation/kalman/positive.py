@@ -15,18 +15,19 @@ Murray). So the estimate claims no more than numbers of 64 bits can hold. A P th
 stays as it is.
 """
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+
+FloatArray = NDArray[np.float64]
 
 _OF_VARIANCE = 1e-12  # ε_k, as a share of a state's variance
 _OF_BEFORE = 1e-14  # and of its variance before the update
 
 
 @compiled
-def make_positive(P: Any, before: Any, n: int) -> None:
+def make_positive(P: FloatArray, before: FloatArray, n: int) -> None:
     """Make the first ``n`` states of P positive definite and exactly symmetric, where they are not.
 
     ``before``: P⁻. Numbers that are not finite stay so.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +39,24 @@ from trackslip_estimation.slip.window import Records, Window, enlarged, make_win
 
 FloatArray = NDArray[np.float64]
 Step = tuple[Report, "Estimate | None"]
+TiltFields = tuple[int, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]  # of ``TILT``
+SwingFields = tuple[int, float, float, FloatArray]  # of ``SWINGING``
+EstimateFields = tuple[  # of ``ESTIMATE``
+    int,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    TiltFields,
+    float,
+    float,
+    FloatArray,
+    FloatArray,
+    int,
+    SwingFields,
+]
+ResultFields = tuple[int, int, int, float, float, int, int, bool, EstimateFields]  # of ``RESULT``
 
 _CAPACITY = 512  # entries of a window at first: some seconds
 
@@ -224,7 +241,7 @@ class SlipEstimator:
             raise RuntimeError("no estimate yet")
         records = np.zeros(1, ESTIMATE)
         fill_last_estimate(self.window, self.config, records)
-        return make_estimate(records[0])
+        return make_estimate(records[0].item())
 
     def _use(self, p: SlipEstimatorParameters) -> None:
         self.parameters = p
@@ -237,22 +254,21 @@ class SlipEstimator:
             start_from(self._start, self.config, self.meaning, self.sources)
 
 
-def make_step(result: Any, source: str) -> Step:
-    """What a record of ``RESULT`` says, or the tuple of its fields, which is faster to look at."""
+def make_step(result: ResultFields, source: str) -> Step:
+    """What a record of ``RESULT`` says; a tuple of its fields is faster to look at."""
     stamp_ns, outcome, dof, nis, gate, attitude, fault, published, estimate = result
     refusal, lack = AttitudeRefusal(attitude) if attitude else None, Fault(fault) if fault else None
-    report = Report(source, int(stamp_ns), Outcome(outcome), float(nis), float(gate), int(dof), refusal, lack)
+    report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, refusal, lack)
     return report, make_estimate(estimate) if published else None
 
 
-def make_estimate(record: Any) -> Estimate:
-    """What a record of ``ESTIMATE``, or the tuple of its fields, says."""
-    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt, *rest = record
-    rise, rise_variance, slips, slip_covariance, motion, swing = rest
-    known, *of_tilt = tilt
-    leans = Tilt(*of_tilt) if known else None
-    swings, *of_swing = swing
-    swung = Swing(*of_swing) if swings else None
-    rises = float(rise), float(rise_variance)
-    outputs = Outputs(twist, twist_covariance, horizontal, leans, *rises, slips, slip_covariance, swung)
-    return Estimate(int(stamp_ns), pose, pose_covariance, outputs, Motion(motion))
+def make_estimate(fields: EstimateFields) -> Estimate:
+    """What a record of ``ESTIMATE`` says."""
+    stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt = fields[:7]
+    rise, rise_variance, slips, slip_covariance, motion, swing = fields[7:]
+    leans = Tilt(*tilt[1:]) if tilt[0] else None
+    swung = Swing(*swing[1:]) if swing[0] else None
+    outputs = Outputs(
+        twist, twist_covariance, horizontal, leans, rise, rise_variance, slips, slip_covariance, swung
+    )
+    return Estimate(stamp_ns, pose, pose_covariance, outputs, Motion(motion))

@@ -63,6 +63,11 @@ class Block(NamedTuple):
         """(m,) what became of them."""
         return self.window.updates[self.begin : self.window.count]
 
+    @property
+    def priors(self) -> Records:
+        """(m,) what was known before each, of a run with a script; else ()."""
+        return self.window.priors[self.begin : self.window.count]
+
 
 def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
     """What the estimator uses of (n,) records of ``MEASUREMENT``, each once.

@@ -26,7 +26,7 @@ from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import Offset, State, Update
+    from trackslip_estimation.slip.records import Offset, Prior, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def is_new(state: State, source: int, c: Config) -> bool:
 
 @compiled
 def prepare_offset(
-    state: State, update: Update, source: int, R: FloatArray, is_open: bool, c: Config
+    state: State, update: Update, prior: Prior, source: int, R: FloatArray, is_open: bool, c: Config
 ) -> None:
     """The offset of a source as its next fix, of covariance R, finds it.
 
@@ -76,10 +76,10 @@ def prepare_offset(
         update.renewed |= 3 << own
         begins = wanted > 0.0 and not other and offset.stddev > 0.0
         _renew(state.mean, state.covariance, own, wanted)
-        _renew(update.prior_mean, update.prior_covariance, own, wanted)
+        _renew(prior.mean, prior.covariance, own, wanted)
         if begins:  # until now it was in the place
             to_offset(state.mean, state.covariance, source, -1.0, c)
-            to_offset(update.prior_mean, update.prior_covariance, source, -1.0, c)
+            to_offset(prior.mean, prior.covariance, source, -1.0, c)
     elif wanted > 0.0:
         for i in (own, own + 1):
             _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)

@@ -220,11 +220,19 @@ class Update(Record):
     attitude: int  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted
     follows: bool  # whether the prior follows from the state before by the model
     renewed: int  # bit i: state i does not follow from the state before
-    prior_mean: Annotated[FloatArray, SIZE]  # before the measurement, widened where it surprised
-    prior_covariance: Annotated[FloatArray, (SIZE, SIZE)]
 
 
 UPDATE = dtype_of(Update)
+
+
+class Prior(Record):
+    """What was known before a measurement, widened where it surprised."""
+
+    mean: Annotated[FloatArray, SIZE]
+    covariance: Annotated[FloatArray, (SIZE, SIZE)]
+
+
+PRIOR = dtype_of(Prior)
 
 
 HISTORY = 16  # events that a branch remembers

@@ -7,6 +7,7 @@
     measurement   record of ``MEASUREMENT``
     c             record of ``config.CONFIG``
     update        record of ``UPDATE``: what became of the measurement
+    prior         record of ``PRIOR``: what was known before it
 
 Live node, replay, tuning, studies and smoother all make this step, and no other.
 """
@@ -52,7 +53,7 @@ from trackslip_estimation.slip.update import use
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -63,7 +64,12 @@ _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 @inlined
 def step(
-    state: State, closing: MeasurementRecord, measurement: MeasurementRecord, c: Config, update: Update
+    state: State,
+    closing: MeasurementRecord,
+    measurement: MeasurementRecord,
+    c: Config,
+    update: Update,
+    prior: Prior,
 ) -> None:
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
@@ -71,7 +77,7 @@ def step(
     update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
     update.coarse, update.stated, update.shown[:] = 0, 0.0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
-    update.prior_mean, update.prior_covariance = state.mean, state.covariance
+    prior.mean, prior.covariance = state.mean, state.covariance
     if measurement.kind == POSE:
         state.fixed_ns = measurement.stamp_ns
     if measurement.kind == SPROCKETS:
@@ -82,24 +88,23 @@ def step(
         place(state, measurement)
         update.follows = False
     else:
-        use(state, measurement, c, update)
+        use(state, measurement, c, update, prior)
         _settle_heading(state)
-        _update_ground(state, update)
+        _update_ground(state, update, prior)
         if measurement.kind == POSE and update.outcome == _ACCEPTED:
             update.attitude = use_altitude(state, measurement, c)
     if measurement.kind != SPROCKETS:
-        make_positive(state.covariance, update.prior_covariance, c.size)
+        make_positive(state.covariance, prior.covariance, c.size)
         if state.attitude.known == 1:
             make_positive(state.attitude.covariance, state.attitude.covariance, ATTITUDE_SIZE)
 
 
 @inlined
-def _update_ground(state: State, update: Update) -> None:
+def _update_ground(state: State, update: Update, prior: Prior) -> None:
     """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
     jumped = update.opened == MOVED or update.opened == FOLDED or update.opened == TURNED
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
-        before = update.prior_mean
-        update_ground(state, state.mean[X] - before[X], state.mean[Y] - before[Y])
+        update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
 
 
 @inlined

@@ -6,6 +6,7 @@
     measurement   record of ``MEASUREMENT``, neither of sprockets nor a user's
     c             record of ``config.CONFIG``
     update        record of ``UPDATE``: what became of the measurement
+    prior         record of ``PRIOR``: what was known before it, widened where it surprises
 
 ``observations`` has what each kind says of the state: innovation, Jacobian, noise, and the states that it
 leaves alone. Poses, headings, swing angles and velocities are weighed by the bank (``weighing``), the others
@@ -29,25 +30,25 @@ from trackslip_estimation.slip.window import is_weighed
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 
 @inlined
-def use(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
+def use(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
     """The state, given the measurement."""
     kind = measurement.kind
     if is_weighed(measurement):
-        use_weighed(state, measurement, c, update)
+        use_weighed(state, measurement, c, update, prior)
         return
     note_reception(state, measurement, c)
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
             update.attitude = tilt_by(state, measurement, bias_of(measurement.source, c), c)
-        use_rate(state, measurement, c, update)
+        use_rate(state, measurement, c, update, prior)
     elif kind == ODOMETRY:
-        use_odometry(state, measurement, c, update)
+        use_odometry(state, measurement, c, update, prior)
     else:
-        use_slips(state, measurement, c, update)
+        use_slips(state, measurement, c, update, prior)
 
 
 @compiled

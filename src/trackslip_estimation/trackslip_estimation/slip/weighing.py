@@ -64,7 +64,7 @@ from trackslip_estimation.slip.stands import count_fix, stands_still
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -79,14 +79,16 @@ def log_density_of_any_size(squared: float, c: Config) -> float:
 
 
 @inlined
-def use_weighed(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
+def use_weighed(
+    state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
+) -> None:
     """Weigh a measurement, and update with it; arguments as in ``update``."""
     kind, source, fault = measurement.kind, measurement.source, state.fault[measurement.source]
     elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
     again = 0.0
     if kind == POSE:
         stated = stated_noise(measurement, state, c)
-        prepare_offset(state, update, source, stated, fault == IS_OFFSET, c)
+        prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
         update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated, c) else 0
         again = _compare_with_last(state, measurement, update)
     o = observe_weighed(state, measurement, c)

@@ -29,6 +29,7 @@ from trackslip_estimation.slip.records import (
     MEASUREMENT,
     ON_SWING,
     POSE,
+    PRIOR,
     SPROCKETS,
     STATE,
     UPDATE,
@@ -37,6 +38,7 @@ from trackslip_estimation.slip.records import (
     EstimateRecord,
     EventRecord,
     MeasurementRecord,
+    Prior,
     State,
     Update,
 )
@@ -80,6 +82,7 @@ class Window(NamedTuple):
     branches: Table[Branch]  # (MOST_BRANCHES, capacity) of ``BRANCH``
     counts: NDArray[np.int64]  # (capacity,) branches of each entry
     updates: Table[Update]  # (capacity,) of ``UPDATE``, of the first branch
+    priors: Table[Prior]  # of ``PRIOR``: (capacity,) with a script, for the smoother; else (1,)
     trials: Table[Update]  # (MOST_BRANCHES,) of ``UPDATE``, of the others at the newest entry
     pool_states: Table[State]  # (POOL,) branches with children while they are weighed
     pool_branches: Table[Branch]
@@ -112,6 +115,7 @@ def make_window(capacity: int, receivers: int, script: Records | None = None) ->
         make_table(Branch, BRANCH, MOST_BRANCHES, capacity),
         np.zeros(capacity, np.int64),
         make_table(Update, UPDATE, capacity),
+        make_table(Prior, PRIOR, 1 if script is None else capacity),
         make_table(Update, UPDATE, MOST_BRANCHES),
         make_table(State, STATE, POOL),
         make_table(Branch, BRANCH, POOL),
@@ -139,6 +143,8 @@ def enlarged(window: Window) -> Window:
     last = len(window.measurements)
     larger.measurements[:last] = window.measurements
     larger.updates[:count], larger.counts[:count] = window.updates[:count], window.counts[:count]
+    if window.status["scripted"][0]:
+        larger.priors[:count] = window.priors[:count]
     rows = int(window.counts[:count].max(initial=1))  # memory of the others was never touched
     larger.states[:rows, :count] = window.states[:rows, :count]
     larger.branches[:rows, :count] = window.branches[:rows, :count]
@@ -160,6 +166,12 @@ def is_weighed(measurement: MeasurementRecord) -> bool:
     """Whether branches are weighed by a measurement."""
     kind = measurement.kind
     return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING, VELOCITY))
+
+
+@compiled
+def prior_of(window: Window, k: int) -> Prior:
+    """What a scripted branch knew before measurement k; without a script, what the last step knew before."""
+    return window.priors[k if window.status[0].scripted else 0]
 
 
 @compiled
@@ -245,6 +257,8 @@ def drop(window: Window, entries: int, whole: int) -> None:
         copy_receivers(window, i, old, stays)
         if stays:
             window.updates[i] = window.updates[old]
+            if status.scripted:
+                window.priors[i] = window.priors[old]
         for s in range(window.counts[i]):
             if stays or _is_snapshot(window, whole, s, old):
                 window.states[s, i] = window.states[s, old]

@@ -27,7 +27,7 @@ from trackslip_estimation.slip.outputs import fill_estimate
 from trackslip_estimation.slip.own_errors import fade_offsets
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
-from trackslip_estimation.slip.window import Records, Window, copy_first, make_like
+from trackslip_estimation.slip.window import Records, Window, copy_first, make_like, prior_of
 
 
 class Smoothed(NamedTuple):
@@ -103,6 +103,7 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
     x, P = end.mean[:n].copy(), end.covariance[:n, :n].copy()
     for k in range(last, 0, -1):
         before, state, update = window.states[0, k - 1], window.states[0, k], window.updates[k]
+        prior = prior_of(window, k)
         filtered = before.mean[:n].copy(), before.covariance[:n, :n].copy()
         if update.follows:
             dt = (state.stamp_ns - before.stamp_ns) * 1e-9
@@ -111,7 +112,7 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
             for i in range(n):
                 if update.renewed >> i & 1:
                     F[i] = 0.0
-            predicted = update.prior_mean[:n].copy(), update.prior_covariance[:n, :n].copy()
+            predicted = prior.mean[:n].copy(), prior.covariance[:n, :n].copy()
             x, P = step_back(filtered, predicted, (x, P), F, YAW)
             before.mean[:n], before.covariance[:n, :n] = x, P
         else:

@@ -19,7 +19,7 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.own_errors import number_of
-from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed
+from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -41,7 +41,7 @@ def follow_receivers(window: Window, k: int, c: Config) -> None:
     While it drives with an unknown heading there is no way to compare them with.
     """
     state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
-    m = window.measurements[k]
+    m, prior = window.measurements[k], prior_of(window, k)
     copy_receivers(window, k, k - 1, True)
     number = number_of(m.source, c) if is_weighed(m) else -1
     for n in range(c.poses):
@@ -53,12 +53,12 @@ def follow_receivers(window: Window, k: int, c: Config) -> None:
             of.driven += math.hypot(way[X], way[Y])
         if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
             continue
-        P, spread = update.prior_covariance, heading_variance(window, k - 1)
+        spread = heading_variance(window, k - 1)
         if update.coarse == 1 and (
             spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
         ):
             if has_velocity_errors(c):
-                spread += P[COMMON_SLIP, COMMON_SLIP]
+                spread += prior.covariance[COMMON_SLIP, COMMON_SLIP]
             add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns, c)
             if spread >= c.receivers.most_spread:
                 of.observed = 0.0

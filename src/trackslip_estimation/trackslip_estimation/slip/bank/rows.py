@@ -41,7 +41,7 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import POSE, VELOCITY
 from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.step import step
-from trackslip_estimation.slip.window import Window, is_weighed, next_sample
+from trackslip_estimation.slip.window import Window, is_weighed, next_sample, prior_of
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -62,6 +62,7 @@ def make_row(window: Window, k: int, closing: int, c: Config) -> None:
         window.states[s, k], window.branches[s, k] = window.states[s, k - 1], window.branches[s, k - 1]
         window.branches[s, k].first = k
     weighs, j, closes = is_weighed(measurements[k]) and not scripted, 0, closing
+    prior = prior_of(window, k)
     while j < jobs:
         state = window.states[j, k] if j < count else window.pool_states[j]
         branch = window.branches[j, k] if j < count else window.pool_branches[j]
@@ -75,7 +76,7 @@ def make_row(window: Window, k: int, closing: int, c: Config) -> None:
             if closes < i or i == branch.first:
                 closes = closing if i == k else next_sample(measurements, i, entries)
             sample = measurements[closes if closes < entries else i]
-            step(state, sample, measurements[i], c, update)
+            step(state, sample, measurements[i], c, update, prior)
             if is_weighed(measurements[i]):
                 branch.weight += update.evidence
         if j == 0:

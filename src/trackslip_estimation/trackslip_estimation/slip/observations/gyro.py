@@ -42,7 +42,7 @@ from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State, Streak, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Streak, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def _known(left: float, right: float, bias: int, c: Config) -> int:
 
 
 @inlined
-def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
+def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
     """See the top of the module; arguments as in ``update``."""
     source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
@@ -134,7 +134,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
         soften(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
     update.nis, update.log_determinant = nis, np.log(S)
     if least_nis > update.gate or not possible:
-        update.outcome, P[:] = _GATED, update.prior_covariance
+        update.outcome, P[:] = _GATED, prior.covariance
         return
     if least_nis > limit:
         if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
@@ -143,7 +143,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
             bias = bias_of(source, c)
             P[bias, bias] += innovation * innovation
     if forgets or least_nis > limit:
-        update.prior_covariance[:] = P
+        prior.covariance[:] = P
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
     state.consistent_ns[source] = measurement.stamp_ns

@@ -46,7 +46,7 @@ from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord, State, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord, Prior, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +96,9 @@ def integrate_motion(state: State, dt: float, c: Config) -> None:
 
 
 @inlined
-def use_odometry(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
+def use_odometry(
+    state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
+) -> None:
     """See the top of the module; arguments as in ``update``."""
     source = measurement.source
     before = state.odometry[c.odometry_number[source]]
@@ -105,7 +107,9 @@ def use_odometry(state: State, measurement: MeasurementRecord, c: Config, update
     if follows and c.odometry_gap[source] >= T:
         z = increment(before, measurement, T, c)
         if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
-            _use(state, z, np.diag(variances_stated(before, measurement, T, c)), measurement, c, update)
+            _use(
+                state, z, np.diag(variances_stated(before, measurement, T, c)), measurement, c, update, prior
+            )
         else:
             update.outcome = _GATED
     else:
@@ -127,7 +131,13 @@ def drive_since(state: State, before: OdometryRecord, stamp_ns: int) -> Drive:
 
 @compiled
 def _use(
-    state: State, z: FloatArray, stated: FloatArray, measurement: MeasurementRecord, c: Config, update: Update
+    state: State,
+    z: FloatArray,
+    stated: FloatArray,
+    measurement: MeasurementRecord,
+    c: Config,
+    update: Update,
+    prior: Prior,
 ) -> None:
     """Gate and update; ``stated``: R (3, 3) as the source states it."""
     source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
@@ -142,7 +152,7 @@ def _use(
         of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
         own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / drive.T, 1.0)
         _weigh_slip(state, before, innovation[0], drive, H, own, c)
-        update.prior_covariance[:] = P
+        prior.covariance[:] = P
     predicted = predicted_covariance(P, H) + D
     update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
     least_nis = _least_nis(state, source, innovation, predicted, stated, drive, update.gate, c)
@@ -153,9 +163,9 @@ def _use(
         update.outcome = _GATED
         return
     if least_nis > limit:
-        update.prior_covariance[SPEED_ERROR, SPEED_ERROR] += innovation[0] ** 2
-        update.prior_covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] += innovation[2] ** 2
-        P[:] = update.prior_covariance
+        prior.covariance[SPEED_ERROR, SPEED_ERROR] += innovation[0] ** 2
+        prior.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] += innovation[2] ** 2
+        P[:] = prior.covariance
     else:
         soften(R, innovation, predicted, limit)
     scale = c.own_errors[source]

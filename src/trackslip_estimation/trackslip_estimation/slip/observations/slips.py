@@ -36,7 +36,7 @@ from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def _slips(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
 
 
 @inlined
-def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: Update) -> None:
+def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
     """See the top of the module; arguments as in ``update``."""
     x, P, limit = state.mean[: c.size], state.covariance[:], c.gate_limits[2]
     o = observe_slips(state, measurement, c)
@@ -81,7 +81,7 @@ def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: U
         state.consistent_ns[measurement.source] = measurement.stamp_ns
     else:
         _inflate_slips(P, o.innovation, c)
-        update.prior_covariance[:] = P
+        prior.covariance[:] = P
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
 
