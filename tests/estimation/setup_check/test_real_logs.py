@@ -20,10 +20,15 @@ from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine, Tracks
+from trackslip_sim.machine.excavator import drive
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_tools.cli.replay_options import parameters_of
 from trackslip_tools.replay.inputs import InputStream
 
 BAGS = Path(__file__).parents[3] / "bags"
+VEHICLES = ("excavator_20t", "pc05", "pc05_cab")  # those that have hydraulics
+Factory = pytest.TempPathFactory
 RUNS = sorted(path.parent.name for path in BAGS.glob("*/*.mcap"))
 REDUCED = (
     "tracks swapped",
@@ -46,7 +51,19 @@ def robot(name: str) -> Log:
 
 @cache
 def recorded(name: str) -> Log:
-    with open_bag(BAGS / name, None) as bag:
+    return log_of_bag(BAGS / name)
+
+
+@cache
+def emulated(vehicle: str, folder: Path) -> Log:
+    """A field trial of some minutes, with the sensors that the emulator of the vehicle has."""
+    p = load_emulator_parameters({"vehicle": vehicle, "scenario": "field_trial", "seed": 3})
+    record_drive(p, drive(p), folder / vehicle)
+    return log_of_bag(folder / vehicle)
+
+
+def log_of_bag(path: Path) -> Log:
+    with open_bag(path, None) as bag:
         p = parameters_of(bag, [], [])
         stream, collector = InputStream(bag, p, InputFilters()), Collector(p)
         for batch in stream:
@@ -182,3 +199,12 @@ def test_no_mistake_in_a_log_of_a_robot_is_called_another(name: str) -> None:
 @pytest.mark.parametrize("name", RUNS)
 def test_no_mistake_in_a_recorded_run_is_called_another(name: str) -> None:
     _check_matrix(name, recorded(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_no_mistake_in_an_emulated_drive_is_called_another(vehicle: str, tmp_path_factory: Factory) -> None:
+    log = emulated(vehicle, tmp_path_factory.getbasetemp())
+    assert check(log).causes == ()
+    found = _check_matrix(vehicle, log)
+    assert list(found.values()).count("named") >= LEAST_SHARE * len(found)

@@ -47,7 +47,7 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
         cross[k] = own @ windows
         energies[k, 0], energies[k, 1] = own @ own, np.sum(windows**2, axis=0)
     total = _peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
-    if total is None or total[1] < _LEAST_CORRELATION:
+    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LATEST:  # the top lies beyond
         return None
     strong = energies[:, 0, 0] > 0.02 * energies[:, 0, 0].sum()
     if strong.sum() < 2:

@@ -157,6 +157,8 @@ def _axis(
     gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None, of_heading: FloatArray | None
 ) -> tuple[Gyro, Cause | None]:
     """The gyro with the axis that turns as z, where that is another one."""
+    if frozen_share(gyro) > _MOSTLY:
+        return gyro, None
     turns = window_sums(grid, grid.turns)
     gains, scales = np.full(3, -np.inf), np.full(3, np.nan)
     for axis in range(3):
