@@ -90,9 +90,9 @@ def episode(number: int, steps: int = STEPS) -> Findings:
         results.append(found)
         outcomes += np.bincount(found["outcome"], minlength=len(Outcome))
         where = f"episode {number}, arrivals {first} to {first + len(part)}"
-        states = live.window.best[max(live.window.count - 2 * _PART, 0) : live.window.count]
+        states = live.window.best[max(live.window.count - _PART, 0) : live.window.count]
         if live.started and len(states):
-            least = min(least, _least_eigenvalue(states, where, faults))
+            least = min(least, _least_eigenvalue(states, int(live.config["size"][0]), where, faults))
         if not _all_finite(found["estimate"][found["published"]]):
             faults.append(f"{where}: published numbers are not finite")
         if live.divergences:
@@ -106,9 +106,12 @@ def episode(number: int, steps: int = STEPS) -> Findings:
     return Findings(len(arrivals), outcomes, least, faults)
 
 
-def _least_eigenvalue(states: Records, where: str, faults: list[str]) -> float:
-    """The least of the covariances of (n,) states and of their correlations, over the largest of each."""
-    P = states["covariance"]
+def _least_eigenvalue(states: Records, size: int, where: str, faults: list[str]) -> float:
+    """The least of the covariances of (n,) states and of their correlations, over the largest of each.
+
+    ``size``: of the states in use.
+    """
+    P = states["covariance"][:, :size, :size]
     if not (
         np.isfinite(P).all() and np.isfinite(states["mean"]).all() and _all_finite(states["attitude"]["mean"])
     ):
@@ -169,7 +172,7 @@ def random_arrivals(
     tame = rng.random(steps) < 0.5
     variance[tame] = 10.0 ** rng.uniform(-4.0, 0.0, (int(tame.sum()), 3))
     noise = rng.normal(size=(steps, 3)) * np.minimum(np.sqrt(variance), 10.0)
-    noise[rng.random(steps) < 0.02] *= 1e3
+    noise[rng.random(steps) < 0.005] *= 1e3
     deviations = np.sqrt(variance)
     m["noise"] = _correlations(rng, steps) * deviations[:, :, None] * deviations[:, None, :]
     m["value"] = truth + noise

@@ -45,6 +45,7 @@ def test_every_unit_that_starts_nodes_is_run_here() -> None:
     assert units - {"trackslip-can"} == {*NODES}
 
 
+@pytest.mark.slow
 @confined
 @pytest.mark.xdist_group("graph")
 @pytest.mark.parametrize("unit", NODES)

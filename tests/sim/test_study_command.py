@@ -53,6 +53,7 @@ class Counted:
         return evaluate(cell, *arguments)
 
 
+@pytest.mark.slow
 def test_it_writes_rows_table_and_figures(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

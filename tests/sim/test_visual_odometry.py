@@ -34,7 +34,7 @@ SETTINGS = {
 CLAY = {"soil": "clayey_soil", "from_x": 6.0, "to_x": 100.0, "from_y": -100.0, "to_y": 100.0}
 
 
-@pytest.fixture(scope="module", params=["sand", "clay ahead"])
+@pytest.fixture(scope="module", params=["sand", pytest.param("clay ahead", marks=pytest.mark.slow)])
 def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     tree = dict(read_yaml(config_file("scenarios/field_trial.yaml")))
     tree["segments"] = tree["segments"][:SEGMENTS]

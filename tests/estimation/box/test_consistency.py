@@ -72,7 +72,12 @@ def miss(fix, pose):
 
 
 @pytest.mark.parametrize(
-    ("stddev", "position", "heading"), [(0.01, 0.008, 0.016), (0.025, 0.012, 0.034), (0.05, 0.021, 0.07)]
+    ("stddev", "position", "heading"),
+    [
+        pytest.param(0.01, 0.008, 0.016, marks=pytest.mark.slow),
+        (0.025, 0.012, 0.034),
+        pytest.param(0.05, 0.021, 0.07, marks=pytest.mark.slow),
+    ],
 )
 def test_errors_agree_with_their_covariance(stddev, position, heading):
     random = np.random.default_rng(17)

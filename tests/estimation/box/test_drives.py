@@ -18,6 +18,7 @@ def fixes():
     return [fix for found, _ in drives for fix in found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CLASSES)
 def test_errors_of_place_and_heading_are_what_is_claimed(fixes, name):
     low, high = CLASSES[name]
@@ -28,6 +29,7 @@ def test_errors_of_place_and_heading_are_what_is_claimed(fixes, name):
     assert 0.7 < np.mean(headings) < 1.5
 
 
+@pytest.mark.slow
 def test_no_heading_is_claimed_that_is_a_quarter_turn_off(fixes):
     claimed = [fix for fix in fixes if fix.claims_heading]
     assert max(fix.heading for fix in claimed) < 4.0**2

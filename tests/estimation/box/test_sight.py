@@ -62,7 +62,9 @@ SEEN = [  # others are not the PC05's, or leave the level site
 ]
 
 
-@pytest.mark.parametrize("soil", SOILS)
+@pytest.mark.parametrize(
+    "soil", [SOILS[0], *(pytest.param(soil, marks=pytest.mark.slow) for soil in SOILS[1:])]
+)
 @pytest.mark.parametrize("name", SEEN)
 def test_the_box_stays_in_sight(name: str, soil: str) -> None:
     truth = simulate(load_scenario(name), soil=soil)

@@ -75,9 +75,13 @@ def delayed(found: list[Measurement], seed: int) -> list[Measurement]:
     ]
 
 
-@pytest.mark.parametrize("positions", [True, False])
-@pytest.mark.parametrize("start", ["initial_pose", "first_fix"])
-@pytest.mark.parametrize("model", ["turning", "free_slips"])
+@pytest.mark.parametrize(
+    ("model", "start", "positions"),
+    [
+        *(("turning", "initial_pose", True), ("turning", "first_fix", False)),
+        *(("free_slips", "first_fix", True), ("free_slips", "initial_pose", False)),
+    ],
+)
 @settings(max_examples=8)
 @given(seed=seeds)
 def test_any_order_within_the_window_ends_in_the_same_state(
@@ -249,8 +253,7 @@ def arrivals_of(drive: Callable[..., Any]) -> list[Measurement]:
     return [*found[:k], *bad, manual, *found[k - 10 :], *found]
 
 
-@pytest.mark.parametrize("filter_", ["ekf", "daf"])
-@pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
+@pytest.mark.parametrize(("model", "filter_"), [("turning", "ekf"), ("icr", "ekf"), ("free_slips", "daf")])
 def test_many_at_once_are_bit_for_bit_what_each_is_by_itself(
     drive: Callable[..., Any], model: str, filter_: str
 ) -> None:

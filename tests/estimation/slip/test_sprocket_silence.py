@@ -149,7 +149,7 @@ def test_after_silence_the_next_fixes_give_the_pose_back(drive: Callable[..., An
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("turn", [-3.0, -0.5, 0.0, 1.0, 2.0])
+@pytest.mark.parametrize("turn", [-3.0, 0.0, 2.0])
 def test_a_heading_lost_in_silence_was_corrected_the_wrong_way(
     drive: Callable[..., Any], model: str, turn: float
 ) -> None:

@@ -173,7 +173,11 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
     assert [repr(o) for o in found] == [repr(o) for o in wanted[: len(found)]]
 
 
-@pytest.mark.parametrize("angle", [0.5 * math.pi, math.pi], ids=["across", "back"])
+@pytest.mark.parametrize(
+    "angle",
+    [0.5 * math.pi, pytest.param(math.pi, marks=pytest.mark.slow)],
+    ids=["across", "back"],
+)
 def test_a_cab_that_looks_aside_or_back_is_not_taken_for_another_soil(angle: float) -> None:
     """F_max without it: 20 % too small across, 4 % too large looking back, and not inside the interval."""
     true = limit_of(soil("sand"), CAB.vehicle.whole())
