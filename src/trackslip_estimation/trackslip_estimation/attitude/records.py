@@ -84,9 +84,6 @@ class Span(Record):
     known: int  # 0 or 1: whether u is, all the time
 
 
-SPAN = dtype_of(Span)
-
-
 class Climb(Record):
     """See ``slip.observations.altitude``."""
 
@@ -94,9 +91,6 @@ class Climb(Record):
     refused: int  # altitudes outside the gate since, in a row, that agree
     refused_ns: int  # stamp of the first of them
     apart: float  # its innovation, m
-
-
-CLIMB = dtype_of(Climb)
 
 
 class Attitude(Record):

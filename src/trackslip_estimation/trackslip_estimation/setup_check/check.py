@@ -17,7 +17,14 @@ from trackslip_estimation.setup_check import clocks, inertial, places, signs, sp
 from trackslip_estimation.setup_check.directions import Directions, decide_signs
 from trackslip_estimation.setup_check.evidence import Drive
 from trackslip_estimation.setup_check.faults import Missing, without_missing
-from trackslip_estimation.setup_check.finding import Cause, Measured, Result, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import (
+    LEAST_ODDS,
+    Cause,
+    Measured,
+    Result,
+    Undetermined,
+    odds_of,
+)
 from trackslip_estimation.setup_check.fit import Lever, scales
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
 from trackslip_estimation.setup_check.heading import heading_at, unit_log
@@ -47,7 +54,7 @@ def check(log: Log) -> Result:
     found = _Found()
     with np.errstate(all="ignore"):
         facts = _check(log, found)
-    causes = [cause for cause in found.causes if cause.odds >= 100.0]
+    causes = [cause for cause in found.causes if cause.odds >= LEAST_ODDS]
     causes.sort(key=lambda cause: -cause.odds)
     open_ones = tuple(dict.fromkeys(found.undetermined))
     return Result(tuple(causes), open_ones, tuple(facts), tuple(found.measured))

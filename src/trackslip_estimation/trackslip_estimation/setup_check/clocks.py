@@ -13,7 +13,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check.delay import delay_of
 from trackslip_estimation.setup_check.faults import time_factor
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import path_delay
 from trackslip_estimation.setup_check.grid import Grid, angles_of
 from trackslip_estimation.setup_check.heading import heading_at
@@ -23,7 +23,6 @@ from trackslip_estimation.setup_check.path import dead_reckoning, thinned
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
 _SURE = 3.0  # standard deviations
 _FINE = 0.15  # s, of a delay by turn rates
-_GAIN = np.log(100.0)  # of a delay by the shape of the path over none
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
 _EFFICIENCY = 0.75  # κ of turns by tracks alone
@@ -128,7 +127,7 @@ def _of_path(
         if np.ptp(logs) > 2.0 and (best is None or stddev < best.stddev):
             gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
             best = Late("tracks", "fixes", float(_LATES[k]), stddev, gain)
-    if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < _GAIN):
+    if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < LEAST_LOG):
         return []
     if apart is None:
         return [best]

@@ -8,14 +8,13 @@ import numpy as np
 
 from trackslip_estimation.setup_check import inertial, remedies, signs
 from trackslip_estimation.setup_check.evidence import Drive, direction_log, gather, gyro_turn, unmirrored
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.heading import Courses, straight_courses
 from trackslip_estimation.setup_check.log import FloatArray, Gyro
 from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, fit_turns, turns_of
 
-LEAST_LOG = float(np.log(100.0))
 _CLEAR = float(np.log(1e4))  # odds that need no three turns
 _LEAST_TURNED = np.radians(25.0)  # but so much in all
 _TURNING = np.radians(2.0)  # in a window

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 LEAST_ODDS = 100.0  # to 1, below which no cause is reported
+LEAST_LOG = math.log(LEAST_ODDS)
 MOST_ODDS = 1e9  # that a sentence states
 
 

@@ -34,10 +34,6 @@ class Grid:
         """The same with (2, 2) ``matrix`` applied to the tracks."""
         return replace(self, tracks=self.tracks @ matrix.T)
 
-    def with_turns(self, turns: FloatArray) -> "Grid":
-        """The same with other turns (m, 3)."""
-        return replace(self, turns=turns)
-
 
 def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0, 0.0)) -> Grid | None:
     """From the first to the last reading of the tracks; None where there are hardly any.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.finding import Cause, Measured, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import Grid, window_sums
 from trackslip_estimation.setup_check.heading import (
@@ -53,7 +53,7 @@ def judge_lever(path: Path, fixes: Fixes, log: Log, rival: float) -> tuple[list[
         (_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER)
     )
     is_off = np.abs(off) > np.maximum(allowed, 0.0) + _SURE * sure
-    if not is_off.any() or lever.log_ratio < np.log(100.0):
+    if not is_off.any() or lever.log_ratio < LEAST_LOG:
         return [], []
     if lever.log_ratio < rival:
         what = f"lever arm of {fixes.name}, or a delay of its stamps"
@@ -92,7 +92,7 @@ def judge_offset(
     if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or usual.mean() < 0.7:
         return [], [], measured
     log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(rest)), 0.02)) ** 2
-    if log_ratio < np.log(100.0):
+    if log_ratio < LEAST_LOG:
         return [], [], measured
     if compass.of_poses:
         remedy = (

@@ -11,7 +11,7 @@ log too.
 
 import numpy as np
 
-from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Scales
 from trackslip_estimation.setup_check.grid import Grid, window_edges, window_sums
 from trackslip_estimation.setup_check.heading import place_at
@@ -140,7 +140,7 @@ def judge(
     if _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
         return [_radius(ratios, machine, factor)], []
     holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
-    if gain > np.log(100.0) and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
+    if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
         value = UNITS[best]
         evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
         remedy = (

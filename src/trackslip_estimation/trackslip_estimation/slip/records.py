@@ -88,9 +88,6 @@ class Streak(Record):
     departure: float
 
 
-STREAK = dtype_of(Streak)
-
-
 class Adaptation(Record):
     """How wrong tracks, gyros and fixes are, as far as it is known (``adaptation``)."""
 
@@ -132,17 +129,11 @@ class OdometryRecord(Record):
     slip_ns: int  # stamp since when
 
 
-ODOMETRY_POSE = dtype_of(OdometryRecord)
-
-
 class Stand(Record):
     """Of a machine, to a source: fixes from there, and the angle of what swings, rad."""
 
     count: int
     swing: float
-
-
-STAND = dtype_of(Stand)
 
 
 class Offset(Record):

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, IntArray, Record, dtype_of
+from trackslip_common.record_types import FloatArray, IntArray, Record
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.interpolation import Sample
 
@@ -71,9 +71,6 @@ class Watch(Record):
     has_reading: int
     reading_ns: int  # of the newest reading
     reading: Annotated[FloatArray, 2]
-
-
-WATCH = dtype_of(Watch)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import FloatArray, Record
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.strength_summary import StrengthSummary
@@ -76,9 +76,6 @@ class Seeder(Record):
     distance: float  # m: straight on
     newest: StrengthRecord  # of the newest state
     in_turn: StrengthRecord  # when straight motion began
-
-
-SEEDER = dtype_of(Seeder)
 
 
 def set_strength(seeder: Seeder, found: StrengthSummary) -> None:

@@ -6,7 +6,7 @@ import math
 from typing import Annotated
 
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import FloatArray, Record
 from trackslip_estimation.soil.ground_load import GroundLoad
 from trackslip_estimation.soil.interpolation import Sample
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
@@ -36,7 +36,6 @@ class Average(Record):
     pose_covariance: Annotated[FloatArray, (3, 3)]
 
 
-AVERAGE = dtype_of(Average)
 GATHERING, COMPLETE, BROKEN, LOST = range(4)  # what became of a sample; see ``gather``
 
 
