@@ -9,11 +9,12 @@ import pytest
 from fixtures.soil_samples import Sample
 
 from trackslip_common.parameter_record import record_of
+from trackslip_common.record_types import dtype_of
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.pressure_watch import (
     NO_FAULT,
-    WATCH,
     PressureFault,
+    Watch,
     WatchParameters,
     evaluate,
     named_faults,
@@ -35,7 +36,7 @@ class Bench:
     """A watch, and a transducer of some noise to watch."""
 
     def __init__(self) -> None:
-        self._watch = np.zeros(1, WATCH)
+        self._watch = np.zeros(1, dtype_of(Watch))
         self._rng, self._ns = np.random.default_rng(3), 0
 
     @property

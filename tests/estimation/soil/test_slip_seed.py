@@ -13,12 +13,13 @@ from fixtures.soil_samples import Sample
 from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
+from trackslip_common.record_types import dtype_of
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
-from trackslip_estimation.soil.slip_seed import SEEDER, Thrust, is_seed_due, seed_of, set_strength, slips_of
+from trackslip_estimation.soil.slip_seed import Seeder, Thrust, is_seed_due, seed_of, set_strength, slips_of
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_estimation.soil.strength_summary import StrengthSummary
@@ -76,7 +77,7 @@ class Ride:
     """Moments of 0.1 s for a seeder."""
 
     def __init__(self) -> None:
-        self._seeder, self._numbers, self._now_ns = np.zeros(1, SEEDER)[0], make_config(P)[0], 0
+        self._seeder, self._numbers, self._now_ns = np.zeros(1, dtype_of(Seeder))[0], make_config(P)[0], 0
         self.known: Thrust | None = thrust_at((0.02, 0.02))
         self.soil: StrengthSummary | None = SOIL
 

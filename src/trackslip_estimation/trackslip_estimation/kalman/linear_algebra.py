@@ -26,6 +26,14 @@ def wrap(angle: float) -> float:
 
 
 @compiled
+def used_size(P: FloatArray, n: int) -> int:
+    """Up to which of its first n states P has a variance: those behind share nothing, and cost nothing."""
+    while n > 0 and P[n - 1, n - 1] == 0.0:
+        n -= 1
+    return n
+
+
+@compiled
 def times(A: FloatArray, B: FloatArray) -> FloatArray:
     """A B; the zeros of A, of which Jacobians are full, cost nothing."""
     product = np.zeros((A.shape[0], B.shape[1]))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.linear_algebra import used_size
 
 FloatArray = NDArray[np.float64]
 
@@ -32,6 +33,7 @@ def make_positive(P: FloatArray, before: FloatArray, n: int) -> None:
 
     ``before``: P⁻. Numbers that are not finite stay so.
     """
+    n = max(used_size(P, n), used_size(before, n))
     U = np.empty((n, n))  # D Lᵀ
     for i in range(n):
         for j in range(i, n):

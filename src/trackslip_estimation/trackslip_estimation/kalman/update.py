@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman.linear_algebra import root, solve, weighted_square
+from trackslip_estimation.kalman.linear_algebra import root, solve, used_size, weighted_square
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def observe_alone(innovation: FloatArray, H: FloatArray, R: FloatArray) -> Obser
 def predicted_covariance(P: FloatArray, H: FloatArray) -> FloatArray:
     """(m, m) H P Hᵀ."""
     m, n = H.shape
-    HP, S = _shown_by(P, H), np.zeros((m, m))
+    HP, S = _shown_by(P, H, n), np.zeros((m, m))
     for i in range(m):
         for k in range(n):
             h = H[i, k]
@@ -73,9 +73,10 @@ def soften(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: 
 @compiled
 def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
     """x and P given an observation; what they have beyond H stays as it is."""
-    m, n, H, R = o.innovation.size, o.jacobian.shape[1], o.jacobian, o.noise
-    B, S = _shown_by(P, H), R.copy()
-    shares = o.shared.shape[0] > 0
+    m, n, H, R, shares = o.innovation.size, o.jacobian.shape[1], o.jacobian, o.noise, o.shared.shape[0] > 0
+    if not shares:
+        n = used_size(P, n)
+    B, S = _shown_by(P, H, n), R.copy()
     if shares:
         B += o.shared
     for i in range(m):
@@ -109,7 +110,7 @@ def _gain(P: FloatArray, B: FloatArray, S: FloatArray, o: Observation) -> FloatA
         S = o.noise.copy()
         for i in range(S.shape[0]):
             for j in range(S.shape[0]):
-                for k in range(H.shape[1]):
+                for k in range(B.shape[1]):
                     S[i, j] += H[i, k] * given[j, k]
         K = solve(root(S), given)
     held = o.considered | o.known
@@ -142,7 +143,7 @@ def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
 def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """P, which is ((I − K H) P)ᵀ, becomes the covariance after the update."""
     m, n = K.shape
-    rest, D, shares = _shown_by(P, o.jacobian), o.shared, o.shared.shape[0] > 0
+    rest, D, shares = _shown_by(P, o.jacobian, n), o.shared, o.shared.shape[0] > 0
     if shares:
         D = _kept_of(K, o)
     for i in range(m):
@@ -174,9 +175,9 @@ def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
 
 
 @compiled
-def _shown_by(P: FloatArray, H: FloatArray) -> FloatArray:
-    """(m, n) H P; the zeros of H cost nothing."""
-    m, n = H.shape
+def _shown_by(P: FloatArray, H: FloatArray, n: int) -> FloatArray:
+    """(m, n) H P of the first n states; the zeros of H cost nothing."""
+    m = H.shape[0]
     product = np.zeros((m, n))
     for i in range(m):
         for k in range(n):

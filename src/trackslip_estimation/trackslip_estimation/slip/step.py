@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
 from trackslip_estimation.kalman import daf
-from trackslip_estimation.kalman.linear_algebra import sandwich
+from trackslip_estimation.kalman.linear_algebra import sandwich, used_size
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
@@ -38,7 +38,7 @@ from trackslip_estimation.slip.models.dispatch import (
     twist,
     twist_jacobian,
 )
-from trackslip_estimation.slip.models.model import SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import BELOW, SENSOR_ERRORS, SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import build_up
 from trackslip_estimation.slip.models.slope import update_direction
 from trackslip_estimation.slip.models.swing import shear
@@ -178,7 +178,10 @@ def integrate_tracks(state: State, dt: float, c: Config) -> None:
 @compiled
 def propagate(state: State, dt: float, c: Config) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
-    x, P = state.mean[: c.size], state.covariance[:]
+    P, n = state.covariance[:], c.size
+    if not c.sigma_points:
+        n = max(used_size(P, n), SENSOR_ERRORS if c.swings else BELOW)
+    x = state.mean[:n]
     integrate_motion(state, dt, c)
     integrate_tracks(state, dt, c)
     rise(state, dt, c)
