@@ -66,6 +66,26 @@ def test_a_range_of_zeros_is_none(tmp_path, given):
     assert "TravelFlow" not in driver.tally.by_source()
 
 
+@pytest.mark.parametrize("pump", [f"{10**307},0", "1E308,1E308"], ids=str.__len__)
+def test_no_factor_that_a_double_holds_gives_an_infinite_value(tmp_path, pump):
+    assert "(0.2,0) [0|50]" in unseen_bus.DBC
+    driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("(0.2,0) [0|50]", f"({pump}) [0|0]"))
+    samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
+    assert not any(math.isinf(value) for one in samples for value in one if isinstance(value, float))
+    assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
+
+
+@pytest.mark.parametrize("factor", ["361", str(10**307), "1E308"], ids=str.__len__)
+def test_a_position_in_steps_of_more_than_a_turn_is_refused(tmp_path, factor):
+    dbc = unseen_bus.DBC.replace("(0.1,0) [0|359.9]", f"({factor},0) [0|0]")
+    assert "a step of more than a turn" in refusal(tmp_path, "roles", "roles", dbc)
+
+
+def test_a_dbc_without_frames_lacks_the_signals_of_the_roles(tmp_path):
+    with pytest.raises(InputError, match=r"signal 'TravelFlow\.FlowL' is missing"):
+        machine(tmp_path, dbc='VERSION ""\nBS_:\nBU_: X\n')
+
+
 @pytest.mark.parametrize("padding", [b"\0" * 4, b"\xff" * 4, b"\xff"])
 def test_frames_longer_than_the_dbc_are_read_unless_unused_bits_are_zero(tmp_path, padding):
     sent = [(s, i, d + padding if len(d) == 4 else d) for s, i, d in unseen_bus.frames(S, 2 * S)]

@@ -1,61 +1,54 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Multiplexers in multiplexers: what a payload holds is what cantools finds in it."""
+"""Payloads give the values that cantools finds in them: multiplexers, byte orders, signs, floats, scales."""
 
-from collections.abc import Iterator
+import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import pytest
 from cantools.database.errors import DecodeError
+from fixtures.dbc_text import VENDORED, Signal, dbc
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_drivers.protocols.can_codec import Codec, Protection
 from trackslip_drivers.protocols.can_dbc import read_dbc
 
-FRAME_BYTES = 8
-
-
-class Selected(NamedTuple):
-    """A signal, the multiplexer above it, and the ranges of that which select it."""
-
-    name: str
-    is_multiplexer: bool
-    start: int
-    bits: int
-    above: str = ""
-    ranges: tuple[tuple[int, int], ...] = ()
-
-    def lines(self) -> Iterator[str]:
-        """Of the DBC: the signal, and its selectors."""
-        mark = f" m{self.ranges[0][0]}" if self.above else ""
-        mark += ("M" if self.above else " M") if self.is_multiplexer else ""
-        yield f' SG_ {self.name}{mark} : {self.start}|{self.bits}@1+ (1,0) [0|0] "" X'
-        ranges = ",".join(f"{low}-{high}" for low, high in self.ranges)
-        yield f"SG_MUL_VAL_ 1 {self.name} {self.above} {ranges};" if self.above else ""
+LENGTH = 16  # bytes of a frame
+PAYLOADS = st.lists(st.binary(min_size=LENGTH, max_size=LENGTH), min_size=1, max_size=20)
+FRAMES: list[dict[str, Any]] = json.loads(VENDORED.read_text(encoding="utf-8"))
 
 
 @st.composite
-def trees(draw: st.DrawFn) -> list[Selected]:
+def trees(draw: st.DrawFn) -> list[Signal]:
     """Up to three multiplexers in each other, of two bits each, and signals below them."""
     depth = draw(st.integers(1, 3))
-    signals = [Selected("M0", True, 0, 2)]
-    ranges = st.sampled_from([((0, 0),), ((1, 1),), ((2, 3),), ((0, 0), (3, 3)), ((1, 2),)])
+    signals = [Signal("M0", 0, 2, is_multiplexer=True)]
+    selectors = st.sampled_from([(0,), (1,), (2, 3), (0, 3), (1, 2)])
     for k in range(1, depth):
-        signals.append(Selected(f"M{k}", True, 2 * k, 2, f"M{k - 1}", draw(ranges)))
+        below = {"above": f"M{k - 1}", "selectors": draw(selectors)}
+        signals.append(Signal(f"M{k}", 2 * k, 2, is_multiplexer=True, **below))
     for k in range(draw(st.integers(1, 6))):
         above = f"M{draw(st.integers(0, depth - 1))}"
-        signals.append(Selected(f"S{k}", False, 8 + 8 * k, 8, above, draw(ranges)))
+        signals.append(Signal(f"S{k}", 8 + 8 * k, 8, above=above, selectors=draw(selectors)))
     return signals
 
 
-def dbc(signals: list[Selected]) -> str:
-    lines = [tuple(signal.lines()) for signal in signals]
-    frame = "\n".join(["BO_ 1 Frame: 8 X", *(signal for signal, _ in lines)])
-    return f'VERSION ""\nBS_:\nBU_: X\n{frame}\n\n' + "\n".join(
-        selectors for _, selectors in lines if selectors
-    )
+@st.composite
+def places(draw: st.DrawFn) -> list[Signal]:
+    """Signals of any kind, which may overlap."""
+    signals = []
+    numbers = st.one_of(st.integers(-1000, 1000), st.sampled_from([0.1, -0.5, 1e-7, 360 / 65536, 2.5e6]))
+    for k in range(draw(st.integers(1, 8))):
+        is_big, is_float = draw(st.booleans()), draw(st.booleans())
+        bits = draw(st.sampled_from([16, 32, 64]) if is_float else st.integers(1, 64))
+        first = draw(st.integers(0, 8 * LENGTH - bits))
+        start = first // 8 * 8 + 7 - first % 8 if is_big else first
+        scale = draw(numbers.filter(bool))
+        signed = is_float or draw(st.booleans())
+        signals.append(Signal(f"S{k}", start, bits, is_big, signed, is_float, scale, draw(numbers)))
+    return signals
 
 
 @pytest.fixture(scope="module")
@@ -63,17 +56,54 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("dbc") / "bus.dbc"
 
 
-@given(trees(), st.lists(st.binary(min_size=FRAME_BYTES, max_size=FRAME_BYTES), min_size=1, max_size=20))
-def test_a_signal_is_there_only_if_its_whole_chain_of_selectors_is(
-    path: Path, signals: list[Selected], payloads: list[bytes]
-) -> None:
-    path.write_text(dbc(signals), encoding="utf-8")
+def codec(path: Path, length: int, signals: list[Signal]) -> Codec:
+    """Of a frame with these signals."""
+    path.write_text(dbc("Frame", length, signals), encoding="utf-8")
     (message,) = read_dbc(path).database.messages
-    codec = Codec(message, [signal.name for signal in signals], (), Protection())
+    return Codec(message, [signal.name for signal in signals], (), Protection())
+
+
+def unpacked(decoder: Codec, data: bytes) -> dict[str, float] | None:
+    """Its values."""
+    return decoder.unpack(int.from_bytes(data, "little"), int.from_bytes(data, "big"))
+
+
+@given(st.one_of(trees(), places()), PAYLOADS)
+def test_values_are_those_of_cantools(path: Path, signals: list[Signal], payloads: list[bytes]) -> None:
+    decoder = codec(path, LENGTH, signals)
+    (message,) = read_dbc(path).database.messages
     for data in payloads:
         try:
             expected = message.decode(data, decode_choices=False)
         except DecodeError:  # a selector that selects nothing
             continue
-        found = codec.unpack(int.from_bytes(data, "little"), int.from_bytes(data, "big"))
-        assert found == expected
+        found = unpacked(decoder, data)
+        finite = {name: value for name, value in expected.items() if abs(value) < float("inf")}
+        if len(finite) < len(expected):  # not a number, or infinite: no value
+            assert found is None
+        else:
+            assert found == {name: float(value) for name, value in expected.items()}
+
+
+def test_frames_of_the_dbcs_of_cantools_give_its_values(path: Path) -> None:
+    for row in FRAMES:
+        signals = [Signal(*facts)._replace(low=0, high=0) for facts in row["signals"]]
+        decoder = codec(path, row["bytes"], signals)
+        for data, values in row["values"].items():
+            pairs = zip(signals, values, strict=True)
+            expected = {one.name: float(value) for one, value in pairs if value is not None}
+            assert unpacked(decoder, bytes.fromhex(data)) == expected, (row["file"], row["frame"])
+
+
+def test_a_frame_is_read_if_all_its_values_lie_in_their_ranges(path: Path) -> None:
+    for row in FRAMES:
+        signals = [Signal(*facts) for facts in row["signals"]]
+        decoder = codec(path, row["bytes"], signals)
+        for data, values in row["values"].items():
+            are_in = [
+                one.low <= value <= one.high
+                for one, value in zip(signals, values, strict=True)
+                if value is not None and (one.low or one.high)
+            ]
+            found = unpacked(decoder, bytes.fromhex(data))
+            assert (found is not None) == all(are_in), (row["file"], row["frame"])

@@ -21,6 +21,7 @@ from trackslip_drivers.protocols.can_roles import ROLES, SPOOLS, SWING, Role
 from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
 
 _TURN = 2.0 * math.pi
+_LARGEST_STEP = 1.000001 * _TURN  # of a position: a turn, as a counter of turns has
 _ROUNDED_FACTOR = 0.01  # 65536 steps of 0.0055 degrees are 360.4
 _ROUNDING_STEPS = 2.0  # a range of 0…359.9 or −180…180 degrees is one turn
 
@@ -160,6 +161,8 @@ class Binder:
         elif role.counts_per_turn:
             raise InputError(f"{where}: counts_per_turn is for counts; accepted: none, as it is an angle")
         step, zero = (1.0, 0.0) if field.floating else (field.scale, field.offset)
+        if rad * abs(step) / role.ratio > _LARGEST_STEP:
+            raise InputError(f"{where}: its factor makes a step of more than a turn; accepted: smaller steps")
         wrap = role.wraps_at / abs(step) if role.wraps_at else _wrap(field, step, rad)
         if name == SWING and unit.quantity is Quantity.ANGLE and role.ratio == 1.0 and not role.wraps_at:
             wrap = _circle(wrap, abs(step), rad)

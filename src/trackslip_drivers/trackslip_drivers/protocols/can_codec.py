@@ -17,6 +17,7 @@ from cantools.database.errors import EncodeError
 
 Value = int | float
 
+_LARGEST_WHOLE = 1 << 64  # of factors and offsets that are read as whole numbers
 _RESERVED_FROM = 0xFB  # J1939: the highest byte of a raw value that is an error, or not available
 
 
@@ -86,14 +87,19 @@ def field_of(message: Message, name: str) -> Field:
         8 * message.length - ahead - signal.length if big else signal.start,
         (1 << signal.length) - 1,
         1 << signal.length - 1 if signal.is_signed else 0,
-        signal.scale,
-        signal.offset,
-        -math.inf if has_no_range or signal.minimum is None else signal.minimum,
-        math.inf if has_no_range or signal.maximum is None else signal.maximum,
+        _factor(signal.scale),
+        _factor(signal.offset),
+        -math.inf if has_no_range or signal.minimum is None else float(signal.minimum),
+        math.inf if has_no_range or signal.maximum is None else float(signal.maximum),
         _FLOATING[signal.length] if signal.is_float else "",
         _RESERVED_FROM << signal.length - 8 if has_reserved else 0,
         _selector(message, signal),
     )
+
+
+def _factor(number: float) -> float:
+    """A whole number that is exact as such, else a float: a product of these is infinite, no exception."""
+    return number if abs(number) <= _LARGEST_WHOLE else float(number)
 
 
 def _selector(message: Message, signal: Signal) -> tuple[Field, frozenset[int]] | None:
@@ -179,7 +185,7 @@ class Codec:
                 continue
             raw = (big if field.big else little) >> field.shift & field.mask
             value = field.value(raw)
-            if not field.low <= value <= field.high:
+            if not field.low <= value <= field.high or math.isinf(value):
                 return None
             values[name] = raw - 2 * (raw & field.sign) if is_whole else value
         return values

@@ -7,6 +7,7 @@ range, a whole number of any exponent, and for each selector of a multiplexer al
 multiplexers in each other, each of two selectors, 2³⁰.
 """
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -25,7 +26,7 @@ _MOST_BITS = 8 * _LONGEST_FRAME
 _MOST_SELECTORS = 20_000  # of all multiplexers, those in each other counted as often as they are reached
 _DEEPEST = 8  # multiplexers in each other
 _LARGEST_EXPONENT = 308  # of a double
-_LONGEST_NUMBER = 400  # digits, as 1.7E308 may be written
+_LONGEST_NUMBER = 308  # digits: a double holds any such number
 
 _UNREAD = re.compile(r'"(?:\\"|[^"])*"|//.*?\n')  # texts and comments
 _FRAME = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\w+)")
@@ -98,17 +99,18 @@ def _check(where: str, text: str) -> None:
     if (digits := _DIGITS.search(text)) is not None:
         raise InputError(f"{where}: a number of {len(digits[0])} digits; accepted: up to {_LONGEST_NUMBER}")
     for number in _EXPONENT.finditer(text):
-        if int(number[1]) > _LARGEST_EXPONENT:
+        if int(number[1]) > _LARGEST_EXPONENT or math.isinf(float(number[0])):
             accepted = f"exponents up to {_LARGEST_EXPONENT}"
             raise InputError(f"{where}: the number {number[0]} is of no quantity; accepted: {accepted}")
     selectors = _selectors(where, text)
     count = 0
     heads = list(_FRAME.finditer(text))
-    for head, behind in zip(heads, [*(h.start() for h in heads[1:]), len(text)], strict=True):
+    ends = [head.start() for head in heads[1:]] + [len(text)]
+    for head, end in zip(heads, ends, strict=False):
         frame = f"{where}: frame '{head[2]}'"
         if not head[3].isdecimal() or int(head[3]) > _LONGEST_FRAME:
             raise InputError(f"{frame} of {head[3]} bytes; accepted: 0 to {_LONGEST_FRAME}")
-        signals = [_signal(frame, found) for found in _SIGNAL.finditer(text, head.end(), behind)]
+        signals = [_signal(frame, found) for found in _SIGNAL.finditer(text, head.end(), end)]
         if any(signal.is_multiplexer for signal in signals):
             count += _Multiplexing(frame, signals, selectors.get(head[1], {})).count()
         if count > _MOST_SELECTORS:
