@@ -13,7 +13,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "mf4": ["asammdf>=8"]},
     zip_safe=False,
     maintainer="Trackslip maintainers",
     maintainer_email="maintainers@trackslip.invalid",

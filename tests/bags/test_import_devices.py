@@ -3,6 +3,7 @@
 """Logs of a CAN bus and of a GNSS receiver become bags, as the drivers would have recorded them."""
 
 import math
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,9 @@ WRITERS = {
     "drive.asc": can.ASCWriter,
     "drive.blf": can.BLFWriter,
     "drive.trc": can.TRCWriter,
+    "drive.mf4": can.MF4Writer,
 }
+_MF4 = pytest.mark.skipif(find_spec("asammdf") is None, reason="pip install -r requirements/mf4.txt")
 
 
 def write_bus(path: Path, channel: str | int = 0) -> Path:
@@ -64,7 +67,9 @@ def imported(folder: Path, logs: list[Path], **sections: Any) -> tuple[Imported,
     return found, messages
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize(
+    "name", [*sorted(WRITERS.keys() - {"drive.mf4"}), pytest.param("drive.mf4", marks=_MF4)]
+)
 def test_logs_of_a_bus_are_read_by_dbc_and_roles(tmp_path: Path, name: str) -> None:
     _, messages = imported(tmp_path, [write_bus(tmp_path / name)], can={})
     assert abs(len(messages["sprockets"]) - 100) <= 1
@@ -97,6 +102,30 @@ def test_a_damaged_log_is_read_up_to_there(tmp_path: Path) -> None:
     found, messages = imported(tmp_path, [log], can={})
     assert len(messages["sprockets"]) >= 99
     assert any("damaged behind frame" in note for note in found.notes)
+
+
+def test_an_mf4_without_its_library_names_the_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("can.io.mf4.asammdf", None)
+    (tmp_path / "drive.mf4").write_bytes(b"MDF     4.10    " + bytes(200))
+    with pytest.raises(InputError, match=r"drive\.mf4: MF4 needs asammdf; pip install ") as caught:
+        imported(tmp_path, [tmp_path / "drive.mf4"], can={})
+    assert "\n" not in str(caught.value)
+
+
+def test_an_mdf_before_version_4_is_named(tmp_path: Path) -> None:
+    (tmp_path / "drive.mdf").write_bytes(b"MDF     3.30    " + bytes(200))
+    with pytest.raises(InputError, match=r"MDF before version 4"):
+        imported(tmp_path, [tmp_path / "drive.mdf"], can={})
+
+
+@_MF4
+@pytest.mark.parametrize("size", [16, 64, 200, 5000])
+def test_an_mf4_cut_short_is_refused_in_one_line_or_read(tmp_path: Path, size: int) -> None:
+    log = write_bus(tmp_path / "drive.mf4")
+    log.write_bytes(log.read_bytes()[:size])
+    with pytest.raises(InputError, match=r"drive\.mf4") as caught:
+        imported(tmp_path, [log], can={})
+    assert "\n" not in str(caught.value)
 
 
 def epochs(*encoders: Any, begin_ns: int = BEFORE_MIDNIGHT_NS, count: int = 20) -> bytes:

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logs of a CAN bus: candump, ASC, BLF, TRC by python-can, MF4 where asammdf is installed."""
 
+import gc
+import logging
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -102,10 +105,30 @@ def _open(path: Path, words: str) -> Any:
         return can.BLFReader(path)
     if words.endswith("(TRC)"):
         return can.TRCReader(path)
+    return _open_mf4(path)
+
+
+def _open_mf4(path: Path) -> Any:
+    """A reader by asammdf, which is optional.
+
+    Raises:
+        InputError: it is not installed, or the file is damaged.
+    """
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it finds wrong is raised, too
+    hook, sys.unraisablehook = (
+        sys.unraisablehook,
+        lambda _: None,
+    )  # a half-opened file raises when it is freed
     try:
         return can.MF4Reader(path)
-    except NotImplementedError as error:
-        raise InputError(f"{path}: MF4 needs asammdf (pip install asammdf)") from error
+    except NotImplementedError:
+        reason = "MF4 needs asammdf; pip install 'asammdf>=8'"
+    except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the reader)
+        reason = f"the log of a CAN bus (MF4) cannot be read ({error_line(error)})"
+    finally:
+        gc.collect()
+        sys.unraisablehook = hook
+    raise InputError(f"{path}: {reason}")
 
 
 def _samples(found: Sequence[Any], source: str) -> Samples:

@@ -37,6 +37,8 @@ from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV = (".csv", ".txt", ".tsv", ".dat")
+_Kinds = Mapping[Path, tuple[LogKind, str]]
+_NAMED = 3  # files in an error
 _OF_DEVICES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
 _OTHER_CLOCK_S = 10.0
 _BEFORE_ZERO = "moved to before 0 s by time_offset"
@@ -129,39 +131,49 @@ def _parts(
     elif bags:
         raise InputError(f"{bags[0]}: a bag, and {mapping.path} names columns; accepted: topics with 'from'")
     if mapping.can is not None:
-        _require(of_can, mapping.can, "log of a CAN bus (candump, ASC, BLF, TRC, MF4)")
+        _require(of_can, mapping.can, "log of a CAN bus (candump, ASC, BLF, TRC, MF4)", kinds)
         yield read_can_logs(of_can, mapping.can, mapping.vehicle)
     if mapping.gnss is not None:
-        _require(of_gnss, mapping.gnss, "log of a GNSS receiver (NMEA, UBX)")
+        _require(of_gnss, mapping.gnss, "log of a GNSS receiver (NMEA, UBX)", kinds)
         yield read_receiver_logs(of_gnss, mapping.gnss, local)
     if of_csv:
         yield read_csv_logs(rest, of_csv, mapping.start_ns, local)
     elif rest and not of_bag:
-        raise InputError(
-            f"{rest[0]}: a table, and {mapping.path} names no columns; accepted: topics of columns"
-        )
+        raise InputError(f"{rest[0]}: a {kinds[rest[0]][1]}, {_not_read_by(mapping, kinds[rest[0]][0])}")
 
 
-def _kind(file: Path) -> LogKind:
+def _not_read_by(mapping: LogMapping, kind: LogKind) -> str:
+    """Why no part of the mapping reads a file of a kind, and what is accepted."""
+    section = {LogKind.CAN: mapping.can, LogKind.GNSS: mapping.gnss}.get(kind)
+    if section is not None:
+        return f"left out by {section.where}.file '{section.file}'; accepted: a pattern of its name"
+    if kind is LogKind.TABLE:
+        return f"and {mapping.path} names no columns; accepted: topics of columns"
+    if kind is LogKind.OTHER:
+        return f"which no part of {mapping.path} reads; accepted: logs that docs/import.md lists"
+    return f"and {mapping.path} has no '{kind.value}'; accepted: that section (docs/import.md)"
+
+
+def _kind(file: Path) -> tuple[LogKind, str]:
     try:
-        return kind_of(file)[0]
+        return kind_of(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
 
 
-def _matching(
-    kinds: Mapping[Path, LogKind], kind: LogKind, given: CanSection | GnssSection | None
-) -> list[Path]:
+def _matching(kinds: _Kinds, kind: LogKind, given: CanSection | GnssSection | None) -> list[Path]:
     """Files of a kind, whose names the section accepts."""
     if given is None:
         return []
-    return [file for file, own in kinds.items() if own is kind and fnmatch(file.name, given.file)]
+    return [file for file, (own, _) in kinds.items() if own is kind and fnmatch(file.name, given.file)]
 
 
-def _require(files: Sequence[Path], given: CanSection | GnssSection, what: str) -> None:
+def _require(files: Sequence[Path], given: CanSection | GnssSection, what: str, kinds: _Kinds) -> None:
     if not files:
+        there = "; ".join(f"{file.name}: a {words}" for file, (_, words) in list(kinds.items())[:_NAMED])
         raise InputError(
-            f"{given.where}: no {what} named '{given.file}' among the logs; accepted: one or more"
+            f"{given.where}: no {what} named '{given.file}' among the logs ({there or 'none given'}); "
+            "accepted: one or more"
         )
 
 

@@ -25,6 +25,7 @@ _NMEA = rb"\s*(?:\$[A-Z]{2}[A-Z]{3},|\$P[A-Z]{3,4}[,0-9])[^\r\n]*\*[0-9A-Fa-f]{2
 _KINDS: tuple[tuple[bytes, LogKind, str], ...] = (
     (_CANDUMP, LogKind.CAN, "log of a CAN bus (candump)"),
     (rb"LOGG", LogKind.CAN, "log of a CAN bus (BLF)"),
+    (rb"(?:MDF  |UnFinMF )[^\0]{3}[0-3]", LogKind.OTHER, "MDF before version 4 (save it as MF4)"),
     (rb"(?:MDF |UnFinMF)", LogKind.CAN, "log of a CAN bus (MF4)"),
     (rb"\s*(?:;[^\n]*\n)*;\$FILEVERSION", LogKind.CAN, "log of a CAN bus (TRC)"),
     (rb"(?:date [^\n]*\n|\s*//[^\n]*\n)*\s*base\s+(?:hex|dec)", LogKind.CAN, "log of a CAN bus (ASC)"),
