@@ -4,13 +4,12 @@
 
 import base64
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from pyrtcm import calc_crc24q
+from fixtures.ntrip_caster import OK, Caster, Serve, rtcm
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
@@ -20,49 +19,8 @@ from trackslip_drivers.transports import ntrip
 from trackslip_drivers.transports.ntrip import Credentials, NtripClient, read_credentials
 
 USER, PASSWORD = "crew7", "s3cret-Zq9"
-OK = b"HTTP/1.1 200 OK\r\nContent-Type: gnss/data\r\n\r\n"
 GGA = b"$GNGGA,101530.20,4806.0,N,01136.0,E,4,18,0.6,500.0,M,20.0,M,1.0,0000*4B\r\n"
 LINE_RATE = 11_520  # B/s
-Serve = Callable[[socket.socket, bytes], None]
-
-
-def rtcm(size: int = 100, number: int = 0) -> bytes:
-    body = b"\xd3" + size.to_bytes(2, "big") + number.to_bytes(2, "big") + bytes(size - 2)
-    return body + calc_crc24q(body).to_bytes(3, "big")
-
-
-class Caster:
-    """Serves each connection by the next of some behaviours; the last one serves all that follow."""
-
-    def __init__(self, *behaviours: Serve) -> None:
-        self._behaviours = list(behaviours)
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.port = int(self._socket.getsockname()[1])
-        self.requests: list[bytes] = []
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
-        while True:
-            try:
-                connection, _ = self._socket.accept()
-            except OSError:
-                return
-            behaviour = self._behaviours[min(len(self.requests), len(self._behaviours) - 1)]
-            threading.Thread(target=self._serve, args=(connection, behaviour), daemon=True).start()
-
-    def _serve(self, connection: socket.socket, behaviour: Serve) -> None:
-        with connection:
-            try:
-                request = b""
-                while b"\r\n\r\n" not in request:
-                    request += connection.recv(4096)
-                self.requests.append(request)
-                behaviour(connection, request)
-            except OSError:
-                pass
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 @pytest.fixture
