@@ -92,7 +92,7 @@ def test_times_of_candump_are_kept_and_moved_by_an_offset(tmp_path: Path) -> Non
 def test_a_channel_that_has_no_frames_is_refused(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.log", "can1")
     given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can0"}
-    with pytest.raises(InputError, match=r"drive\.log: 0 frames give no sample"):
+    with pytest.raises(InputError, match=r"drive\.log: no frame of channel 'can0', but of can1"):
         imported(tmp_path, [log], can=given)
 
 
@@ -102,6 +102,37 @@ def test_a_damaged_log_is_read_up_to_there(tmp_path: Path) -> None:
     found, messages = imported(tmp_path, [log], can={})
     assert len(messages["sprockets"]) >= 99
     assert any("damaged behind frame" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+@pytest.mark.parametrize("name", ["drive.log", "drive.asc", "drive.trc"])
+def test_text_in_another_encoding_is_read(tmp_path: Path, name: str, encoding: str) -> None:
+    log = write_bus(tmp_path / name)
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    log.write_bytes((mark + log.read_text(encoding="utf-8")).encode(encoding))
+    _, messages = imported(tmp_path, [log], can={})
+    assert abs(len(messages["sprockets"]) - 100) <= 1
+
+
+def test_logs_of_one_drive_are_read_in_order_of_their_times(tmp_path: Path) -> None:
+    lines = write_bus(tmp_path / "drive.log").read_text(encoding="utf-8").splitlines(keepends=True)
+    parts = {"b.log": lines[:40], "a.log": lines[40:]}
+    for name, part in parts.items():
+        (tmp_path / name).write_text("".join(part), encoding="utf-8")
+    _, messages = imported(tmp_path, [tmp_path / "a.log", tmp_path / "b.log"], can={})
+    (folder := tmp_path / "whole").mkdir()
+    _, expected = imported(folder, [tmp_path / "drive.log"], can={})
+    assert {name: list(map(str, of)) for name, of in messages.items()} == {
+        name: list(map(str, of)) for name, of in expected.items()
+    }
+
+
+def test_a_blf_cut_short_says_so(tmp_path: Path) -> None:
+    log = write_bus(tmp_path / "drive.blf")
+    log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    found, messages = imported(tmp_path, [log], can={})
+    assert 0 < len(messages["sprockets"]) < 90
+    assert any("drive.blf: cut short" in note for note in found.notes)
 
 
 def test_an_mf4_without_its_library_names_the_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,6 +206,43 @@ def test_a_log_without_a_date_says_so_or_has_that_of_the_mapping(tmp_path: Path)
     found, messages = imported(folder, [tmp_path / "gnss.nmea"], **sections)
     assert stamp_ns_of(messages["fix"][0]) == DAY_NS + BEFORE_MIDNIGHT_NS + S // 4
     assert found.notes == []
+
+
+@pytest.mark.parametrize(
+    "before", [b"", b"48.1,N,1*55\r\n", b"\x8f\x00\xb5\xfe" * 40, b"2026-11-25 12:00:00 "]
+)
+@pytest.mark.parametrize("encoding", ["ascii", "utf-16"])
+def test_a_log_may_begin_anywhere_in_the_stream(tmp_path: Path, before: bytes, encoding: str) -> None:
+    content = before.decode("latin-1") + epochs(rmc_of("251126"), gga, begin_ns=0).decode()
+    (tmp_path / "gnss.txt").write_bytes(content.encode("latin-1" if encoding == "ascii" else encoding))
+    _, messages = imported(tmp_path, [tmp_path / "gnss.txt"], gnss={})
+    assert [stamp_ns_of(m) for m in messages["fix"]] == [DAY_NS + k * S // 10 for k in range(20)]
+
+
+def test_sentences_without_any_time_are_refused_with_their_kinds(tmp_path: Path) -> None:
+    (tmp_path / "gnss.nmea").write_bytes(sentence("GNVTG,90.0,T,,M,1.0,N,1.852,K,R") * 20)
+    with pytest.raises(InputError, match=r"no message states a time .*VTG.*switch GGA on"):
+        imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
+
+
+NO_LOGS = {
+    "no byte": (b"", "a file without a byte"),
+    "wrong line rate": (bytes(range(256)) * 20, "a file of binary bytes"),
+    "mostly high": (b"\xfe\xf8\xe0a" * 500, "a file of binary bytes"),
+    "candump on a screen": (b"  can0  181   [4]  10 27 F0 D8\n" * 9, "record it with candump -L"),
+    "with times": (b" (1790000000.1)  can0  181   [4]  10 27 F0 D8\n" * 9, "record it with candump -L"),
+    "a table": (b"t,gz\n1,2\n", "a table"),
+}
+
+
+@pytest.mark.parametrize("kind", NO_LOGS)
+@pytest.mark.parametrize("section", ["can", "gnss"])
+def test_a_file_that_no_part_of_the_mapping_reads_is_named(tmp_path: Path, kind: str, section: str) -> None:
+    content, words = NO_LOGS[kind]
+    (tmp_path / "x.log").write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path, [tmp_path / "x.log"], **{section: {}})
+    assert f"x.log: {words}" in str(caught.value) or words in str(caught.value)
 
 
 def test_ubx_is_read_with_its_date(tmp_path: Path) -> None:

@@ -44,7 +44,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(LONGEST + 1)
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: no text in UTF-8; accepted: a YAML file in UTF-8") from error
+    except OSError as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
     tree = parse_yaml(text, str(path))
     if not isinstance(tree, Mapping):

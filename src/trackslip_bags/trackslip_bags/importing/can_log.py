@@ -3,24 +3,26 @@
 """Logs of a CAN bus: candump, ASC, BLF, TRC by python-can, MF4 where asammdf is installed."""
 
 import gc
+import heapq
 import logging
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 
-from trackslip_bags.importing.log_kinds import kind_of
+from trackslip_bags.importing.log_kinds import encoding_of_mark, kind_of
 from trackslip_bags.importing.recorded_devices import CanSection
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import Samples, Values
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.sources import error_line
 from trackslip_common.config_files import load_parameters
-from trackslip_common.errors import InputError
+from trackslip_common.errors import InputError, listed
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
@@ -48,13 +50,16 @@ def read_can_logs(
     samples: list[Sample] = []
     notes: list[str] = []
     count = 0
-    for path in paths:
-        for arbitration_id, data, stamp_ns in _frames(path, given, notes):
-            count += 1
-            samples += bus.receive(arbitration_id, data, stamp_ns)
+    channels: set[str] = set()
+    logs = [_frames(path, given, notes, channels) for path in paths]
+    for arbitration_id, data, stamp_ns in heapq.merge(*logs, key=itemgetter(2)):
+        count += 1
+        samples += bus.receive(arbitration_id, data, stamp_ns)
     names = ", ".join(path.name for path in paths)
     if not samples:
         reason = bus.decoder.hint() or f"{count} frames give no sample"
+        if given.channel is not None and given.channel not in channels:
+            reason = f"no frame of channel '{given.channel}', but of {listed(sorted(channels)) or 'none'}"
         raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
     notes += [
         f"{names}: {source}: {n} × {reason}"
@@ -65,8 +70,10 @@ def read_can_logs(
     return [_samples(topic, names) for topic in found if topic], notes
 
 
-def _frames(path: Path, given: CanSection, notes: list[str]) -> Iterator[tuple[int, bytes, int]]:
-    """(id as the driver has it, payload, ns) of each data frame of a log.
+def _frames(
+    path: Path, given: CanSection, notes: list[str], channels: set[str]
+) -> Iterator[tuple[int, bytes, int]]:
+    """(id as the driver has it, payload, ns) of each data frame of a log; its channels are added.
 
     Raises:
         InputError: it cannot be read, or a time is none.
@@ -74,8 +81,9 @@ def _frames(path: Path, given: CanSection, notes: list[str]) -> Iterator[tuple[i
     _, words = kind_of(path)
     count = 0
     try:
-        with _open(path, words) as log:
+        with _open(path, words, notes) as log:
             for message in log:
+                channels.add(str(message.channel))
                 if given.channel is not None and str(message.channel) != given.channel:
                     continue
                 stamp_ns = round(message.timestamp * _NS_PER_S) + given.offset_ns
@@ -96,16 +104,22 @@ def _frames(path: Path, given: CanSection, notes: list[str]) -> Iterator[tuple[i
         notes.append(f"{path.name}: damaged behind frame {count} ({reason})")
 
 
-def _open(path: Path, words: str) -> Any:
-    if words.endswith("(candump)"):
-        return can.CanutilsLogReader(path)
-    if words.endswith("(ASC)"):
-        return can.ASCReader(path, relative_timestamp=False)
+def _open(path: Path, words: str, notes: list[str]) -> Any:
     if words.endswith("(BLF)"):
-        return can.BLFReader(path)
-    if words.endswith("(TRC)"):
-        return can.TRCReader(path)
-    return _open_mf4(path)
+        log = can.BLFReader(path)
+        if (size := path.stat().st_size) < log.file_size:
+            notes.append(f"{path.name}: cut short: {size} of {log.file_size} bytes")
+        return log
+    if words.endswith("(MF4)"):
+        return _open_mf4(path)
+    with path.open("rb") as file:
+        encoding = encoding_of_mark(file.read(4)) or "utf-8"
+    text = path.open(encoding=encoding, errors="replace")  # which the reader closes
+    if words.endswith("(candump)"):
+        return can.CanutilsLogReader(text)
+    if words.endswith("(ASC)"):
+        return can.ASCReader(text, relative_timestamp=False)
+    return can.TRCReader(text)
 
 
 def _open_mf4(path: Path) -> Any:

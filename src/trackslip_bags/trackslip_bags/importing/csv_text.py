@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.tree import check_keys, choice, section, texts
 from trackslip_common.errors import InputError
 
@@ -77,7 +78,7 @@ def encoding_of(path: Path) -> str:
     """
     with path.open("rb") as file:
         first = file.read(1024)
-        if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        if encoding_of_mark(first) == "utf-16":
             return "utf-16"
         zeros = [first[k::2].count(0) for k in (0, 1)]
         if max(zeros) > len(first) // 4:

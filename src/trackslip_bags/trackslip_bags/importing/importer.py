@@ -21,7 +21,7 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import LogKind, kind_of
 from trackslip_bags.importing.mapping import LogMapping
 from trackslip_bags.importing.mapping_topics import BagTopic, CsvTopic
-from trackslip_bags.importing.receiver_log import read_receiver_logs
+from trackslip_bags.importing.receiver_log import holds_messages, read_receiver_logs
 from trackslip_bags.importing.recorded_devices import CanSection, GnssSection
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import Samples
@@ -101,7 +101,7 @@ def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple
     """Of a bag or of CSV files, as the topics of the mapping are for one or the other, and of its devices."""
     missing = [path for path in logs if not path.exists()]
     if missing:
-        raise InputError(f"log '{missing[0]}' not found; accepted: CSV files or their directory, or a bag")
+        raise InputError(f"log '{missing[0]}' not found; accepted: logs or their directory, or a bag")
     bags = [path for path in logs if is_bag(path)]
     files = [file for path in logs if path not in bags for file in _files(path)]
     found, notes = [], []
@@ -118,7 +118,7 @@ def _parts(
     topics = list(mapping.topics.values())
     of_bag = [topic for topic in topics if isinstance(topic, BagTopic)]
     of_csv = [topic for topic in topics if isinstance(topic, CsvTopic)]
-    kinds = {file: _kind(file) for file in files}
+    kinds = {file: _kind(file, None if of_csv else mapping.gnss) for file in files}
     of_can = _matching(kinds, LogKind.CAN, mapping.can)
     of_gnss = _matching(kinds, LogKind.GNSS, mapping.gnss)
     rest = [file for file in files if file not in of_can and file not in of_gnss]
@@ -154,11 +154,18 @@ def _not_read_by(mapping: LogMapping, kind: LogKind) -> str:
     return f"and {mapping.path} has no '{kind.value}'; accepted: that section (docs/import.md)"
 
 
-def _kind(file: Path) -> tuple[LogKind, str]:
+def _kind(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
+    """Of a file; one for ``gnss`` may begin anywhere in a receiver's stream."""
     try:
-        return kind_of(file)
+        kind, words = kind_of(file)
+        is_open = (
+            gnss is not None and kind in (LogKind.TABLE, LogKind.OTHER) and fnmatch(file.name, gnss.file)
+        )
+        if is_open and holds_messages(file):
+            return LogKind.GNSS, "log of a GNSS receiver"
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    return kind, words
 
 
 def _matching(kinds: _Kinds, kind: LogKind, given: CanSection | GnssSection | None) -> list[Path]:
@@ -182,7 +189,7 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     endings = (*_CSV, *_OF_DEVICES)
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in endings)
+    found = sorted(file for file in path.iterdir() if file.suffix.lower() in endings and file.is_file())
     if not found:
         raise InputError(f"{path}: neither a bag nor a directory of logs ({', '.join(endings)})")
     return found

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What kind of log a file is, by how it begins: a table, a log of a CAN bus, of a GNSS receiver, another."""
 
+import codecs
 import re
 from enum import Enum
 from pathlib import Path
@@ -9,6 +10,10 @@ from pathlib import Path
 from trackslip_common.errors import InputError
 
 _FIRST = 4096  # bytes that are looked at
+_MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16", codecs.BOM_UTF8: "utf-8-sig"}
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+_HIGH = re.compile(rb"[\x80-\xff]")
+_MOST_CONTROL, _MOST_HIGH = 0.02, 0.3  # of the bytes of a text
 
 
 class LogKind(Enum):
@@ -21,9 +26,11 @@ class LogKind(Enum):
 
 
 _CANDUMP = rb"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{3,8}#"
-_NMEA = rb"\s*(?:\$[A-Z]{2}[A-Z]{3},|\$P[A-Z]{3,4}[,0-9])[^\r\n]*\*[0-9A-Fa-f]{2}"
+_ON_SCREEN = rb"\s*(?:\(\d+\.\d+\)\s+)?\S+\s+(?:[RT]X\s.*)?[0-9A-Fa-f]{3,8}\s+\[\d+\]\s"
+_NMEA = rb"\s*\$(?:[A-Z]{5},|P[A-Z]{3,4}[,0-9]|KSXT,)"
 _KINDS: tuple[tuple[bytes, LogKind, str], ...] = (
     (_CANDUMP, LogKind.CAN, "log of a CAN bus (candump)"),
+    (_ON_SCREEN, LogKind.OTHER, "log of a CAN bus as candump shows it (record it with candump -L)"),
     (rb"LOGG", LogKind.CAN, "log of a CAN bus (BLF)"),
     (rb"(?:MDF  |UnFinMF )[^\0]{3}[0-3]", LogKind.OTHER, "MDF before version 4 (save it as MF4)"),
     (rb"(?:MDF |UnFinMF)", LogKind.CAN, "log of a CAN bus (MF4)"),
@@ -50,10 +57,37 @@ def kind_of(path: Path) -> tuple[LogKind, str]:
     """
     with path.open("rb") as file:
         first = file.read(_FIRST)
+    if not first:
+        return LogKind.OTHER, "file without a byte"
+    mark = encoding_of_mark(first)
+    text = first.decode(mark, "ignore").encode("latin-1", "replace") if mark else first
     for pattern, kind, words in _KINDS:
-        if re.match(pattern, first):
+        if re.match(pattern, text):
             return kind, words
+    if _is_binary(text):
+        return (
+            LogKind.OTHER,
+            "file of binary bytes (a receiver at a wrong line rate, or a kind that is not read)",
+        )
     return LogKind.TABLE, "table"
+
+
+def encoding_of_mark(first: bytes) -> str:
+    """The encoding that the mark at the begin of a text states; empty where it has none."""
+    return next((name for mark, name in _MARKS.items() if first.startswith(mark)), "")
+
+
+def _is_binary(first: bytes) -> bool:
+    zeros = [first[k::2].count(0) for k in (0, 1)]
+    if max(zeros) > len(first) // 4 > min(zeros):  # UTF-16 without a mark
+        first = first.replace(b"\0", b"")
+    if len(_CONTROL.findall(first)) > _MOST_CONTROL * len(first):
+        return True
+    try:
+        first[: len(first) - 4].decode("utf-8")
+    except UnicodeDecodeError:
+        return len(_HIGH.findall(first)) > _MOST_HIGH * len(first)
+    return False
 
 
 def refuse_other_kinds(path: Path) -> None:

@@ -6,6 +6,7 @@ A log has no times of arrival. Stamps are the receiver's UTC: times of day, on t
 NAV-PVT states, or that the mapping gives. A sentence without a time (HDT, THS) is of the epoch before it.
 """
 
+import codecs
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_bags.importing.local import LocalFrame
+from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.recorded_devices import GnssSection
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.importing.samples import FloatArray, IntArray, Samples, headings, without_heading
@@ -27,11 +29,12 @@ from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
 from trackslip_drivers.protocols.nmea import Rejection, Sentence, read
-from trackslip_drivers.protocols.nmea_stream import NmeaStream, Sample
+from trackslip_drivers.protocols.nmea_stream import POSITIONS, NmeaStream, Sample
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 
 _NODE, _NETWORK = "nmea_gnss", "log://"  # bytes that come in no time, as over a network
 _PIECE = 1 << 16  # bytes
+_FEWEST = 2  # sentences of a log that begins in another one
 _DAY_NS = 86_400_000_000_000
 _EPOCH = date(1970, 1, 1)
 _PVT = 0x07
@@ -66,6 +69,11 @@ def read_receiver_logs(
         samples += stream.feed(message.content, now_ns)
     samples += stream.flush()
     notes += [f"{names}: {n} × {reason}" for why in tally.by_source().values() for reason, n in why.items()]
+    kinds = f"kinds that come: {', '.join(stream.kinds) or 'none'}"
+    if stream.kinds and not POSITIONS & set(stream.kinds):
+        kinds += "; switch GGA on at the receiver"
+    if samples and all(message.time_ns is None for message in messages):
+        raise InputError(f"{given.where}: {names}: no message states a time ({kinds})")
     fixes = [one for one in samples if isinstance(one, FixSample)]
     directions = [one for one in samples if isinstance(one, HeadingSample)]
     velocities = [one for one in samples if isinstance(one, VelocitySample)]
@@ -75,7 +83,7 @@ def read_receiver_logs(
         *_headings(directions, given, names),
     ]
     if not found:
-        reasons = "; ".join([*notes, f"kinds that come: {', '.join(stream.kinds) or 'none'}"])
+        reasons = "; ".join([*notes, kinds])
         raise InputError(f"{given.where}: {names}: no position and no heading ({reasons})")
     return found, notes
 
@@ -88,14 +96,39 @@ def _messages(path: Path) -> Iterator[_Timed]:
     """
     cutter = FrameCutter(0)
     try:
-        with path.open("rb") as file:
-            while piece := file.read(_PIECE):
-                for frame in cutter.feed(piece, 0):
-                    yield _timed(frame)
+        for piece in _pieces(path):
+            for frame in cutter.feed(piece, 0):
+                yield _timed(frame)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     for frame in cutter.feed(b"\n", 0):  # a last line without an end
         yield _timed(frame)
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    """The bytes of a log; those that stand for its text, where that is in UTF-16."""
+    with path.open("rb") as file:
+        is_wide = encoding_of_mark(file.read(2)) == "utf-16"
+        file.seek(0)
+        if is_wide:
+            for text in codecs.iterdecode(iter(lambda: file.read(_PIECE), b""), "utf-16", "replace"):
+                yield text.encode("latin-1", "replace")
+        else:
+            yield from iter(lambda: file.read(_PIECE), b"")
+
+
+def holds_messages(path: Path) -> bool:
+    """Whether the begin of a file holds messages of a receiver, whatever is before them and between them.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    cutter, sentences = FrameCutter(0), 0
+    for frame in cutter.feed(next(_pieces(path), b""), 0):
+        if frame.kind is Kind.UBX:
+            return True
+        sentences += frame.kind is Kind.SENTENCE and isinstance(read(frame.content), Sentence)
+    return sentences >= _FEWEST
 
 
 def _timed(frame: Frame) -> _Timed:

@@ -17,7 +17,7 @@ from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
 from trackslip_drivers.protocols.nmea_sentences import Position, gga
-from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, VELOCITY, NmeaStream, Sample
+from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, POSITIONS, VELOCITY, NmeaStream, Sample
 from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
 from trackslip_drivers.transports.ntrip import MOST_RATE, STALL_S, NtripClient, read_credentials
 from trackslip_drivers.transports.serial_port import SerialPort
@@ -118,7 +118,7 @@ class NmeaNode(DriverNode[NmeaParameters]):
     def lack(self) -> str:
         """Whole sentences, but none with a position."""
         kinds = self._stream.kinds
-        if not kinds or {"GGA", "GNS", "NAV-PVT"} & set(kinds):
+        if not kinds or POSITIONS & set(kinds):
             return ""
         remedy = "but no GGA, GNS or NAV-PVT; switch GGA on at the receiver"
         return f"whole sentences come ({', '.join(kinds)}), {remedy}"

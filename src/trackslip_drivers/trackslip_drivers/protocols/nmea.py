@@ -199,8 +199,11 @@ def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 
 
 def _gns(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    """Its mode has a letter for each system of satellites, of which the best one counts."""
-    if fields[12:] and fields[12] == "V":
+    """Its mode has a letter for each system of satellites, of which the best one counts.
+
+    The status is S safe, C caution, U unsafe, or V of receivers that state none, which are most.
+    """
+    if fields[12:] and fields[12] == "U":
         return Rejection.WARNING
     qualities = [_QUALITY_OF_MODE[letter] for letter in fields[5]]
     quality = next((one for one in _BEST_FIRST if one in qualities), _NO_FIX)

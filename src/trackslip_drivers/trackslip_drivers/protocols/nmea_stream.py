@@ -42,6 +42,7 @@ from trackslip_drivers.records import (
 from trackslip_drivers.stamping import SenderClock
 
 FIX, HEADING, VELOCITY = "fix", "heading", "fix_velocity"
+POSITIONS = frozenset(("GGA", "GNS", "NAV-PVT"))  # kinds of messages that state one
 RECEIVER_CLOCK = "receiver's clock"
 
 _CLOCK_TOLERANCE = 5e-5  # of a host's quartz
