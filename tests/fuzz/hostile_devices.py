@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of logs of devices for ``hostile_files.py``: of a CAN bus in each format, of a GNSS receiver."""
 
+import zlib
 from collections.abc import Callable
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import can
+from can.io import blf
 from pyubx2 import GET, UBXMessage
 
 from hostile_readers import Reader, remove
@@ -21,7 +24,7 @@ WRITERS = {
     "asc": (can.ASCWriter, ".asc"),
     "blf": (can.BLFWriter, ".blf"),
     "trc": (can.TRCWriter, ".trc"),
-}
+} | ({"mf4": (can.MF4Writer, ".mf4")} if find_spec("asammdf") else {})
 _FRAMES = 40
 _BEGIN_S = 1_790_000_000.0
 
@@ -51,11 +54,24 @@ def can_log(kind: str, folder: Path) -> Reader:
             )
     files = config_directory()
     mapping = f"can: {{dbc: {files / p.dbc_file}, roles: {files / p.roles_file}}}\n"
-    return Reader([path.read_bytes()], partial(_read, folder, mapping), suffix)
+    seeds = [path.read_bytes()] + ([_bomb(path.read_bytes())] if kind == "blf" else [])
+    return Reader(seeds, partial(_read, folder, mapping), suffix)
 
 
-def receiver_log(folder: Path) -> Reader:
-    """Sentences and UBX messages of a receiver."""
+def _bomb(log: bytes) -> bytes:
+    """A BLF with containers that unpack to a thousand times their size, in which an object does not end."""
+    whole = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, 1 << 31, 86) + bytes(1 << 28)
+    packed = blf.LOG_CONTAINER_STRUCT.pack(blf.ZLIB_DEFLATE, 1 << 17) + zlib.compress(whole)
+    head = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, 16 + len(packed), blf.LOG_CONTAINER)
+    small = zlib.compress(whole[: 1 << 24])
+    packed_small = blf.LOG_CONTAINER_STRUCT.pack(blf.ZLIB_DEFLATE, 1 << 17) + small
+    head_small = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, 16 + len(packed_small), blf.LOG_CONTAINER)
+    padding = bytes(len(head_small + packed_small) % 4)
+    return log[:144] + (head_small + packed_small + padding) * 200 + head + packed
+
+
+def receiver_log(kinds: str, folder: Path) -> Reader:
+    """Sentences, UBX messages, or both, of a receiver."""
     sentences, messages = b"", b""
     for k in range(20):
         at = nmea_sentences.Position(k * 10**8, 48.1, 11.6, 520.0, 4, 0.6, 0.01, 0.02, 90.0, 0.2)
@@ -64,10 +80,20 @@ def receiver_log(folder: Path) -> Reader:
         fields = {"fixType": 3, "gnssFixOk": 1, "lat": 48.1, "lon": 11.6, "hAcc": 14, "vAcc": 20}
         day = {"year": 2026, "month": 11, "day": 25}
         messages += UBXMessage("NAV", "NAV-PVT", GET, iTOW=18_000 + 100 * k, **day, **fields).serialize()
-    return Reader([sentences, messages, sentences + messages], partial(_read, folder, "gnss: {}\n"), ".nmea")
+    seeds = {"nmea": [sentences], "ubx": [messages], "both": [sentences + messages]}[kinds]
+    return Reader(seeds, partial(_read, folder, "gnss: {}\n"), ".nmea")
+
+
+def trajectory(folder: Path) -> Reader:
+    """A TUM trajectory of poses."""
+    rows = [f"{_BEGIN_S + 0.1 * k:.3f} {0.1 * k:.2f} 0.5 0 0 0 0.1 0.995" for k in range(50)]
+    pose = "{x: {column: tx, unit: m}, y: {column: ty, unit: m}, stddev: {x: 0.1, y: 0.1}}"
+    mapping = "csv: {format: tum}\ntime: {column: timestamp, unit: s}\ntopics: {gnss_pose: " + pose + "}\n"
+    return Reader(["\n".join(rows).encode()], partial(_read, folder, mapping), ".txt")
 
 
 READERS_OF_DEVICES: dict[str, Callable[[Path], Reader]] = {
     **{f"can_{kind}": partial(can_log, kind) for kind in WRITERS},
-    "receiver_log": receiver_log,
+    **{f"receiver_{kinds}": partial(receiver_log, kinds) for kinds in ("nmea", "ubx", "both")},
+    "trajectory": trajectory,
 }

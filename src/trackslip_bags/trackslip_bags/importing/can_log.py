@@ -15,6 +15,7 @@ from typing import Any
 import can
 import numpy as np
 
+from trackslip_bags.importing.blf_log import BlfLog
 from trackslip_bags.importing.log_kinds import encoding_of_mark, kind_of
 from trackslip_bags.importing.recorded_devices import CanSection
 from trackslip_bags.importing.roles import ROLES
@@ -106,9 +107,9 @@ def _frames(
 
 def _open(path: Path, words: str, notes: list[str]) -> Any:
     if words.endswith("(BLF)"):
-        log = can.BLFReader(path)
-        if (size := path.stat().st_size) < log.file_size:
-            notes.append(f"{path.name}: cut short: {size} of {log.file_size} bytes")
+        log = BlfLog(path)
+        if log.missing:
+            notes.append(f"{path.name}: cut short: {log.missing} of {log.file_size} bytes are missing")
         return log
     if words.endswith("(MF4)"):
         return _open_mf4(path)
