@@ -129,7 +129,7 @@ def _mutated_message(draw: random.Random, body: bytes) -> bytes:
         content = content[: draw.randrange(4, len(content) + 1)]
     if draw.randrange(8):
         content[2:4] = (len(content) - 4).to_bytes(2, "little")
-        return b"\xb5\x62" + bytes(content) + calc_checksum(bytes(content))
+        return b"".join((b"\xb5\x62", content, calc_checksum(bytes(content))))
     return _damaged(draw, b"\xb5\x62" + bytes(content) + calc_checksum(bytes(content)))
 
 
