@@ -4,12 +4,15 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
 import pytest
+from fixtures.documents import code_of
+from fixtures.newcomer import write_log
 
 from trackslip_common import __version__
 
@@ -106,6 +109,7 @@ def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(bare: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """A command with nothing of this environment: no ROS, no checkout, no machine code but the wheel's."""
     environment = {"PATH": f"{bare}/bin:/usr/bin:/bin", "HOME": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["BROWSER"] = "true"  # opens nothing
     options = {"cwd": folder, "env": environment, "capture_output": True, "text": True}
     return subprocess.run(arguments, timeout=1200, **options)
 
@@ -138,6 +142,33 @@ def test_commands_run_from_the_wheel_alone(bare: Path, tmp_path: Path) -> None:
     of_wheel, of_workspace = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("own", "here"))
     del of_wheel["real_time_factor"], of_workspace["real_time_factor"]
     assert of_wheel == of_workspace  # to the last bit: machine code for any processor and for this one
+
+
+@pytest.mark.slow
+def test_code_of_the_pages_runs_in_a_shell(bare: Path, wheel: Path, tmp_path: Path) -> None:
+    (tmp_path / "dist").symlink_to(wheel.parent)
+    (tmp_path / "out/demo").mkdir(parents=True)
+    shutil.copytree(ROOT / "bags/slalom_sand", tmp_path / "out/demo/bag")
+    write_log(tmp_path / "log.csv")
+    for page in ("python", "tutorial"):
+        python, done = "", run(bare, tmp_path, "true")
+        for code in code_of(ROOT / f"docs/{page}.md"):
+            if code.language == "yaml":
+                (tmp_path / "mine.yaml").write_text(code.text, encoding="utf-8")
+            elif code.language == "python":
+                python += code.text
+                done = run(bare, tmp_path, "python", "-c", python)
+            elif not code.text.startswith(("make ", ". ")):  # need the checkout
+                done = run(bare, tmp_path, "bash", "-c", code.text)
+            assert done.returncode == 0, (code, done.stderr)
+    for name in (
+        "trackslip_demo/report.html",
+        "path.tum",
+        "path.geojson",
+        "out/report.html",
+        "out/mine.html",
+    ):
+        assert (tmp_path / name).stat().st_size > 1000
 
 
 @pytest.mark.slow
