@@ -88,7 +88,7 @@ fuzz: checks ## random measurements and messages for the estimators, hostile fil
 	@$(ENTER) $(VENV)/python tests/fuzz/mutated_inputs.py
 	@$(ENTER) RUNS='$(RUNS)' exec $(VENV)/python -m pytest -n auto --timeout=0 tests/fuzz --hypothesis-profile=fuzz
 
-bags: setup ## record the runs of bags/ anew, with their manifest (ARGS=--numbers: only what replays of them give)
+bags: setup ## record the runs of bags/ again, with their manifest (ARGS=--numbers: only what replays of them give)
 	@$(ENTER) exec $(VENV)/python scripts/make_bags.py $(ARGS)
 
 wheel: setup ## the Python package of all desk commands, in dist/; no ROS in it (ARGS=--pure: without machine code)

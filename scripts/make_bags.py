@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes the recorded runs of bags/ and their manifest (``make bags``).
 
-Bags that are named, or all, are recorded anew, which gives the same bytes on the same machine, and the
+Bags that are named, or all, are recorded again, which gives the same bytes on the same machine, and the
 manifest is written. ``--numbers`` only writes what replays of the bags that are there are expected to give:
-for after a change of the estimator or of its parameters. ``--check`` records anew elsewhere and compares.
+for after a change of the estimator or of its parameters. ``--check`` records again elsewhere and compares.
 """
 
 import argparse
@@ -163,7 +163,7 @@ def main() -> int:
     group.add_argument(
         "--numbers", action="store_true", help="only refresh what replays are expected to give"
     )
-    group.add_argument("--check", action="store_true", help="record anew elsewhere and compare the bytes")
+    group.add_argument("--check", action="store_true", help="record again elsewhere and compare the bytes")
     args = parser.parse_args()
     os.environ["ROS_DISTRO"] = _ROS
     if args.check:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reference pages of ``docs/`` from the declarations: parameters, topics and messages, commands.
 
-``make docs`` writes them anew; ``tests/docs/test_reference_pages.py`` compares.
+``make docs`` writes them; ``tests/docs/test_reference_pages.py`` compares.
 """
 
 import argparse

@@ -286,7 +286,7 @@ def kernel_compilation() -> list[Command]:
 
 
 def build_workspace(ros: str) -> None:
-    """Builds all packages; Python packages anew, so that no link to a removed file stays."""
+    """Builds all packages; Python packages from scratch, so that no link to a removed file stays."""
     if ros != SYSTEM:
         write_local_setup(ros)
     for package in ROOT.glob("src/*/setup.py"):

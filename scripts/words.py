@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Words that the words of the field replace, in names of code and in headings: ``python scripts/words.py``.
+"""Words that those of the field replace, in names, headings and messages: ``python scripts/words.py``.
 
 Measurements are accepted, rejected, gated or down-weighted; they do not speak. Filters propagate and update.
 """
@@ -8,6 +8,7 @@ Measurements are accepted, rejected, gated or down-weighted; they do not speak. 
 import ast
 import re
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +30,9 @@ REPLACED = {  # by: what the field says
 }
 _WORD = re.compile(r"(?:^|_)(" + "|".join(REPLACED) + r")(?=_|$)")
 _HEADING = re.compile(r"^#+ +(.*)", re.MULTILINE)
-CODE = tuple(f"src/trackslip_{name}" for name in ("common", "drivers", "bags", "tools", "sim", "estimation"))
+_COMMENT = re.compile(r"#(.*)")
+_PACKAGES = ("common", "drivers", "bags", "tools", "sim", "estimation")
+CODE = ("src/trackslip", *(f"src/trackslip_{name}" for name in _PACKAGES), "scripts", "tests")
 
 
 class Found(NamedTuple):
@@ -59,6 +62,12 @@ def in_headings(file: Path) -> Iterator[Found]:
         yield from (Found(file, heading, word) for word in words_of(re.sub(r"\W+", "_", heading)))
 
 
+def in_comments(file: Path) -> Iterator[Found]:
+    """Comments of the definition of a message."""
+    for comment in _COMMENT.findall(file.read_text(encoding="utf-8")):
+        yield from (Found(file, comment, word) for word in words_of(re.sub(r"\W+", "_", comment)))
+
+
 def words_of(name: str) -> list[str]:
     """The replaced words of a name in snake or camel case."""
     return _WORD.findall(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
@@ -66,12 +75,12 @@ def words_of(name: str) -> list[str]:
 
 def main() -> None:
     """Print them by folder."""
-    for folder in (*(ROOT / name for name in CODE), ROOT / "scripts", ROOT / "tests"):
-        for found in in_code(folder):
-            print(f"{found.file.relative_to(ROOT)}: {found.name} ({found.word})")
-    for file in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("deploy/*.md")]):
-        for found in in_headings(file):
-            print(f"{file.relative_to(ROOT)}: {found.name} ({found.word})")
+    pages = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("deploy/*.md")])
+    of_code = (found for name in CODE for found in in_code(ROOT / name))
+    of_pages = (found for file in pages for found in in_headings(file))
+    of_messages = (found for file in sorted(ROOT.glob("src/*/msg/*.msg")) for found in in_comments(file))
+    for found in chain(of_code, of_pages, of_messages):
+        print(f"{found.file.relative_to(ROOT)}: {found.name.strip()} ({found.word})")
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def test_the_files_are_those_that_were_recorded(name: str) -> None:
 
 
 @each
-def test_holds_what_the_manifest_says(name: str) -> None:
+def test_bag_holds_what_the_manifest_lists(name: str) -> None:
     holds = MANIFEST["bags"][name]["holds"]
     with open_bag(BAGS / name) as bag:
         assert {topic: info.count for topic, info in bag.topics.items()} == holds["messages"]

@@ -32,7 +32,7 @@ def recording(path: Path, files: int = 1, library: str = LIBRARY) -> Path:
     return path
 
 
-def test_a_recording_is_known_by_what_its_files_say(tmp_path: Path) -> None:
+def test_a_recording_is_recognised_by_the_content_of_its_files(tmp_path: Path) -> None:
     assert is_recording(recording(tmp_path / "bag", 2))
 
 

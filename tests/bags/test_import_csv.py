@@ -333,7 +333,7 @@ DIALECTS = {
 
 
 @pytest.mark.parametrize("habit", DIALECTS)
-def test_a_mapping_says_how_a_table_is_written(tmp_path: Path, habit: str) -> None:
+def test_a_mapping_states_how_a_table_is_written(tmp_path: Path, habit: str) -> None:
     log, dialect = DIALECTS[habit]
     _, messages = imported(tmp_path, log, {"sprockets": WHEELS}, csv=dialect)
     (only,) = messages["sprockets"]
@@ -418,7 +418,7 @@ OTHER_KINDS = {
 
 
 @pytest.mark.parametrize("content", OTHER_KINDS)
-def test_a_file_of_another_kind_is_said_to_be_one(tmp_path: Path, content: bytes) -> None:
+def test_a_file_of_another_kind_is_named_as_such(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "log.csv").write_bytes(content)
     mapping = {"time": T, "topics": {"sprockets": WHEELS}}
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")

@@ -196,7 +196,7 @@ def test_logs_of_a_receiver_are_read_over_midnight(tmp_path: Path, name: str) ->
     assert found.notes == []
 
 
-def test_a_log_without_a_date_says_so_or_has_that_of_the_mapping(tmp_path: Path) -> None:
+def test_a_log_without_a_date_is_noted_or_has_that_of_the_mapping(tmp_path: Path) -> None:
     (tmp_path / "gnss.nmea").write_bytes(epochs(gga))
     found, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss=None)
     assert stamp_ns_of(messages["fix"][0]) == BEFORE_MIDNIGHT_NS

@@ -50,7 +50,7 @@ def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) ->
     assert messages[0].angular_velocity_covariance[0] == -1.0
 
 
-def test_a_bare_quaternion_is_as_sure_as_its_source_or_the_mapping_says(tmp_path: Path) -> None:
+def test_a_bare_quaternion_has_the_variance_of_its_source_or_of_the_mapping(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", [("/gps/q", quaternion(0.0, NORTH))])
     _, messages = imported(tmp_path, log, {"compass": {"role": "heading", "from": "/gps/q"}})
     assert headings(messages) == [(pytest.approx(math.pi / 2.0), UNKNOWN)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Positions of joints that begin anew after each turn, in bags and CSV logs."""
+"""Positions of joints that restarts after each turn, in bags and CSV logs."""
 
 import math
 from pathlib import Path

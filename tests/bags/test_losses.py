@@ -20,7 +20,7 @@ def test_what_comes_again_is_no_loss() -> None:
     assert not losses.total
 
 
-def test_news_are_told_once() -> None:
+def test_news_are_reported_once() -> None:
     losses = Losses()
     losses.add("/b", 2)
     losses.add("/a", 1)

@@ -204,7 +204,9 @@ def test_bags_of_ros2_bag_are_recovered(tmp_path: Path, storage: StoragePlugin, 
     assert contents(tmp_path / "out") == [imu(i) for i in range(20)]
 
 
-def test_what_is_no_message_is_left_out_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_message_is_left_out_and_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Of a killed ``ros2 bag record --compression-mode message`` nobody knows that it was compressed."""
     writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
     writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
@@ -217,7 +219,7 @@ def test_what_is_no_message_is_left_out_and_told(tmp_path: Path, capsys: pytest.
     assert contents(tmp_path / "out") == []
 
 
-def test_topics_whose_type_nobody_knows_come_along(tmp_path: Path) -> None:
+def test_topics_of_unknown_types_are_kept(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     with (tmp_path / "bag" / "bag_0.mcap").open("wb") as stream:
         writer = McapWriter(stream)

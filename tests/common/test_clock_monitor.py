@@ -21,7 +21,7 @@ def test_one_sample_far_ahead_is_refused_and_the_head_stays() -> None:
     assert statuses([1.0, 100.0, 1.1, 6.1]) == [IN_LINE, AHEAD, IN_LINE, IN_LINE]
 
 
-def test_samples_ahead_that_agree_are_believed() -> None:
+def test_samples_ahead_that_agree_are_accepted() -> None:
     found = statuses([1.0, 100.0, 100.1, 100.2, 100.3, 100.4])
     assert found == [IN_LINE, *[AHEAD] * (CONFIRMATIONS - 1), *[IN_LINE] * 2]
 
@@ -62,7 +62,7 @@ def test_a_sample_in_line_ends_the_streak() -> None:
     assert found[1:] == [*[BEHIND] * 3, IN_LINE, BEHIND]
 
 
-def test_samples_behind_that_agree_say_that_the_clock_went_back() -> None:
+def test_samples_behind_that_agree_show_that_the_clock_went_back() -> None:
     assert statuses([9.0, 1.0, 1.1, 1.2, 1.3], oldest=7.0) == [
         IN_LINE,
         *[BEHIND] * (CONFIRMATIONS - 1),
@@ -74,7 +74,7 @@ def late(monitor: ClockMonitor, stamps: list[float], contradicts: bool) -> list[
     return [monitor.sample(round(s * S), 0, contradicts=contradicts) for s in stamps]
 
 
-def test_late_samples_that_contradict_say_that_the_clock_went_back() -> None:
+def test_late_samples_that_contradict_show_that_the_clock_went_back() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
     monitor.sample(9 * S, 0)
     assert late(monitor, [8.1, 8.2], contradicts=True) == [IN_LINE] * 2
@@ -82,7 +82,7 @@ def test_late_samples_that_contradict_say_that_the_clock_went_back() -> None:
     assert late(monitor, [8.5, 8.6], contradicts=True) == [IN_LINE, BACK]  # nor end the streak
 
 
-def test_late_samples_that_fit_in_say_nothing() -> None:
+def test_late_samples_that_fit_in_show_no_jump_of_the_clock() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
     monitor.sample(9 * S, 0)
     assert set(late(monitor, [7.0 + k / 100.0 for k in range(3 * CONFIRMATIONS)], contradicts=False)) == {

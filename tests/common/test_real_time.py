@@ -37,7 +37,7 @@ def watch_of(monkeypatch):
     ("late_s", "stalls"),
     [((0.0,), False), ((0.0, 0.0, 0.03), False), ((*[0.0] * 20, 0.2), True), ((*[0.0] * 150, 0.32), True)],
 )
-def test_a_machine_that_stands_still_is_told_from_a_busy_one(watch_of, late_s, stalls):
+def test_a_stalled_computer_is_distinguished_from_a_busy_one(watch_of, late_s, stalls):
     assert bool(watch_of(late_s).complaint()) == stalls
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Angles that begin anew after each turn become continuous ones; those that are stay as they are."""
+"""Angles that restarts after each turn become continuous ones; those that are stay as they are."""
 
 import math
 

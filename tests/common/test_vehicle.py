@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicle files: only the kinematics are required, and what is wrong is told in one line."""
+"""Vehicle files: only the kinematics are required, and each fault is one line."""
 
 import re
 from pathlib import Path
@@ -73,7 +73,7 @@ def test_a_vehicle_that_is_named_replaces_all_of_another_and_its_numbers_may_be_
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "sentence"),
     [
         ("kinematics: {rolling_radius: 0.3, tread: 2.0}", "'kinematics.contact_length' is missing"),
         ("mass: {mass: 3}", "'kinematics.rolling_radius' is missing"),
@@ -89,23 +89,23 @@ def test_a_vehicle_that_is_named_replaces_all_of_another_and_its_numbers_may_be_
         ("[1, 2]", "expected names and values"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told_in_one_line(text: str, told: str, file: Path) -> None:
+def test_the_fault_of_a_file_is_one_line(text: str, sentence: str, file: Path) -> None:
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as refused:
         load_vehicle(str(file))
-    assert told in str(refused.value)
+    assert sentence in str(refused.value)
     assert str(refused.value).startswith(str(file))
     assert "\n" not in str(refused.value)
 
 
-def test_an_unknown_vehicle_is_told_with_those_there_are() -> None:
+def test_an_unknown_vehicle_is_refused_with_the_known_ones() -> None:
     with pytest.raises(InputError, match=r"^vehicle 'x': no such vehicle or file; accepted: excavator_20t,"):
         load_vehicle("x")
     with pytest.raises(InputError, match=r"did you mean 'pc05'\?$"):
         load_slip_parameters({"vehicle": "pc5"})
 
 
-def test_a_vehicle_takes_from_its_base_what_it_does_not_say() -> None:
+def test_a_vehicle_takes_from_its_base_what_it_does_not_state() -> None:
     cab, base = load_vehicle("pc05_cab"), load_vehicle("pc05")
     assert (cab.kinematics, cab.hydraulics) == (base.kinematics, base.hydraulics)
     assert cab.name == "pc05_cab"
@@ -209,7 +209,7 @@ def test_a_machine_of_any_size_is_accepted(numbers: tuple[Any, ...], file: Path)
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_a_number_did_not_say_where_it_comes_from(name: str) -> None:
+def test_each_number_of_a_vehicle_file_is_explained(name: str) -> None:
     """Of some there was nothing but the unit."""
     lines = (config_directory() / "vehicles" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     above: dict[int, bool] = {}  # indent → whether the group, or a comment of its own, says it

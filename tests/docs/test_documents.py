@@ -217,7 +217,7 @@ def test_parameters_are_there() -> None:
         ("slip_estimator", "gate_likelihood", False),
     ],
 )
-def test_parameters_are_told_from_what_is_none(node: str, name: str, there: bool) -> None:
+def test_parameters_are_distinguished_from_what_is_none(node: str, name: str, there: bool) -> None:
     assert is_parameter(node, name) is there
 
 

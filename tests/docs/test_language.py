@@ -9,12 +9,17 @@ from fixtures.documents import DOCUMENTS, ROOT
 
 import words
 
-PACKAGES = tuple(Path(folder).name for folder in words.CODE)
+
+@pytest.mark.parametrize("folder", words.CODE)
+def test_names_of_code_and_tests_have_no_replaced_word(folder: str) -> None:
+    assert [f"{f.file.name}: {f.name}" for f in words.in_code(ROOT / folder)] == []
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_names_of_a_package_have_no_replaced_word(package: str) -> None:
-    assert [f"{f.file.name}: {f.name}" for f in words.in_code(ROOT / "src" / package)] == []
+@pytest.mark.parametrize(
+    "file", sorted(ROOT.glob("src/trackslip_msgs/msg/*.msg")), ids=lambda file: file.stem
+)
+def test_comments_of_messages_have_no_replaced_word(file: Path) -> None:
+    assert [found.name for found in words.in_comments(file)] == []
 
 
 @pytest.mark.parametrize("file", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))

@@ -56,7 +56,7 @@ def test_figures_of_files_in_the_tree_are_todays(name: str) -> None:
         assert float(old) == pytest.approx(float(new), abs=1.01 * 10.0 ** -len(old.partition(".")[2]))
 
 
-def test_what_cannot_be_measured_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_measured_states_why(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_: Path) -> list[str]:
         raise NotMeasured("no log")
 
@@ -86,7 +86,7 @@ def test_a_block_that_does_not_end_or_stands_twice_is_refused(text: str) -> None
 
 
 @pytest.mark.parametrize("file", DOCUMENTS, ids=lambda file: str(file.relative_to(ROOT)))
-def test_measured_figures_say_what_they_were_measured_with(file: Path) -> None:
+def test_measured_figures_name_what_they_were_measured_with(file: Path) -> None:
     if file.name not in WRITTEN:
         text = file.read_text(encoding="utf-8")
         assert list(unsourced(file, text)) == []

@@ -17,7 +17,7 @@ GENERATED = ("index.md", "contributing.md", "vulnerabilities.md", "conduct.md", 
 @pytest.mark.parametrize("name", sorted(reference_pages.WRITTEN))
 def test_a_reference_page_is_todays(name: str) -> None:
     there = (ROOT / "docs" / name).read_text(encoding="utf-8")
-    assert there == reference_pages.page(name), "make docs writes it anew"
+    assert there == reference_pages.page(name), "make docs writes it"
 
 
 def test_each_node_has_its_parameters_on_the_page() -> None:

@@ -53,7 +53,7 @@ def received(silence_s, *, reopened=True, restarted=False):
         if was_off and reopened:
             driver.resume()
         if was_off and restarted:
-            device.start(now_ns)  # its counter begins anew
+            device.start(now_ns)  # its counter restarts
             sent = device.step(now_ns)
         was_off = False
         for frame in sent:
@@ -76,7 +76,7 @@ def heading(samples):
     "how", [{}, {"reopened": False}, {"restarted": True}], ids=["reopened", "silent", "reset"]
 )
 def test_a_bus_off_of_300_ms_costs_no_heading(silence_s, how):
-    """It cost 13° of a drive of 3 s, as the positions began anew."""
+    """It cost 13° of a drive of 3 s, as the positions restarted."""
     whole, broken = received(0.0), received(silence_s, **how)
     assert heading(broken) == pytest.approx(heading(whole), abs=0.15)
     assert broken[-1][1:3] == pytest.approx(whole[-1][1:3], abs=2e-3)  # positions go on where they are

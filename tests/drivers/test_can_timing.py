@@ -174,7 +174,7 @@ def test_a_sender_that_comes_back_faster_is_not_held_back():
 
 
 @pytest.mark.parametrize("modulus", [0, 16])
-def test_frames_that_waited_as_the_bus_was_opened_anew_were_dropped_uncounted(modulus):
+def test_frames_that_waited_while_the_bus_was_reopened_are_counted(modulus):
     events = Counter()
 
     def report(event, times):

@@ -98,7 +98,7 @@ def test_a_silence_of_seconds_is_not_bridged():
     assert math.isnan(unit.update(2040, 1).position)
 
 
-def test_jump_is_dropped_and_a_lasting_one_restarts():
+def test_a_single_jump_is_dropped_and_a_persistent_one_restarts():
     unit = encoder()
     unit.update(0, 0)
     assert unit.update(2000, 1) is EncoderEvent.JUMP

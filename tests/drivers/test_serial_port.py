@@ -54,7 +54,7 @@ def test_what_drips_is_read_at_one_go(pty_port, monkeypatch):
     port.close()
 
 
-def test_pty_counts_what_nobody_reads(pty_port):
+def test_pty_counts_unread_bytes(pty_port):
     sent = 300_000
     accepted = pty_port.write(bytes(sent))
     assert 0 < accepted < sent

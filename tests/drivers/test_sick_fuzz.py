@@ -132,7 +132,7 @@ def test_noise_is_counted_to_the_last_byte(data: bytes, cuts: list[int]) -> None
 
 @seeded
 @given(before=noise, seed=st.integers(0, 1000))
-def test_every_scan_after_noise_is_heard(before: bytes, seed: int) -> None:
+def test_every_scan_after_noise_is_received(before: bytes, seed: int) -> None:
     receiver = Receiver()
     scans = [scan_frame(seed + i) for i in range(3)]
     receiver.feed(before)

@@ -51,14 +51,14 @@ class Puppet:
         return self.session.tally.total["scan", fault.value]
 
 
-def test_a_scanner_that_has_just_started_is_told_again() -> None:
+def test_a_scanner_that_has_just_started_is_commanded_again() -> None:
     puppet = Puppet()
     assert puppet.answer(b"\x90PLS\x00", ack=b"") == frame(commands.STOP, TO_SENSOR)
     assert puppet.baud == 9600
     assert puppet.answer(OK) == frame(INSTALL, TO_SENSOR)
 
 
-def test_the_rate_changes_also_when_only_its_acknowledgement_is_heard() -> None:
+def test_the_rate_changes_also_when_only_its_acknowledgement_is_received() -> None:
     puppet = Puppet()
     assert puppet.answer(OK) == frame(INSTALL, TO_SENSOR)
     assert puppet.answer(OK) == frame(SET_BAUD, TO_SENSOR)
@@ -105,7 +105,7 @@ def test_a_refusal_to_stream_starts_it_again() -> None:
     assert session.tally.total["scan", SessionFault.REFUSED.value] == 1
 
 
-def test_scans_nobody_asked_for_are_counted() -> None:
+def test_unrequested_scans_are_counted() -> None:
     session = SickSession(PLS, Tally())
     session.step(EPOCH_NS)
     scan = RawScan(np.full(361, 500, dtype=np.uint16), status=0)

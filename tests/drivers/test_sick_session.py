@@ -183,7 +183,7 @@ def test_starts_again_when_the_scanner_lost_power() -> None:
     assert bench.count(SessionFault.SILENT) == 1
 
 
-def test_starts_again_at_once_when_the_scanner_says_it_restarted() -> None:
+def test_starts_again_at_once_when_the_scanner_reports_a_restart() -> None:
     bench = Bench(power_on_baud=38400)
     bench.run_until(Phase.STREAMING, within=3.0)
     bench.device.power_cycle(bench.now_ns)

@@ -138,7 +138,7 @@ def test_bad_lengths_are_counted_and_passed(length: int) -> None:
     assert receiver.counted(TelegramFault.BAD_LENGTH) == 1
 
 
-def test_a_corrupt_telegram_is_counted_and_the_next_one_heard() -> None:
+def test_a_corrupt_telegram_is_counted_and_the_next_one_received() -> None:
     receiver = Receiver()
     corrupt = bytearray(OK)
     corrupt[5] ^= 0x10
@@ -192,7 +192,7 @@ def test_one_prompt_read_makes_up_for_late_ones() -> None:
     assert telegram.end_ns == pytest.approx(began_ns + 9 * CHAR_NS, abs=2)
 
 
-def test_a_read_before_a_telegram_says_nothing_of_its_time() -> None:
+def test_a_read_before_a_telegram_does_not_bound_its_time() -> None:
     parser = Receiver().parser
     assert parser.feed(b"\x02\x80\x09\x00", 0) == []
     telegram = only(parser.feed(OK + b"\xff\xff", 50 * MS))

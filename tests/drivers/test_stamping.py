@@ -156,7 +156,7 @@ def test_an_arrival_over_a_second_ago_was_now():
     assert clocks.time.steady(arrived_ns + clocks.offset_ns, between_ns) == arrived_ns
 
 
-def test_an_adapters_clock_that_drifts_was_believed_up_to_a_second():
+def test_a_stamp_outside_the_interval_of_its_reading_is_replaced():
     clocks = Clocks()
     clocks.run(1.0)
     drifted_ns = clocks.steady_ns + clocks.offset_ns - 900 * MS

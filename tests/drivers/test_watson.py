@@ -163,7 +163,7 @@ def test_rejections_are_counted_and_pass(layout, line, reason):
         (b"WATSON", "text, no data"),
     ],
 )
-def test_how_many_fields_came_is_told(layout, line, text):
+def test_the_number_of_fields_is_reported(layout, line, text):
     stream = WatsonStream(layout, 9600, 0, Tally())
     stream.feed(line + b"\r", 10**9)
     (key,) = stream.tally.total

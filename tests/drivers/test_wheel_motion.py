@@ -46,7 +46,7 @@ def test_positions_alone_are_differenced():
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("uses", ["both", "positions"])
 def test_positions_that_wrap_gave_minus_309_rad_per_s(first, uses):
-    """Each joint begins anew at a moment of its own; at 50 Hz and 5 rad/s."""
+    """Each joint restarts at a moment of its own; at 50 Hz and 5 rad/s."""
     motion = JointMotion(parameters(uses=uses))
     turned = [0.3, 0.0, 2.0, 1.0, 5.9]
     found = []

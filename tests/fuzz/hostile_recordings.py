@@ -157,31 +157,31 @@ def _run(name: str, command: str, bag: Path, output: Path) -> Run:
         _be_a_command(words, output)
     _, status, used = os.wait4(child, 0)
     seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss // 1024
-    said = [
+    printed = [
         (output / stream).read_text(encoding="utf-8", errors="replace") for stream in ("stdout", "stderr")
     ]
     return Run(
         name,
         command,
-        _problem(os.waitstatus_to_exitcode(status), said, seconds, megabytes),
+        _problem(os.waitstatus_to_exitcode(status), printed, seconds, megabytes),
         seconds,
         megabytes,
     )
 
 
-def _problem(code: int, said: Sequence[str], seconds: float, megabytes: int) -> str:
+def _problem(code: int, printed: Sequence[str], seconds: float, megabytes: int) -> str:
     """What is wrong with how a command ended; empty where nothing is."""
-    if "Traceback" in said[1]:
-        return "\n" + said[1]
+    if "Traceback" in printed[1]:
+        return "\n" + printed[1]
     if code not in _CODES:
         return f"exit code {code}, {seconds:.0f} s, {megabytes} MB"
-    if code == 2 and len(said[1].splitlines()) < 1:
+    if code == 2 and len(printed[1].splitlines()) < 1:
         return "refused without a word"
-    for text in said:
+    for text in printed:
         if not all(line.isprintable() for line in text.split("\n")):
             return f"not printable: {text!r:.500}"
-    if "Warning" in said[1]:
-        return said[1]
+    if "Warning" in printed[1]:
+        return printed[1]
     if seconds > LONGEST_S:
         return f"{seconds:.0f} s"
     return f"{megabytes} MB" if megabytes > MOST_MB else ""

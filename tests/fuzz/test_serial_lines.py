@@ -100,9 +100,9 @@ def check_telegrams(conversation: list[Piece]) -> None:
     parser = TelegramParser(FROM_SENSOR, 500_000, 11, Tally(), "scan")
     now_ns = 0
     for kind, content in conversation:
-        said, lasts_ns = on_line(kind, content, FROM_SENSOR)
+        sent, lasts_ns = on_line(kind, content, FROM_SENSOR)
         now_ns += lasts_ns
-        for event in parser.feed(said, now_ns):
+        for event in parser.feed(sent, now_ns):
             if isinstance(event, Telegram):
                 decode_scan(event, PLS)
                 decode_scan(event, LMS)
@@ -118,9 +118,9 @@ def check_session(conversation: list[Piece]) -> None:
     session = SickSession(replace(PLS, serial_baud=9600), Tally())
     now_ns = start_streaming(session, 0)
     for kind, content in conversation:
-        said, lasts_ns = on_line(kind, content, FROM_SENSOR)
+        sent, lasts_ns = on_line(kind, content, FROM_SENSOR)
         now_ns += lasts_ns * (10 if kind == SILENCE else 1)
-        session.receive(said, now_ns)
+        session.receive(sent, now_ns)
         session.step(now_ns)
     now_ns = start_streaming(session, now_ns) + SILENCE_NS
     session.receive(b"", now_ns)  # false starts are the telegram parser's affair
@@ -140,7 +140,7 @@ def test_session_streams_again_after_any_bytes(conversation: list[Piece]) -> Non
 
 
 @pytest.mark.parametrize("conversation", CONVERSATIONS)
-def test_scanner_may_say_anything_that_it_knows(conversation: list[Piece]) -> None:
+def test_scanner_may_send_anything_that_it_knows(conversation: list[Piece]) -> None:
     check_telegrams(conversation)
     check_session(conversation)
 
@@ -166,11 +166,11 @@ def test_emulated_scanner_answers_after_any_command(conversation: list[Piece]) -
     ranges = np.full(361, 2.5)
     start = SickDeviceParameters(boot_delay=0.0, power_on_baud=9600)
     device = SickDevice(PLS, start, lambda _: ranges, 0)
-    now_ns = 500 * MS  # power-on is said
+    now_ns = 500 * MS  # power-on is reported
     for kind, content in conversation:
-        said, lasts_ns = on_line(kind, content, TO_SENSOR)
+        sent, lasts_ns = on_line(kind, content, TO_SENSOR)
         now_ns += lasts_ns
-        device.receive(said, now_ns, None)
+        device.receive(sent, now_ns, None)
         device.step(now_ns)
     for _ in range(2):  # silence: what was begun is given up, what that lays bare is done
         now_ns += 2_000 * MS
@@ -190,15 +190,15 @@ parts = st.lists(
 
 
 @pytest.mark.parametrize("good", [LINES, BINARY], ids=["lines", "binary"])
-@given(said=parts.map(b"".join), cut=st.integers(1, 256))
-@example(said=b"WATSON INDUSTRIES, INC.\r" + LINES[0] + LINES[0].replace(b"+0000", b"*****"), cut=8)
-@example(said=BINARY[0][:-1] + BINARY[1], cut=256)
-def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], said: bytes, cut: int) -> None:
+@given(sent=parts.map(b"".join), cut=st.integers(1, 256))
+@example(sent=b"WATSON INDUSTRIES, INC.\r" + LINES[0] + LINES[0].replace(b"+0000", b"*****"), cut=8)
+@example(sent=BINARY[0][:-1] + BINARY[1], cut=256)
+def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], sent: bytes, cut: int) -> None:
     """``cut``: as reads may come, bytes."""
     last = WatsonStream(LAYOUT, 9600, 0, Tally()).feed(good[1], 0)[0].angular_velocity
     stream = WatsonStream(LAYOUT, 9600, 0, Tally())
-    for at in range(0, len(said), cut):
-        for sample in stream.feed(said[at : at + cut], at * MS):
+    for at in range(0, len(sent), cut):
+        for sample in stream.feed(sent[at : at + cut], at * MS):
             assert np.isfinite((*sample.acceleration, *sample.angular_velocity)).all(), sample
         assert stream.bytes_held <= stream.limit
     samples = [sample for message in good for sample in stream.feed(message, 0)]
@@ -224,10 +224,10 @@ bodies = st.one_of(
 
 @given(st.lists(bodies, max_size=8))
 @example([b"GNTHS,12.5,A", b"GNHDT,,T", b"PASHR,POS,1"])
-def test_good_fix_after_any_sentences_is_found(said: list[bytes]) -> None:
+def test_good_fix_after_any_sentences_is_found(sent: list[bytes]) -> None:
     """Whole with a right checksum, or as they come."""
     stream, now_ns = NmeaStream(NMEA, Tally()), 0
-    for content in said:
+    for content in sent:
         now_ns += 40 * MS
         is_text = content.isascii() and b"\n" not in content
         whole = nmea_sentences.sentence(content.decode("ascii")) if is_text else content + b"\n"
@@ -258,10 +258,10 @@ ubx = st.lists(
 
 @given(ubx)
 @example(list(enumerate(PAYLOADS)))
-def test_good_fix_after_any_binary_messages_is_found(said: list[Piece]) -> None:
+def test_good_fix_after_any_binary_messages_is_found(sent: list[Piece]) -> None:
     """Whole with a right checksum, or as they come."""
     stream, now_ns = NmeaStream(NMEA, Tally()), 0
-    for kind, content in said:
+    for kind, content in sent:
         now_ns += 40 * MS
         whole = ubx_frame(NAMES[kind] + content) if kind < len(NAMES) else content
         for sample in stream.feed(whole, now_ns):

@@ -21,7 +21,7 @@ class FragileParameters(Parameters):
     """How it shall be."""
 
     fails: bool = parameter("whether callbacks raise", read_only=False)
-    lasting: float = parameter("how long nothing but failures must last", unit="s", gt=0.0)
+    duration: float = parameter("how long nothing but failures must last", unit="s", gt=0.0)
 
 
 class Fragile(TrackslipNode[FragileParameters]):
@@ -29,7 +29,7 @@ class Fragile(TrackslipNode[FragileParameters]):
 
     def __init__(self) -> None:
         super().__init__("fragile", FragileParameters)
-        failures.LASTING_S = self.settings.lasting
+        failures.LASTING_S = self.settings.duration
 
     def configure(self) -> None:
         """One callback of each kind."""

@@ -21,8 +21,8 @@ NEVER = 1000.0  # s
 class Machine:
     """The fragile node, and the test's end of it."""
 
-    def __init__(self, programs, observer, lasting=NEVER, fails=False, autostart=True):
-        values = {"fails": fails, "lasting": lasting, "autostart": autostart}
+    def __init__(self, programs, observer, duration=NEVER, fails=False, autostart=True):
+        values = {"fails": fails, "duration": duration, "autostart": autostart}
         options = [part for name, value in values.items() for part in ("-p", f"{name}:={str(value).lower()}")]
         self.healths = observer.healths()
         self._observer = observer
@@ -82,7 +82,7 @@ def test_exceptions_in_callbacks_are_reported_and_the_node_goes_on(programs, obs
 
 
 def test_nothing_but_exceptions_end_the_node_with_one_line(programs, observer):
-    machine = Machine(programs, observer, lasting=1.0, fails=True)
+    machine = Machine(programs, observer, duration=1.0, fails=True)
     assert machine.program.wait() == 1
     last = machine.program.stderr.splitlines()[-1]
     assert last.startswith("fragile: nothing but failures; ")

@@ -48,7 +48,7 @@ def node(domain: int) -> Any:
     rclpy.try_shutdown()
 
 
-def test_a_node_that_compiles_says_so_until_it_is_done(node: Compiling) -> None:
+def test_a_node_that_compiles_reports_it_until_it_is_done(node: Compiling) -> None:
     node.start()
     told = [status for array in node.sent for status in array.status]
     assert len(told) >= 2

@@ -32,7 +32,7 @@ def missing_of_sprockets(monitor, until):
         assert time.monotonic() < give_up, found
 
 
-def test_the_demo_drove_off_while_the_recorder_had_appeared_and_heard_nothing_yet(domain, monkeypatch):
+def test_the_demo_waits_until_the_recorder_receives(domain, monkeypatch):
     """Up to 1.2 s of samples and of the estimator's journal were not in the bag."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     join_graph()
@@ -46,17 +46,17 @@ def test_the_demo_drove_off_while_the_recorder_had_appeared_and_heard_nothing_ye
         assert missing_of_sprockets(monitor, lambda found: found == only) == only
         health = nodes[2].create_publisher(DiagnosticArray, "/diagnostics", 10)
 
-        def says(publishers):
+        def report(publishers):
             pair = KeyValue(key="/sprockets", value=publishers)
             status = DiagnosticStatus(name="record: publishers", values=[pair])
             health.publish(DiagnosticArray(status=[status]))
 
         while not health.get_subscription_count():
             monitor.spin_for(0.05)
-        says("0")
+        report("0")
         monitor.spin_for(0.3)
         assert missing_of_sprockets(monitor, bool) == only
-        says("1")
+        report("1")
         assert missing_of_sprockets(monitor, lambda found: not found) == set()
         for node in (*nodes, monitor):
             node.destroy_node()

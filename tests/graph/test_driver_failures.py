@@ -95,7 +95,7 @@ def messages(driver: FragileDriver, seconds: float) -> list[str]:
     return found[1:]
 
 
-def test_a_silent_port_was_said_to_have_nothing_yet_whenever_it_was_opened_anew(domain, monkeypatch):
+def test_a_silent_port_is_reported_as_silent_after_it_was_reopened(domain, monkeypatch):
     monkeypatch.setattr("trackslip_drivers.nodes.driver._OPENING", 0.1)
     monkeypatch.setattr(FragileDriver, "period", 0.02)
     monkeypatch.setattr(FragileDriver, "silence", 0.4)

@@ -90,10 +90,10 @@ def run(bench, programs, observer, node, count):
     are_stamped(messages, began_ns)
     code, _ = program.end()
     assert code == 0
-    told = [line for line in program.stderr.splitlines() if "[ERROR]" in line or "Traceback" in line]
+    faults = [line for line in program.stderr.splitlines() if "[ERROR]" in line or "Traceback" in line]
     if powered.stood_s > SHORTEST_SILENCE:  # then it is right to miss it
-        told = [line for line in told if "check power" not in line]
-    assert told == []  # its states are told, as they change
+        faults = [line for line in faults if "check power" not in line]
+    assert faults == []  # its states are published as they change
     return messages
 
 
@@ -132,7 +132,7 @@ def test_sick(bench, programs, observer):
         assert ((inside >= message.range_min) & (inside <= message.range_max)).all()
 
 
-def test_refused_password_is_told(programs, observer, device):
+def test_refused_password_is_reported(programs, observer, device):
     device(plug_sick, programs.folder / "tty", "lms").plug()
     healths = observer.healths()
     programs.node("sick_pls", serial_port=str(programs.folder / "tty"))
@@ -143,7 +143,7 @@ def test_refused_password_is_told(programs, observer, device):
     assert {pair.key: pair.value for pair in node.values}["scan: password refused"] == "1"
 
 
-def test_what_the_scanner_says_of_itself_is_told(programs, observer, device):
+def test_the_status_of_the_scanner_is_reported(programs, observer, device):
     """Fatal, implausible, restart and pollution, until it says otherwise."""
     path = programs.folder / "tty"
     status = {"byte": 0xE4}
@@ -152,19 +152,19 @@ def test_what_the_scanner_says_of_itself_is_told(programs, observer, device):
     programs.node("sick_pls", serial_port=str(path))
     parts = {"status": b"\2", "implausible": b"\2", "restart": b"\1", "pollution": b"\1"}
 
-    def told():
+    def status():
         last = [h for h in healths if h.name == "sick_pls"][-1:]
         return {h.name.partition(": ")[2]: h.level for h in healths[healths.index(last[0]) :]} if last else {}
 
-    observer.wait(lambda: parts.items() <= told().items(), "all of its status")
+    observer.wait(lambda: parts.items() <= status().items(), "all of its status")
     fatal = [h for h in healths if h.name == "sick_pls: status"][-1]
     assert fatal.message == "scanner reports: fatal"
     assert fatal.hardware_id == str(path)
     status["byte"] = 0
-    observer.wait(lambda: told() and not parts.keys() & told().keys(), "nothing more")
+    observer.wait(lambda: status() and not parts.keys() & status().keys(), "nothing more")
 
 
-def test_watson_over_range_is_told(programs, observer, device):
+def test_watson_over_range_is_reported(programs, observer, device):
     path = programs.folder / "tty"
     device(plug_watson, path, True).plug()
     healths = observer.healths()
@@ -237,12 +237,12 @@ def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     code, _ = program.end()
     assert code == 0
     assert "Traceback" not in program.stderr
-    told = [line for line in program.stderr.splitlines() if "check power" in line]
-    assert any("not connected" in line or "no bytes" in line or "no frames" in line for line in told)
+    reports = [line for line in program.stderr.splitlines() if "check power" in line]
+    assert any("not connected" in line or "no bytes" in line or "no frames" in line for line in reports)
 
 
 def knows(status):
-    """Whether the device is known to be gone; a bus that fell silent was opened anew."""
+    """Whether the device is known to be gone; a bus that fell silent was reopened."""
     return status.level == b"\x02" or reconnects(status) > 0
 
 

@@ -112,7 +112,7 @@ class Machine:
         return json.loads((self.folder / "found.json").read_text(encoding="utf-8"))
 
 
-def test_all_that_a_user_asks_is_done_told_and_given_back(programs, observer):
+def test_every_command_of_a_user_is_done_reported_and_answered(programs, observer):
     machine = Machine(programs, observer)
     assert machine.health("waiting for sprockets").level == DiagnosticStatus.WARN
     machine.drive(200, 1000)

@@ -97,9 +97,7 @@ def test_frames_that_had_waited_for_over_a_second_were_stamped_when_they_were_re
         assert cycles[number][0] - MS < sample.stamp_ns < cycles[number][1] + MS
 
 
-def test_frames_without_a_time_of_their_own_that_had_waited_were_believed_to_be_new(
-    driver, udp_port, monkeypatch
-):
+def test_frames_without_a_time_that_waited_are_not_stamped_as_new(driver, udp_port, monkeypatch):
     """An adapter that gives none: nothing tells how long they waited."""
     monkeypatch.setattr("trackslip_drivers.transports.can_bus._stamp_ns", lambda _: time.time_ns())
     cycles = drive(driver, udp_port)

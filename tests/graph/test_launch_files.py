@@ -29,7 +29,7 @@ def names(file: Path, **arguments: str) -> set[str]:
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_arguments_are_described_as_the_readme_says(file: Path) -> None:
+def test_arguments_are_described_as_on_the_page(file: Path) -> None:
     found = declarations(file)
     assert all(found.values())
     common = {"vehicle", "params_file", "namespace", "use_sim_time", "log_level", "respawn", "peers"}
@@ -168,7 +168,7 @@ def test_namespace_comes_before_the_frames_of_all_nodes_that_state_the_machines_
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_the_graph_is_closed_unless_its_environment_says_otherwise(
+def test_the_graph_is_closed_unless_its_environment_opens_it(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in (RANGE, PEERS):

@@ -29,15 +29,15 @@ def seconds_until_answered(port: int, path: str) -> float:
 
 
 @pytest.mark.soak  # beside other tests the machine is too busy to judge the answers by
-@pytest.mark.parametrize("lasting_s", [60.0])
-def test_page_answers_good_clients_among_2000_bad_ones(programs, lasting_s):
+@pytest.mark.parametrize("duration_s", [60.0])
+def test_page_answers_good_clients_among_2000_bad_ones(programs, duration_s):
     node = programs.start("sh", "-c", LIMITED, "sh", programs.path("live"), *ros_arguments(port=0))
     node.until(lambda: re.search(PRINTED, node.stdout + node.stderr), "the address")
     port = int(re.findall(PRINTED, node.stdout + node.stderr)[0])
     lines_before = len((node.stdout + node.stderr).splitlines())
     strangers = programs.python(str(Path(flood.__file__)), str(port), str(STRANGERS))
     began, answered_s = time.monotonic(), []
-    while time.monotonic() < began + lasting_s or len(answered_s) < 9:
+    while time.monotonic() < began + duration_s or len(answered_s) < 9:
         assert strangers.process.poll() is None, strangers.stderr
         answered_s.append(seconds_until_answered(port, ("/", "/live.js", "/page.json")[len(answered_s) % 3]))
         time.sleep(0.1)

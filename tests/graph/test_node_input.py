@@ -205,7 +205,7 @@ def test_what_a_section_for_many_nodes_holds_for_others_is_no_error(programs, ob
     assert vehicle_of_text(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
 
 
-def test_a_soil_estimator_without_hydraulics_says_what_it_lacks(programs, observer):
+def test_a_soil_estimator_without_hydraulics_names_what_it_lacks(programs, observer):
     healths = observer.healths()
     programs.node("soil_estimator", vehicle="warthog")
     lacking = "vehicle 'warthog' has no mass and no hydraulics: no forces and no soil are estimated"

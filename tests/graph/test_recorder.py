@@ -189,7 +189,7 @@ def test_what_a_lost_message_held_back_ended_with_the_recorder(programs, observe
     assert is_strictly_readable(recorder.path) == list(range(MORE_THAN_A_BUFFER))
 
 
-def told_and_written(programs, observer, recorder, seconds):
+def reported_and_written(programs, observer, recorder, seconds):
     """Ten times the nominal load; (sent, reported lost, in the bag), by topic."""
     recorder.wait(recorder.values, "the recorder")
     load = programs.python("-c", LOAD, "10", str(seconds))
@@ -213,7 +213,7 @@ def told_and_written(programs, observer, recorder, seconds):
 
 def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
     recorder = Recorder(programs, observer)
-    sent, lost, written = told_and_written(programs, observer, recorder, 4.0)
+    sent, lost, written = reported_and_written(programs, observer, recorder, 4.0)
     print(f"\n{sent.total()} sent, {lost.total()} lost")
     assert written + lost == sent
 
@@ -221,7 +221,7 @@ def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
 def test_what_a_stalled_recorder_loses_is_counted_and_shouted(programs, observer):
     program = programs.python("-c", STALLING, "--ros-args", "-p", "output:=bag")
     recorder = Recorder(programs, observer, program)
-    sent, lost, written = told_and_written(programs, observer, recorder, 5.0)
+    sent, lost, written = reported_and_written(programs, observer, recorder, 5.0)
     assert lost.total() > 0
     assert written + lost == sent
 

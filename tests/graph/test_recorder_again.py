@@ -78,7 +78,9 @@ def test_a_recorder_that_is_started_again_goes_on_in_another_bag(
 
 
 @pytest.mark.parametrize(("minutes", "level"), [(50, WARN), (70, OK)])
-def test_a_disk_that_fills_is_told_an_hour_ahead(recorder: RecordNode, minutes: int, level: bytes) -> None:
+def test_a_disk_that_fills_is_reported_an_hour_ahead(
+    recorder: RecordNode, minutes: int, level: bytes
+) -> None:
     free = minutes * 60_000_000
     recorder._recording._space.add(free + 60_000_000, 0.0)
     recorder._recording._space.add(free, 60.0)

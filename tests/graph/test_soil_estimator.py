@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator as a node: what it publishes, what it says is wrong, and that nothing ends it."""
+"""The soil estimator as a node: what it publishes, which faults it reports, and that nothing ends it."""
 
 import signal
 from dataclasses import replace
@@ -77,11 +77,13 @@ class Machine:
             self._observer.wait(lambda n=wanted: len(self.forces) >= n, "forces")
         return outputs
 
-    def until_it_says(self, level, *words):
-        def says(health):
+    def until_reported(self, level, *words):
+        def is_reported(health):
             return health.name == "soil_estimator" and all(word in health.message for word in words)
 
-        self._observer.wait(lambda: any(says(h) and h.level == level for h in self.healths), f"{words}")
+        self._observer.wait(
+            lambda: any(is_reported(h) and h.level == level for h in self.healths), f"{words}"
+        )
 
 
 @pytest.fixture
@@ -103,7 +105,7 @@ def test_the_node_gives_what_the_estimator_gives(real_time, programs, observer, 
     assert machine.soils[-1].mu_r == pytest.approx(0.2, rel=0.05)
     assert machine.soils[-1].header.frame_id == "base_link"
     assert sum(machine.soils[-1].class_probabilities) == pytest.approx(1.0)
-    machine.until_it_says(DiagnosticStatus.OK, "running")
+    machine.until_reported(DiagnosticStatus.OK, "running")
 
 
 def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, observer, inputs):
@@ -124,7 +126,7 @@ def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, o
 
 def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs):
     machine = Machine(programs, observer)
-    machine.until_it_says(DiagnosticStatus.WARN, "waiting for machine_state")
+    machine.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")
     nan = float("nan")
     bad = [
         Hydraulics(1, nan, nan, nan, nan),
@@ -144,8 +146,8 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
     machine.feed(without[:100], estimator)
     machine.send(bad)
     machine.feed(without[100:], estimator)
-    machine.until_it_says(DiagnosticStatus.ERROR, "hydraulics silent", "held")
-    machine.until_it_says(DiagnosticStatus.ERROR, "slip estimator silent")
+    machine.until_reported(DiagnosticStatus.ERROR, "hydraulics silent", "held")
+    machine.until_reported(DiagnosticStatus.ERROR, "slip estimator silent")
     code, _ = machine.program.end(signal.SIGINT)
     assert code == 0
     assert machine.program.stderr.count("Traceback") == 0

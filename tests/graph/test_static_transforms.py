@@ -62,7 +62,7 @@ def with_tf2(programs, tf2_environment):
     return programs
 
 
-def test_an_imu_is_mounted_as_tf_static_says(with_tf2, observer):
+def test_an_imu_is_mounted_as_tf_static_states(with_tf2, observer):
     turning, healths = Turning(observer), observer.healths()
     odometry, stated = observer.subscribe("odometry"), observer.subscribe("slip_estimator/parameters")
     with_tf2.node("slip_estimator", sources__imu_data_raw__mounting_from_tf=True)

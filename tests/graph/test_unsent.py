@@ -109,7 +109,7 @@ def test_diagnostics_that_cannot_be_sent_do_not_end_the_node(speaker, stalled, o
     executor.shutdown()
 
 
-def test_rclpy_still_tells_of_dropped_answers_in_these_words():
+def test_rclpy_still_reports_dropped_answers_in_these_words():
     assert DROPPED.partition(":")[0].encode() in Path(rclpy_implementation.__file__).read_bytes()
 
 

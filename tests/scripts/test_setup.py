@@ -227,7 +227,7 @@ def test_set_up_ended_at_any_step_goes_on(checkout: Path, monkeypatch: pytest.Mo
     assert read_stamp(checkout / "trackslip.json")["digest"]
 
 
-def test_what_cannot_be_removed_is_said(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_removed_is_named(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (checkout / "lib").mkdir(parents=True)
     (checkout / "trackslip.json").touch()
 

@@ -172,7 +172,7 @@ def test_code_of_the_pages_runs_in_a_shell(bare: Path, wheel: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_commands_that_need_ros_say_so_without_it(bare: Path, tmp_path: Path) -> None:
+def test_commands_that_need_ros_name_it_where_it_is_missing(bare: Path, tmp_path: Path) -> None:
     done = run(bare, tmp_path, "trackslip", "record")
     assert done.returncode == 2
     assert "ROS is not there" in done.stderr

@@ -139,7 +139,7 @@ def started(tmp_path, monkeypatch):
     return start
 
 
-def test_a_node_that_had_to_be_killed_was_not_told(started, monkeypatch, capsys):
+def test_a_node_that_had_to_be_killed_is_reported(started, monkeypatch, capsys):
     monkeypatch.setattr("trackslip_sim.demo.processes._GRACE", 0.1)
     started("deaf", "trap '' INT\necho up\nsleep 600 & wait\n").stop()
     assert capsys.readouterr().err == "deaf did not end within 0.1 s of being asked, and was killed\n"

@@ -13,7 +13,7 @@ from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
 
 
 @pytest.mark.slow
-def test_an_estimator_that_nobody_tuned_is_consistent_on_drawn_machines() -> None:
+def test_an_untuned_estimator_is_consistent_on_drawn_machines() -> None:
     scores = [scored(seed)[2] for seed in range(4)]
     assert missed_bars(scores) == []
     assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes there were
@@ -61,7 +61,7 @@ def test_a_circle_closes() -> None:
     assert poses[-1] == pytest.approx((1.0, 2.0, 2.0 * np.pi), abs=1e-9)
 
 
-def test_each_missed_bar_is_told() -> None:
+def test_each_missed_bar_is_reported() -> None:
     bad = Score(0.1, 9.0, 6.0, np.array((3.5,)), np.array((20.0, 20.0)), np.array((1.0, 1.0)), 9)
     told = missed_bars([bad])
     assert len(told) == 4

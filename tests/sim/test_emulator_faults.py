@@ -123,13 +123,13 @@ def test_nothing_passes_an_unplugged_line(monkeypatch):
     """A recorded drive has no ports that could disappear: in bags/outage_sandy_loam the laser went on."""
     sent = run(Fault("watson", "unplug", 6.0, 2.0))
     assert [bool(between(sent, at, at + 1.0, 2)) for at in (5.0, 6.0, 7.0, 8.0)] == [True, False, False, True]
-    heard = []
+    received = []
     excavator = EmulatedExcavator(PARAMETERS, TRUTH, 0)
-    monkeypatch.setattr(excavator.sick, "receive", lambda *told: heard.append(told))
+    monkeypatch.setattr(excavator.sick, "receive", lambda *sent: received.append(sent))
     excavator.faults.add(Fault("sick", "unplug", 6.0, 2.0), 0)
     for at_s in (5.0, 7.0, 9.0):
         excavator.receive_sick(b"?", round(at_s * S), 9600)
-    assert [now_ns / S for _, now_ns, _ in heard] == [5.0, 9.0]
+    assert [now_ns / S for _, now_ns, _ in received] == [5.0, 9.0]
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_noise_is_a_share_of_full_scale():
     assert np.std(np.diff(supply)) / np.sqrt(2.0) == pytest.approx(2.5e6, rel=0.1)
 
 
-def test_what_befalls_the_scanner():
+def test_faults_of_the_scanner():
     bad = readings(
         Fault("sick", "occlusion", 0.0, 5.0, 0.5),
         Fault("sick", "glare", 10.0, 5.0, 0.3),
@@ -227,7 +227,7 @@ def test_a_port_took_the_place_of_a_file_of_the_users(tmp_path, kind):
     assert sorted((path.name, path.is_symlink()) for path in tmp_path.iterdir()) == before
 
 
-def test_every_kind_says_what_its_value_is():
+def test_every_kind_states_what_its_value_is():
     for name, kind in KINDS.items():
         assert kind.sensors, name
         assert bool(kind.value) == (name in VALUED)

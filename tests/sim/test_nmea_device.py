@@ -137,7 +137,7 @@ def test_fixed_float_none_fixed():
     assert chain.tally.by_source()["fix"]["no fix"] == 50
 
 
-def test_multipath_is_a_step_that_nobody_tells_of():
+def test_multipath_is_an_unreported_step():
     chain = Chain(Fault("gnss", "multipath", 5.0, 5.0, 2.0))
     places, _ = chain.run(12.0)
     inside = (places[:, 0] >= 5.0) & (places[:, 0] < 10.0)

@@ -56,7 +56,7 @@ def test_durations_and_shapes() -> None:
     ]
 
 
-def test_patches_meet_all_four_soils() -> None:
+def test_patches_cover_all_four_soils() -> None:
     truth = simulate(load_scenario("patches"))
     assert set(truth.soil_names) == {"sand", "sandy_loam", "clayey_soil", "dry_clay"}
     assert set(truth.soil_index.tolist()) == {0, 1, 2, 3}

@@ -55,7 +55,7 @@ class Terminal:
         events = self.parser.feed(self.device.step(self.now_ns), self.now_ns)
         return [event.payload if isinstance(event, Telegram) else event for event in events]
 
-    def say(self, command: bytes, wait_ns: int = 60 * MS) -> list[bytes | Control]:
+    def send(self, command: bytes, wait_ns: int = 60 * MS) -> list[bytes | Control]:
         self.device.receive(frame(command, TO_SENSOR), self.now_ns, None)
         return self.wait(wait_ns)
 
@@ -85,7 +85,7 @@ def test_it_ignores_all_while_it_boots_and_then_reports_itself() -> None:
     ],
 )
 def test_each_command_has_its_reply(command: bytes, reply: bytes) -> None:
-    assert Terminal().say(command) == [Control.ACK, reply]
+    assert Terminal().send(command) == [Control.ACK, reply]
 
 
 def test_a_corrupt_command_is_not_acknowledged() -> None:
@@ -96,7 +96,7 @@ def test_a_corrupt_command_is_not_acknowledged() -> None:
 
 def test_the_rate_changes_once_the_reply_has_left() -> None:
     terminal = Terminal()
-    terminal.say(INSTALL)
+    terminal.send(INSTALL)
     terminal.device.receive(frame(commands.set_baud(38400), TO_SENSOR), terminal.now_ns, 9600)
     terminal.wait(20 * MS)
     assert terminal.device.baud == 9600
@@ -116,20 +116,20 @@ def test_it_understands_its_own_rate_only() -> None:
 
 def test_a_mode_change_closes_the_settings() -> None:
     terminal = Terminal()
-    terminal.say(INSTALL)
-    terminal.say(commands.STOP)
-    assert terminal.say(commands.set_baud(19200)) == [Control.ACK, FAULT]
+    terminal.send(INSTALL)
+    terminal.send(commands.STOP)
+    assert terminal.send(commands.set_baud(19200)) == [Control.ACK, FAULT]
 
 
 def test_an_lms_sets_its_rate_directly() -> None:
     lms = replace(PLS, model="lms", parity="N")
-    assert Terminal(lms).say(commands.set_baud(19200)) == [Control.ACK, OK]
+    assert Terminal(lms).send(commands.set_baud(19200)) == [Control.ACK, OK]
 
 
 @pytest.mark.parametrize("command", [commands.REQUEST_VALUES_PLS, commands.REQUEST_VALUES_LMS])
 def test_one_scan_on_request(command: bytes) -> None:
     terminal = Terminal()
-    acknowledgement, scan = terminal.say(command, 1000 * MS)
+    acknowledgement, scan = terminal.send(command, 1000 * MS)
     assert acknowledgement is Control.ACK
     assert isinstance(scan, bytes)
     decoded = decode_scan(Telegram(scan, 0, 0), PLS)
@@ -141,7 +141,7 @@ def test_one_scan_on_request(command: bytes) -> None:
 
 def test_minima_of_each_degree() -> None:
     terminal = Terminal()
-    terminal.say(commands.STREAM_MINIMA)
+    terminal.send(commands.STREAM_MINIMA)
     (payload,) = terminal.wait(500 * MS)
     assert isinstance(payload, bytes)
     decoded = decode_scan(Telegram(payload, 0, 0), PLS)
@@ -151,7 +151,7 @@ def test_minima_of_each_degree() -> None:
 
 def test_scans_count_when_their_last_byte_has_left() -> None:
     terminal = Terminal()
-    terminal.say(commands.STREAM_ALL)
+    terminal.send(commands.STREAM_ALL)
     terminal.wait(839 * MS - 60 * MS)
     assert terminal.device.scans_emitted == 0
     terminal.wait(160 * MS)
@@ -160,12 +160,12 @@ def test_scans_count_when_their_last_byte_has_left() -> None:
 
 def test_a_reset_is_a_new_start() -> None:
     terminal = Terminal()
-    terminal.say(commands.STREAM_ALL)
-    assert terminal.say(commands.RESET, 2000 * MS)[-2:] == [b"\x91\x00", b"\x90PLS101-312\x00"]
+    terminal.send(commands.STREAM_ALL)
+    assert terminal.send(commands.RESET, 2000 * MS)[-2:] == [b"\x91\x00", b"\x90PLS101-312\x00"]
     assert terminal.wait(2000 * MS) == []
 
 
 def test_the_status_byte_is_sent() -> None:
     terminal = Terminal()
     terminal.device.status = 0x80
-    assert terminal.say(commands.STOP) == [Control.ACK, b"\xa0\x00\x80"]
+    assert terminal.send(commands.STOP) == [Control.ACK, b"\xa0\x00\x80"]

@@ -97,7 +97,7 @@ def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(
     assert np.std(smooth[straight]) < np.std(off[straight]) / 3.0
 
 
-def test_noise_is_as_large_as_the_filters_are_told(
+def test_noise_is_as_large_as_the_filters_assume(
     drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
 ) -> None:
     setting = make_setting(cell(SHEAR), drive, p, estimator)

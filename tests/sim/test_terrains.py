@@ -24,7 +24,7 @@ def test_each_is_what_its_file_is_called(name: str) -> None:
     assert (terrain == FLAT) == (name == "flat")
 
 
-def test_a_ramp_rises_as_its_slope_says() -> None:
+def test_a_ramp_rises_by_its_slope() -> None:
     terrain = parse_terrain({"name": "mine", "features": [RAMP]})
     low, middle, further, high = heights(terrain, [3.0, 5.5, 6.5, 30.0], [0.0, 4.0, -4.0, 0.0])
     assert low == 0.0
@@ -32,7 +32,7 @@ def test_a_ramp_rises_as_its_slope_says() -> None:
     assert high == pytest.approx(5.0 * math.tan(math.radians(10.0)))
 
 
-def test_the_ramps_and_the_hill_are_as_high_and_steep_as_they_say() -> None:
+def test_the_ramps_and_the_hill_are_as_high_and_steep_as_stated() -> None:
     assert heights(load_terrain("ramp_up"), [50.0], [0.0])[0] == pytest.approx(3.0, abs=0.01)
     assert heights(load_terrain("ramp_down"), [50.0], [0.0])[0] == pytest.approx(-3.0, abs=0.01)
     (hill,) = load_terrain("hill").features

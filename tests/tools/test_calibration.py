@@ -118,7 +118,7 @@ WIDEST |= {"turning_efficiency": 0.02, "effective_tread": 0.08}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRUE)
-def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
+def test_intervals_hold_the_truth_as_often_as_stated(name: str) -> None:
     """And no more often than that by being wide: half of one is small."""
     made = Made()
     found = [calibrated(made, seed).findings[name] for seed in range(RUNS)]
@@ -209,7 +209,7 @@ def test_missing_sensors_are_refused_too() -> None:
     assert "taken as 1" in lost["turning_efficiency"].basis
 
 
-def test_radius_and_slip_are_told_apart_by_the_user_only() -> None:
+def test_radius_and_slip_are_separated_by_the_user_only() -> None:
     soft, hard = (calibrated(Made(), 5, hard_ground) for hard_ground in (False, True))
     assert not soft.findings["rolling_radius"].is_found
     assert "hard-ground" in soft.findings["rolling_radius"].reason
@@ -225,7 +225,7 @@ def test_radius_and_slip_are_told_apart_by_the_user_only() -> None:
     }
 
 
-def test_what_the_parameters_say_already_is_not_written() -> None:
+def test_what_the_parameters_have_already_is_not_written() -> None:
     """A gyro that reads 1.5 % low is news where a hundredth is seen; that it is not upside down is none."""
     made = Made()
     of_news, whole = (
@@ -276,7 +276,7 @@ def test_oil_trapped_by_a_stop_is_no_offset() -> None:
         assert high - low < 2.0 * WIDEST[name], name
 
 
-def test_more_bags_tell_more() -> None:
+def test_more_bags_give_narrower_intervals() -> None:
     recordings = [recorded(Made(), seed) for seed in range(4)]
     all_of_them, one = (calibrate(r, P, SOURCES).findings for r in (recordings, recordings[:1]))
     for name in ("gyro_scale", "effective_rolling_radius", "left_pressure_offset"):

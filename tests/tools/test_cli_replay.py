@@ -97,7 +97,7 @@ def test_withheld_fixes_are_not_used_but_score(bag: Path, summary: Summary) -> N
     assert summary(bag, "--withhold", "/box_pose", code=ExitCode.FAILED)["final"] is None
 
 
-def test_what_was_withheld_is_counted_and_its_error_told(
+def test_what_was_withheld_is_counted_and_its_error_stated(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:2:6")

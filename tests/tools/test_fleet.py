@@ -162,7 +162,7 @@ def test_hostile_names_and_errors_run_nothing_in_the_index(tmp_path: Path) -> No
     assert "<script" not in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
-def test_nobody_said_that_the_vehicle_of_one_of_several_bags_is_assumed(
+def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     named, file = tmp_path / "named", tmp_path / "many.json"
@@ -181,7 +181,7 @@ def test_nobody_said_that_the_vehicle_of_one_of_several_bags_is_assumed(
     assert [entry["notes"] for entry in json.loads(file.read_text())] == [[alone], []]
 
 
-def test_the_table_says_what_is_missing_and_fits() -> None:
+def test_the_table_names_what_is_missing_and_fits() -> None:
     entries = [
         Entry("/data/monday/morning/one", ExitCode.BAD_INPUT, "bag cannot be read"),
         Entry("/data/monday/two", ExitCode.FAILED, "no fix came", summary=SUMMARY, distance=12.34),

@@ -175,7 +175,7 @@ NO_ESTIMATE = {
 
 
 @pytest.mark.parametrize("reason", NO_ESTIMATE)
-def test_no_estimate_says_why(bag: Path, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_estimate_states_why(bag: Path, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = [word for text in NO_ESTIMATE[reason] for word in ("--set", f"slip_estimator.{text}")]
     assert replayed(bag, *options, code=ExitCode.FAILED)["final"] is None
     assert f"no estimate: {reason}" in " ".join(capsys.readouterr().out.split())

@@ -37,7 +37,7 @@ def read_until(terminal: int, word: bytes) -> bytes:
     return heard
 
 
-def test_keys_are_heard_without_enter_and_the_terminal_is_left_as_it_was() -> None:
+def test_keys_act_without_enter_and_the_terminal_is_left_as_it_was() -> None:
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", CHILD.format(path=sys.path)])

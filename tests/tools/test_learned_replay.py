@@ -56,7 +56,7 @@ def second_run(tmp_path: Path, lines: list[Any], learned_tree: dict[str, Any]) -
     return make_bag
 
 
-def test_a_replay_says_what_was_learned(
+def test_a_replay_states_what_was_learned(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = summary(bag)["learned"]
@@ -116,7 +116,7 @@ def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
         ({"machine": "x"}, (), "of another vehicle"),
     ],
 )
-def test_what_does_not_fit_is_said_and_not_used(
+def test_what_does_not_fit_is_reported_and_not_used(
     second_run: Callable[..., Path],
     summary: Summary,
     capsys: pytest.CaptureFixture[str],

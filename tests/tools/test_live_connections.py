@@ -130,7 +130,7 @@ def test_half_sent_body_is_closed_after_its_timeout(
     assert is_closed(connect(server, body))
 
 
-def test_answer_that_nobody_reads_is_given_up(
+def test_an_unread_answer_is_given_up(
     serve: Callable[[], PageServer], connect: Callable[..., socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connections, "_LIFE_S", 0.2)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events of the live page: each change is said once."""
+"""Events of the live page: each change is reported once."""
 
 import math
 
@@ -12,18 +12,18 @@ def light(level: Level, message: str, name: str = "slip_estimator") -> Light:
     return Light(name, level, message, math.nan, 0.0)
 
 
-def said(events: Events) -> list[str]:
+def reported(events: Events) -> list[str]:
     return [event.text for event in events.kept]
 
 
-def test_a_lost_fix_is_said_once_and_so_is_its_return() -> None:
+def test_a_lost_fix_is_reported_once_and_so_is_its_return() -> None:
     events = Events()
     events.see_lights([light(Level.OK, "running")], 0.0, 0.0)
     for k in range(30):
         text = f"nothing accepted of box_pose for {1.2 + k:.1f} s"
         events.see_lights([light(Level.WARN, text)], 1.0 + k, 0.0)
     events.see_lights([light(Level.OK, "running")], 40.0, 0.0)
-    assert said(events) == ["fix lost: box_pose", "fix back: box_pose"]
+    assert reported(events) == ["fix lost: box_pose", "fix back: box_pose"]
     assert [event.level for event in events.kept] == [Level.WARN, Level.OK]
 
 
@@ -37,18 +37,18 @@ def test_explanations_are_an_event_again_where_another_one_is_the_most_probable(
         )
     ):
         events.see_lights([light(Level.WARN, text)], float(k), 0.0)
-    assert [text[: text.index(" for")] for text in said(events)] == [
+    assert [text[: text.index(" for")] for text in reported(events)] == [
         "slip_estimator: three explanations",
         "slip_estimator: two explanations",
     ]
 
 
-def test_a_stuck_and_a_stalled_machine_are_told_in_the_words_of_the_estimator() -> None:
+def test_a_stuck_and_a_stalled_machine_are_reported_in_the_words_of_the_estimator() -> None:
     events = Events()
     texts = ("getting stuck: left at the limit of the soil", "stalled: both tracks")
     for k, text in enumerate(texts):
         events.see_lights([light(Level.WARN, text, "soil_estimator")], float(k), 0.0)
-    assert said(events) == [f"soil_estimator: {text}" for text in texts]
+    assert reported(events) == [f"soil_estimator: {text}" for text in texts]
 
 
 def test_a_node_that_falls_silent_and_comes_back() -> None:
@@ -59,14 +59,14 @@ def test_a_node_that_falls_silent_and_comes_back() -> None:
         (9.0, Level.OK, "running"),
     ):
         events.see_lights([light(level, text, "sick_pls")], at_s, 0.0)
-    assert said(events) == ["sick_pls: silent", "sick_pls: running"]
+    assert reported(events) == ["sick_pls: silent", "sick_pls: running"]
 
 
 def test_a_part_that_goes_is_well_again() -> None:
     events = Events()
     events.see_lights([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
     events.see_lights([], 1.0, 0.0)
-    assert said(events)[-1] == "record: inputs: well again"
+    assert reported(events)[-1] == "record: inputs: well again"
 
 
 def test_what_alternates_each_second_does_not_fill_the_list() -> None:
@@ -77,15 +77,15 @@ def test_what_alternates_each_second_does_not_fill_the_list() -> None:
     assert len(events.kept) == 2
 
 
-def test_the_gate_is_said_to_refuse_when_it_begins_to() -> None:
+def test_rejection_by_the_gate_is_reported_when_it_begins() -> None:
     events = Events()
     counts = [0, 0, 3, 5, 9, *[9] * 10, 10]
     for k, count in enumerate(counts):
         events.see_values({"box_pose gated": str(count), "sprockets waiting": "7"}, float(k), 0.0)
-    assert said(events) == ["gate refuses box_pose", "gate refuses box_pose"]
+    assert reported(events) == ["gate refuses box_pose", "gate refuses box_pose"]
 
 
-def test_what_was_learned_is_said_when_it_is_observed() -> None:
+def test_what_was_learned_is_reported_when_it_is_observed() -> None:
     events = Events()
     for text in (
         "not observed yet",
@@ -94,14 +94,14 @@ def test_what_was_learned_is_said_when_it_is_observed() -> None:
         "gyro reads 2.0 % low ± 0.4",
     ):
         events.see_values({"gyro scale": text}, 0.0, 0.0)
-    assert said(events) == ["learned: gyro reads 1.9 % low ± 0.5"]
+    assert reported(events) == ["learned: gyro reads 1.9 % low ± 0.5"]
 
 
 def test_a_soil_is_named_when_it_is_likely_and_when_another_is() -> None:
     events = Events()
     for sand in (0.4, 0.7, 0.8, 0.5, 0.1):
         events.see_soil({"sand": sand, "clay": 0.9 - sand}, 0.0, 0.0)
-    assert said(events) == ["soil found: sand, 70 %", "soil changed to clay, 80 %"]
+    assert reported(events) == ["soil found: sand, 70 %", "soil changed to clay, 80 %"]
     events.see_soil({}, 0.0, 0.0)
     assert len(events.kept) == 2
 
@@ -113,5 +113,5 @@ def test_memory_is_bounded_whatever_the_values_are_called() -> None:
         events.add(Level.WARN, f"news {'x' * k}", float(k), 0.0)
     assert len(events.kept) == MOST
     assert events.count == 5000
-    assert max(len(text) for text in said(events)) < 250
+    assert max(len(text) for text in reported(events)) < 250
     assert sum(len(part) for part in vars(events).values() if hasattr(part, "__len__")) < 3 * MOST + 2000

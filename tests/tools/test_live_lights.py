@@ -14,31 +14,31 @@ def lit(lights: Lights, now_s: float) -> dict[str, tuple[Level, str]]:
     return {light.name: (light.level, light.message) for light in lights.at(now_s)}
 
 
-def hear(
+def receive(
     lights: Lights, now_s: float, name: str, level: int = 0, message: str = "running", **values: str
 ) -> None:
     lights.update(statuses_of(diagnostics(name, level, message, **values)), now_s)
 
 
-def test_a_light_shows_what_its_node_said_last() -> None:
+def test_a_light_shows_the_last_report_of_its_node() -> None:
     lights = Lights()
-    hear(lights, 0.0, "sick_pls", 0)
-    hear(lights, 1.0, "sick_pls", 2, "not connected: no such file")
-    hear(lights, 1.0, "watson_imu", 3, "connected, but no data")
+    receive(lights, 0.0, "sick_pls", 0)
+    receive(lights, 1.0, "sick_pls", 2, "not connected: no such file")
+    receive(lights, 1.0, "watson_imu", 3, "connected, but no data")
     assert lit(lights, 1.1) == {
         "sick_pls": (Level.ERROR, "not connected: no such file"),
         "watson_imu": (Level.STALE, "connected, but no data"),
     }
 
 
-def test_a_node_that_says_nothing_for_longer_than_a_period_is_silent() -> None:
+def test_a_node_without_reports_for_longer_than_a_period_is_silent() -> None:
     lights = Lights()
-    hear(lights, 10.0, "can_driver")
+    receive(lights, 10.0, "can_driver")
     assert lit(lights, 10.0 + SILENT_S)["can_driver"][0] is Level.OK
     level, message = lit(lights, 10.1 + SILENT_S)["can_driver"]
     assert level is Level.SILENT
     assert "ended" in message
-    hear(lights, 20.0, "can_driver")
+    receive(lights, 20.0, "can_driver")
     assert lit(lights, 20.5)["can_driver"][0] is Level.OK
 
 
@@ -65,7 +65,7 @@ def test_a_part_that_its_node_no_longer_mentions_goes() -> None:
     message.status += diagnostics("record: inputs", 2, "several publishers of scan").status
     lights.update(statuses_of(message), 0.0)
     assert lit(lights, 0.0).keys() == {"record", "record: inputs"}
-    hear(lights, 1.0, "record")
+    receive(lights, 1.0, "record")
     assert lit(lights, 1.0).keys() == {"record"}
 
 
@@ -85,7 +85,7 @@ def test_rclpys_levels_are_bytes() -> None:
 def test_many_names_and_long_texts_stay_bounded() -> None:
     lights = Lights()
     for k in range(10 * MOST):
-        hear(lights, 0.0, f"node_{k}\x1b[2J", 99, "x" * 100_000)
+        receive(lights, 0.0, f"node_{k}\x1b[2J", 99, "x" * 100_000)
     shown = lights.at(0.0)
     assert len(shown) == MOST
     assert lights.left_out == 9 * MOST

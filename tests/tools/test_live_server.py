@@ -100,7 +100,7 @@ def test_a_page_from_elsewhere_gets_no_stream(server: PageServer, origin: str) -
 
 
 @pytest.mark.parametrize("word", ['{"command": "stop"}', "x", b"\x00" * 100])
-def test_whoever_says_something_is_shown_out(server: PageServer, word: str | bytes) -> None:
+def test_a_viewer_that_sends_is_disconnected(server: PageServer, word: str | bytes) -> None:
     async def conversation() -> None:
         page = await connected(server)
         await page.read_message()
@@ -111,7 +111,7 @@ def test_whoever_says_something_is_shown_out(server: PageServer, word: str | byt
     talk(conversation)
 
 
-def test_a_page_that_does_not_read_costs_nothing_and_later_gets_all_anew(
+def test_a_page_that_does_not_read_costs_nothing_and_later_gets_all_again(
     server: PageServer, whole: dict[str, Any]
 ) -> None:
     async def conversation() -> None:

@@ -50,7 +50,7 @@ def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_
     assert other["vehicle"] == alone["vehicle"]
 
 
-def test_the_vehicles_of_namespaces_were_said_to_be_assumed(
+def test_the_vehicles_of_namespaces_are_not_assumed(
     two_machines: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "bag"
@@ -72,7 +72,7 @@ def test_the_vehicles_of_namespaces_were_said_to_be_assumed(
     assert "vehicle   excavator_20t\n" in capsys.readouterr().out
 
 
-def test_a_replay_without_the_namespace_says_which_there_are(
+def test_a_replay_without_the_namespace_names_those_there_are(
     two_machines: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", str(two_machines)]) == ExitCode.BAD_INPUT

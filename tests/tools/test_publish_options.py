@@ -33,7 +33,7 @@ def test_a_bad_option_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize(("node", "words"), [("player", "replay BAG --publish"), ("record", "record")])
-def test_without_ros_it_says_so(
+def test_without_ros_the_command_names_it(
     bag: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch, node: str, words: str
 ) -> None:
     monkeypatch.setitem(sys.modules, f"trackslip_bags.nodes.{node}", None)

@@ -166,7 +166,7 @@ def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run) -> No
 # Tables and page
 
 
-def test_a_comparison_tells_parameters_apart(
+def test_a_comparison_shows_the_parameters_that_differ(
     emulated_bag: Path, run: Run, run_over: Callable[..., Run]
 ) -> None:
     other = run_over(emulated_bag, "other", gate_probability=0.9)

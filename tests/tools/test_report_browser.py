@@ -63,21 +63,21 @@ def hostile(recording: Recording) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def heard() -> list[str]:
+def complaints_of_browser() -> list[str]:
     """What the pages complain about that several tests use."""
     return []
 
 
 @pytest.fixture
-def complaints(heard: list[str]) -> Iterator[list[str]]:
-    """That and what a page of the test's own complains about; nobody hears it twice."""
-    yield heard
-    heard.clear()
+def complaints(complaints_of_browser: list[str]) -> Iterator[list[str]]:
+    """That, and the complaints of the page of a test; each is stated once."""
+    yield complaints_of_browser
+    complaints_of_browser.clear()
 
 
 @pytest.fixture(scope="module")
-def open_shared(browser: Any, heard: list[str]) -> Iterator[OpenPage]:
-    with pages_of(browser, heard) as opens:
+def open_shared(browser: Any, complaints_of_browser: list[str]) -> Iterator[OpenPage]:
+    with pages_of(browser, complaints_of_browser) as opens:
         yield opens
 
 

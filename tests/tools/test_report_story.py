@@ -223,7 +223,7 @@ def test_a_bag_with_diagnostics_shows_its_lights(tmp_path: Path) -> None:
     assert recording.events == [Event(1, 0.0, Level.WARN, "sick_pls: <b>cold</b>")]
 
 
-def test_where_messages_are_missing_the_strip_says_so(emulated_run: Run) -> None:
+def test_the_strip_shows_where_messages_are_missing(emulated_run: Run) -> None:
     (strip,) = message_strips([emulated_run])
     assert list(strip.rows) == list(emulated_run.recording.timings)
     assert {bar.look.word for bar in strip.rows["sprockets"]} == {"messages"}
@@ -262,9 +262,7 @@ def test_runs_over_one_bag_keep_its_times(emulated_run: Run) -> None:
         (("b", "a/b"), ("b", "a/b")),
     ],
 )
-def test_a_bag_is_named_by_what_tells_it_from_the_others(
-    paths: tuple[str, ...], names: tuple[str, ...]
-) -> None:
+def test_a_bag_is_named_by_what_distinguishes_it(paths: tuple[str, ...], names: tuple[str, ...]) -> None:
     found = distinct([Path(path) for path in paths])
     assert tuple(found[Path(path)] for path in paths) == names
 

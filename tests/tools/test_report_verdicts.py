@@ -145,7 +145,7 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
         ),
     ],
 )
-def test_what_is_wrong_is_said(run: Run, name: str, change: Callable[[Run], Run], words: str) -> None:
+def test_what_is_wrong_is_stated(run: Run, name: str, change: Callable[[Run], Run], words: str) -> None:
     found = verdicts(change(run), load_limits())[name]
     assert found.state is State.ATTENTION
     assert re.search(words, found.words), found.words
@@ -169,7 +169,7 @@ def test_rejections_are_shares_of_their_source(run: Run) -> None:
     assert "sprockets" not in found.value  # waiting for the first fix is no fault
 
 
-def test_every_measurement_was_used_is_said_only_where_it_is_so(run: Run) -> None:
+def test_every_measurement_was_used_is_stated_only_where_it_is_so(run: Run) -> None:
     def words(of: Run) -> str:
         return verdicts(of, load_limits())["Rejections"].words
 

@@ -123,7 +123,7 @@ def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path:
     assert not deaf.live.matches
 
 
-def test_seeds_that_nobody_asked_for_change_nothing(seeded: Path, bag: Path) -> None:
+def test_unrequested_seeds_change_nothing(seeded: Path, bag: Path) -> None:
     deaf, without = replayed(seeded), replayed(bag)
     assert numbers(deaf) == numbers(without)
     assert numbers(replayed(seeded, **SOURCE)) != numbers(without)

@@ -94,7 +94,7 @@ def test_replay_gives_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
     assert np.isfinite(live["swing_variance"]).all() == (vehicle == "pc05_cab")
 
 
-def test_withheld_hydraulics_are_told_and_a_bag_without_them_has_no_soil(
+def test_withheld_hydraulics_are_reported_and_a_bag_without_them_has_no_soil(
     emulated_bag: Path, bag: Path, tmp_path: Path
 ) -> None:
     blind = summary_of(emulated_bag, tmp_path, "--withhold", "hydraulics:20:40", "--stop", "45")["soil"]

@@ -3,7 +3,7 @@
 """From the drivers' records to messages, built through ``make`` from type name and fields.
 
 ``make`` makes rclpy messages in the nodes, and a bag's own where no ROS runs. A driver makes each message
-once, blank, and fills it anew for each sample: to make one takes ten times as long.
+once, blank, and fills it again for each sample: to make one takes ten times as long.
 """
 
 import array

@@ -86,7 +86,7 @@ class SenderClock:
 
     s_k = min(r_k, s_{k−1} + (u_k − u_{k−1}) (1 + ρ)): n_k P is what the sender's clock says. That clock need
     not be right, nor know the date: only differences of its time of day count, so that midnight, a wrong week
-    and a wrong year change nothing. Where it goes back (a leap second, another fix of it) all begins anew;
+    and a wrong year change nothing. Where it goes back (a leap second, another fix of it) all restarts;
     where it goes ahead, r_k is the smaller. A backlog that arrives at once keeps the times at which it was
     measured.
 
@@ -192,7 +192,7 @@ class HostTime:
     """The host's clock against the steady one. It may be set while we run.
 
     A step forward is followed. A step backward is not: stamps stay ahead of the host's clock by ``lead_ns``,
-    until it has been set forward again or the driver is activated anew. Slewing is followed.
+    until it has been set forward again or the driver is activated again. Slewing is followed.
     """
 
     offset_ns: int  # host's clock less steady clock, at the last look

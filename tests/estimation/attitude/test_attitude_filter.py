@@ -109,7 +109,7 @@ def test_a_bias_is_within_what_is_stated() -> None:
     assert off < 2.0 * spread(attitude, PITCH)
 
 
-def test_turns_tell_a_bias_from_a_tilt() -> None:
+def test_turns_separate_a_bias_from_a_tilt() -> None:
     """The ground does not turn along."""
     seconds = 60.0
     t = np.arange(round(seconds * 100)) * 0.01
@@ -194,7 +194,7 @@ def test_no_imu_no_words() -> None:
     assert attitude_text(np.zeros(1, ATTITUDE)[0], None).startswith("flat: no IMU")
 
 
-def test_a_tilted_mounting_is_told_after_turns() -> None:
+def test_a_tilted_mounting_is_observable_after_turns() -> None:
     seconds = 90.0
     t = np.arange(round(seconds * 100)) * 0.01
     ride = Ride(seconds, yaw_rate=np.where(t > 5.0, 0.3, 0.0))
@@ -223,7 +223,7 @@ def test_samples_of_a_span_count_as_their_mean() -> None:
 
 @pytest.mark.parametrize("rate", [12.0, 50.0])
 def test_a_message_without_acceleration_between_two_that_have_one(rate: float) -> None:
-    """It neither begins the span anew nor shortens it."""
+    """It neither restarts the span nor shortens it."""
     every = round(100.0 / rate)
     samples = Ride(30.0, pitch=0.1).samples()[::every]
     samples["force"][1::2] = np.nan

@@ -49,7 +49,7 @@ def test_ray_cast_face_on():
     assert outline[0] == pytest.approx([-corner, corner])
 
 
-def test_ray_cast_meets_points_on_the_outline_of_the_rectangle():
+def test_rays_end_on_the_outline_of_the_rectangle():
     random = np.random.default_rng(2)
     for _ in range(50):
         x, y, heading = random.uniform([2.0, -5.0, -3.1], [9.0, 5.0, 3.1])

@@ -42,7 +42,7 @@ def listened(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
     return heard, weights, headings
 
 
-def test_heading_predicted_well_leaves_no_doubt():
+def test_heading_predicted_well_leaves_no_ambiguity():
     assert prior(QUARTERS, np.full(4, 0.1**2), CERTAIN) == pytest.approx(CERTAIN, abs=1e-6)
     assert sides_are_known(0.3, 0.1**2, CERTAIN)
     assert not sides_are_known(0.3, 0.5**2, CERTAIN)
@@ -67,7 +67,7 @@ OPEN = Headings(np.array([0.5, 0.2, 0.2, 0.1]), SideEvidence())
 
 
 @pytest.mark.parametrize("scans", [1, 5])
-def test_sides_are_not_settled_within_a_second_however_sure_the_scans_are(scans):
+def test_sides_are_not_settled_within_a_second_however_accurate_the_scans_are(scans):
     _, weights, headings = listened(OPEN, -50.0, scans, moved=0.2)
     assert headings.weights[1] > 0.1
     assert weights[1] > NEGLIGIBLE
@@ -97,7 +97,7 @@ def test_absence_forgets_the_evidence():
     assert lost.evidence.log_odds == 0.0
 
 
-def test_a_place_that_was_95_percent_sure_was_stated_as_if_it_were_certain():
+def test_an_ambiguous_place_is_not_stated_as_certain():
     """A laser 15 m away had taken the wrong quarter for 17 s: the place was five standard deviations off."""
     weights = np.array([0.95, 0.05, 0.0, 0.0])
     pose, covariance = mixed(modes(), weights, elapsed=0.25)

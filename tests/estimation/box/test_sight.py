@@ -72,7 +72,7 @@ def test_the_box_stays_in_sight(name: str, soil: str) -> None:
     assert clearance(truth, EMULATOR.site) >= CLEARANCE
 
 
-def test_the_field_trial_is_what_it_says() -> None:
+def test_the_field_trial_is_as_described() -> None:
     segments = load_scenario("field_trial").segments
     duration = sum(s.duration for s in segments)
 

@@ -236,7 +236,7 @@ def test_what_is_known_keeps_mean_and_variance_and_the_rest_is_corrected_given_i
 
 
 @pytest.mark.parametrize("known", [1 << 2 | 1 << 4, 0])
-def test_what_is_known_for_sure_and_what_is_not_are_no_special_cases(known: int) -> None:
+def test_zero_variances_are_no_special_case(known: int) -> None:
     rng = np.random.default_rng(7)
     P, H, R = spd(rng, 6), rng.normal(size=(1, 6)), np.array(((0.01,),))
     if known:

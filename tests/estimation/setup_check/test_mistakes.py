@@ -95,7 +95,7 @@ def test_remedy_of_a_heading_source_is_its_convention_or_sign(
     assert f"slip_estimator.sources.heading.{remedy}" in cause.remedy
 
 
-def test_a_machine_that_stands_is_told_what_to_drive() -> None:
+def test_a_standstill_names_the_motion_that_is_needed() -> None:
     log = make_drive()
     still = log.with_tracks(0.0 * log.tracks.angles[:2, :2])
     result = check(still)

@@ -94,7 +94,7 @@ def test_gaussian_fixes_as_good_as_they_state_are_not_found_better() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
-def test_fixes_of_a_stand_tell_together_what_the_common_part_leaves(share: float) -> None:
+def test_fixes_at_standstill_together_observe_what_the_common_part_leaves(share: float) -> None:
     for count in (1, 2, 10, 500):
         told = sum(1.0 / repeats_stand(k, share) for k in range(1, count + 1))
         assert 1.0 / told == pytest.approx(share + (1.0 - share) / count)
@@ -117,7 +117,7 @@ def test_the_scale_of_the_gyro_is_found(scale: float) -> None:
     assert abs(1.0 + state["mean"][GYRO_SCALE] - scale) < 3.0 * deviation
 
 
-def test_yaw_rates_alone_do_not_teach_the_scale_of_the_gyro() -> None:
+def test_yaw_rates_alone_do_not_correct_the_scale_of_the_gyro() -> None:
     """κ and ε explain the same: what cannot be seen stays at its prior."""
     recorded = drive(Machine(gyro_scale=0.97)).measurements
     first = next(k for k, m in enumerate(recorded) if isinstance(m, PoseFix))
@@ -142,7 +142,7 @@ def test_what_was_found_is_the_same_however_late_the_fixes_come() -> None:
     assert last[0].tobytes() == last[1].tobytes()
 
 
-def test_one_wild_yaw_rate_says_little_of_the_noise() -> None:
+def test_one_wild_yaw_rate_hardly_changes_the_noise() -> None:
     calm = drive(Machine()).measurements
     k = next(k for k, m in enumerate(calm) if isinstance(m, YawRate) and m.stamp_ns > 40 * 10**9)
     wild = [*calm]

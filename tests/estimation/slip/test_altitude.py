@@ -94,7 +94,7 @@ def refused(reports: list[Report]) -> list[AttitudeRefusal]:
     return [report.attitude for report in reports if report.attitude is not None]
 
 
-def test_height_was_an_integral_whatever_the_receiver_said() -> None:
+def test_height_follows_the_receiver() -> None:
     """It was 0 at the start, and 0.3 m too high 38 m later, with a receiver that knows it to 2 cm."""
     estimates, reports = run(drive())
     tilted = [e for e in estimates if e.stamp_ns > S]
@@ -149,7 +149,7 @@ def test_one_wrong_altitude_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("step", [-2.0, 0.6])
-def test_altitudes_that_insist_are_believed(step: float) -> None:
+def test_persistent_altitudes_are_accepted(step: float) -> None:
     """A base that was moved: refused for three timeouts, then followed."""
     estimates, reports = run(drive(lambda t, z: (z + step if t >= 50.0 else z, STDDEV**2)))
     assert len(refused(reports)) == 6
@@ -158,7 +158,7 @@ def test_altitudes_that_insist_are_believed(step: float) -> None:
     assert max(abs(height(e)[0] - true_height(e) - step) for e in after) < 0.1
 
 
-def test_altitudes_that_do_not_agree_are_never_believed() -> None:
+def test_altitudes_that_do_not_agree_are_never_accepted() -> None:
     sign = {False: -1.0, True: 1.0}
     wild, reports = run(
         drive(lambda t, z: (z + sign[round(2 * t) % 2 == 0] * 3.0, STDDEV**2) if t > 50.0 else (z, STDDEV**2))
@@ -174,7 +174,7 @@ def test_altitudes_without_a_variance_are_counted(variance: float) -> None:
     assert height(estimates[-1])[1] > 100.0
 
 
-def test_an_unknown_height_is_said_to_be_so() -> None:
+def test_an_unknown_height_is_reported_as_unknown() -> None:
     own = SlipEstimator(load_slip_parameters(WANTED))
     own.process_all(drive(lambda *_: (0.0, UNOBSERVED), seconds=10.0))
     assert "height unknown until a fix has an altitude" in own.attitude

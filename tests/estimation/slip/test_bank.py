@@ -82,7 +82,7 @@ def test_frozen_fixes_are_found_by_their_bits() -> None:
     assert Event.REPEATS in events(estimator)
 
 
-def test_explanation_of_frozen_fixes_says_since_when() -> None:
+def test_explanation_of_frozen_fixes_states_since_when() -> None:
     recording = drive(Machine(duration=26.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     last = [np.zeros(3)]
 

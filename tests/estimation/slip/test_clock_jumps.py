@@ -77,7 +77,7 @@ def test_a_clock_set_back_by_less_than_the_window_is_seen(found: list[Measuremen
     assert same(published[-len(fresh) :], fresh)
 
 
-def test_a_burst_of_late_samples_is_no_other_clock(found: list[Measurement]) -> None:
+def test_a_late_burst_is_no_other_clock(found: list[Measurement]) -> None:
     """A stalled link: the sprockets of a second and a half come after those that follow them."""
     stalled = [m for m in found if isinstance(m, Sprockets) and 4 * S < m.stamp_ns < 5.5 * S]
     prompt = [m for m in found if m not in stalled]

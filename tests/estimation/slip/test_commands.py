@@ -58,7 +58,7 @@ def after(found: list[Measurement], seconds: float) -> list[Measurement]:
     return [m for m in found if m.stamp_ns > seconds * S]
 
 
-def test_reset_begins_anew(found: list[Measurement]) -> None:
+def test_reset_restarts_the_estimate(found: list[Measurement]) -> None:
     estimator = running(found)
     fresh = SlipEstimator(load_slip_parameters(), learned=estimator.learned)  # which a reset keeps
     assert estimator.process(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
@@ -212,7 +212,7 @@ def test_the_mean_innovation_is_stated_with_its_bounds() -> None:
 
 
 @pytest.mark.parametrize("name", [RESET, FREEZE, UNFREEZE, RELOAD])
-def test_commands_have_no_time_and_say_nothing_of_silence(name: str) -> None:
+def test_commands_are_no_source_of_measurements(name: str) -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": S})
     watch.add(Report(name, 0, Outcome.ACCEPTED))
     assert watch.lost(EPOCH_NS) == {}  # nothing is due before the start

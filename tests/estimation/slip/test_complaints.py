@@ -94,7 +94,7 @@ def test_complaint_3_the_gate_is_a_probability_and_lets_the_filter_recover(log: 
 
 
 def test_complaint_4_bag_loop_and_clock_jump(log: Log) -> None:
-    """The log twice over: begun anew once, and as good the second time."""
+    """The log twice over: restarted once, and as good the second time."""
     outcomes, published, estimator = run([*log.measurements, *log.measurements])
     assert estimator.restarts == outcomes.count(Outcome.RESTARTED) == 1
     back = int(np.argmin(np.diff([e.stamp_ns for e in published]))) + 1

@@ -66,15 +66,15 @@ def test_position_is_never_much_worse_than_the_fixes_and_claims_no_less_than_is_
     """``walk``: error of dead reckoning in a period, m. It was 4.3 times the fixes' for 0.03 m."""
     rng = np.random.default_rng(1)
     kept, runs = math.exp(-PERIOD / LASTS), 400
-    lasting, error, P = SIGMA * rng.normal(size=runs), np.zeros(runs), SIGMA**2
-    error = lasting.copy()
+    slow, error, P = SIGMA * rng.normal(size=runs), np.zeros(runs), SIGMA**2
+    error = slow.copy()
     squares, claimed = [], []
     for k in range(1500):
-        lasting = kept * lasting + math.sqrt(1.0 - kept * kept) * SIGMA * rng.normal(size=runs)
+        slow = kept * slow + math.sqrt(1.0 - kept * kept) * SIGMA * rng.normal(size=runs)
         error, P = error + walk * rng.normal(size=runs), P + walk * walk
         R = min(repeats(round(PERIOD * 1e9), LASTS), cap(P, SIGMA**2)) * SIGMA**2
         K = P / (P + R)
-        error, P = error + K * (lasting - error), (1.0 - K) * P
+        error, P = error + K * (slow - error), (1.0 - K) * P
         if k > 500:
             squares.append(np.mean(error**2))
             claimed.append(P)
@@ -181,17 +181,17 @@ def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> Non
     np.testing.assert_allclose(state["covariance"], F @ P @ F.T + Q, atol=1e-12)
 
 
-@pytest.mark.parametrize(("lasting", "least", "most"), [(0.0, 0.0, 0.0), (0.5, 0.3, 0.7), (0.9, 0.7, 0.9)])
-def test_what_precise_fixes_do_not_jitter_by_lasts(lasting: float, least: float, most: float) -> None:
+@pytest.mark.parametrize(("correlated", "least", "most"), [(0.0, 0.0, 0.0), (0.5, 0.3, 0.7), (0.9, 0.7, 0.9)])
+def test_what_precise_fixes_do_not_jitter_by_lasts(correlated: float, least: float, most: float) -> None:
     """Ten a second of 1 cm, of which a part lasts for 5 s: of a driving machine, whatever its way errs by."""
     rng, offset, t = (
         np.random.default_rng(3),
         given_offset(made_up(), 0.0)["offsets"][0],
         np.arange(0.0, 30.0, 0.1),
     )
-    slow = math.sqrt(lasting) * gauss_markov(t, 0.01, 5.0, rng)
+    slow = math.sqrt(correlated) * gauss_markov(t, 0.01, 5.0, rng)
     way = np.column_stack((0.5 * t, 0.1 * t))
-    fixes = way + slow + math.sqrt(1.0 - lasting) * 0.01 * rng.normal(size=(t.size, 2))
+    fixes = way + slow + math.sqrt(1.0 - correlated) * 0.01 * rng.normal(size=(t.size, 2))
     for fix, driven in zip(fixes, 1.01 * way, strict=True):
         learn_jitter(offset, fix, driven, 0.1, 1e-4, C)
     assert least <= correlated_share(offset, C) <= most
@@ -250,7 +250,7 @@ def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: floa
 
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 50), st.integers(0, 1000))
-def test_any_order_of_arrival_teaches_the_same(seed: int, order: int) -> None:
+def test_any_order_of_arrival_gives_the_same_estimate(seed: int, order: int) -> None:
     random = np.random.default_rng(order)
     recording = drive(Machine(duration=20.0, fix_noise=2.0, fix_stated=0.9, seed=seed))
     begin = next(k for k, m in enumerate(recording.measurements) if isinstance(m, PoseFix)) + 1

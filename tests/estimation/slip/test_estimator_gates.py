@@ -46,7 +46,7 @@ def test_a_spike_is_gated_and_leaves_no_trace(drive: Callable[..., Any], thesis_
 
 @pytest.mark.parametrize("model", ["turning", "free_slips"])
 @pytest.mark.parametrize("jump", [1.0, -5.0, 50.0])
-def test_a_lasting_jump_of_the_box_is_a_moved_machine_after_some_seconds(
+def test_a_persistent_jump_of_the_box_is_a_moved_machine_after_some_seconds(
     drive: Callable[..., Any], model: str, jump: float, thesis_run: Run
 ) -> None:
     """Until then the source is off. The covariance spans both explanations; the learned slip stays."""
@@ -91,7 +91,7 @@ def test_one_wrong_reading_after_an_outage_is_refused(drive: Callable[..., Any],
         assert abs(e.pose[2] - driven.truth[e.stamp_ns][2]) < 0.06
 
 
-def test_a_gyro_that_insists_has_another_bias(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_a_gyro_rejected_for_long_has_another_bias(drive: Callable[..., Any], thesis_run: Run) -> None:
     """A step of 0.3 rad/s: refused for the timeout and a little more, then learned in one go."""
     driven = drive([(20.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     stepped = [

@@ -32,7 +32,7 @@ def test_explanations_that_compete_are_listed_with_their_probabilities() -> None
     assert Explained(10 * S, (OFF, MOVED)).text == text
 
 
-def test_one_explanation_says_since_when() -> None:
+def test_one_explanation_states_since_when() -> None:
     assert Explained(10 * S, (OFF,)).text == "gnss_pose is 1.0 m off, for 2.0 s"
     assert Explained(10 * S, (MOVED,)).text == "the machine was moved, 2.0 s ago"
 
@@ -44,7 +44,7 @@ def test_three_explanations_are_named_and_the_others_summed() -> None:
     assert sentence(many, 1.0) == "five explanations for 1.0 s: a (50 %), b (20 %), c (15 %), others (15 %)"
 
 
-def test_doubt_of_a_few_percent_is_not_stated() -> None:
+def test_alternatives_of_a_few_percent_are_not_stated() -> None:
     assert Explained(10 * S, (CALM._replace(probability=0.95), OFF._replace(probability=0.05))).competing == 0
     assert Explained(10 * S, (CALM._replace(probability=0.6), OFF._replace(probability=0.4))).competing == 2
     assert Explained(10 * S, ()).text == ""

@@ -257,7 +257,7 @@ def test_one_stamp_an_hour_ahead(log: Log) -> None:
 
 @pytest.mark.parametrize("jump_s", [-3600, -3, 3600])
 def test_clock_jump(log: Log, jump_s: int) -> None:
-    """The computer's clock is set in the midst: back → begun anew with the next fix; forward → goes on."""
+    """The computer's clock is set in the midst: back → restarted with the next fix; forward → goes on."""
     begin = next(k for k, m in enumerate(log.measurements) if seconds_of(log, m) > BEGIN)
     base = [replace(m, stamp_ns=m.stamp_ns + 7200 * S) for m in log.measurements]
     given = [*base[:begin], *(replace(m, stamp_ns=m.stamp_ns + jump_s * S) for m in base[begin:])]
@@ -272,7 +272,7 @@ def test_clock_jump(log: Log, jump_s: int) -> None:
 
 
 def test_small_step_of_the_clock(log: Log) -> None:
-    """Back by 0.5 s, within the window: positions contradict what was there, and all begins anew."""
+    """Back by 0.5 s, within the window: positions contradict what was there, and all restarts."""
     begin = next(k for k, m in enumerate(log.measurements) if seconds_of(log, m) > BEGIN)
     given = [
         replace(m, stamp_ns=m.stamp_ns - S // 2) if k >= begin else m for k, m in enumerate(log.measurements)

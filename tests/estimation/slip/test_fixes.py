@@ -35,7 +35,7 @@ def test_the_delay_of_fixes_shows_while_speeds_change(late: float) -> None:
     assert np.mean(nees[500:]) < 2.5
 
 
-def test_a_start_teaches_nothing_of_the_delay() -> None:
+def test_a_start_does_not_correct_the_delay() -> None:
     """The tracks run on the spot for a centimetre or two first: that looks like one."""
     found, stddevs, _ = delays(Machine(duration=1.2, fix_rate=RATE))
     assert found[-1] == pytest.approx(0.0, abs=1e-6)

@@ -88,7 +88,7 @@ def errors(poses: np.ndarray, truth: Recording) -> np.ndarray:
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("angle", [0.0, 2.0, math.pi])
-def test_start_heading_is_what_the_source_says(angle: float, filter_: str) -> None:
+def test_start_heading_is_that_of_the_source(angle: float, filter_: str) -> None:
     truth, measurements = seen(Machine(duration=20.0, seed=2), angle)
     poses, covariances, outcomes = run(measurements, with_headings(filter=filter_))
     found = errors(poses, truth)
@@ -112,7 +112,7 @@ def test_heading_is_better_with_the_source_than_without() -> None:
     assert np.std(with_source[late, 2]) < 0.5 * np.std(without[late, 2])
 
 
-def test_spike_is_refused_and_what_insists_is_believed() -> None:
+def test_a_spike_is_rejected_and_a_persistent_heading_is_accepted() -> None:
     truth, measurements = seen(Machine(duration=60.0, seed=3))
     headings = [k for k, m in enumerate(measurements) if isinstance(m, HeadingFix)]
     spoilt = [*measurements]
@@ -224,7 +224,7 @@ def test_source_of_an_unknown_kind_of_message_is_refused() -> None:
 
 
 @given(st.floats(0.001, 100.0), st.floats(0.001, 100.0))
-def test_lasting_errors_count_as_their_mean_varies(elapsed: float, time: float) -> None:
+def test_time_correlated_errors_count_as_their_mean_varies(elapsed: float, time: float) -> None:
     """The variance of a mean of many readings of a first-order process, over that of as many white ones."""
     rho = math.exp(-elapsed / time)
     if rho < 1.0 - 1e-9:

@@ -146,7 +146,7 @@ def test_a_reset_keeps_what_was_learned_and_forget_does_not(driven: list[Measure
 
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
-def test_every_model_learns_and_tells(model: str, driven: list[Measurement]) -> None:
+def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -> None:
     p = parameters(model=model)
     of, estimator = meaning(p), SlipEstimator(p)
     estimator.process_all(driven)
@@ -214,7 +214,7 @@ def test_what_moved_far_from_its_prior_was_observed_however_wide_it_is() -> None
     assert named(spinning)["common_slip"].observed
 
 
-def test_what_was_observed_is_said_in_plain_words(learned: Learned) -> None:
+def test_what_was_observed_is_stated_in_plain_words(learned: Learned) -> None:
     found = named(learned)
     gyro = found["gyro_scale"]
     assert gyro.observed

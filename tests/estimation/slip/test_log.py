@@ -159,7 +159,7 @@ def test_blocks_of_any_size_give_the_same_bits(
     assert_same_bits(run.updates, whole.updates[1 : whole.count])
 
 
-def test_a_sprocket_sample_says_no_more_than_it_drove(drive: Callable[..., Any]) -> None:
+def test_a_sprocket_sample_only_propagates(drive: Callable[..., Any]) -> None:
     p = parameters()
     log = log_of(measurements(drive), p)
     run = ran(log, p, script_of(log, p))

@@ -143,7 +143,7 @@ def test_variance_below_what_any_sensor_has_counts_as_the_least(variance: float)
 
 @pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
 @pytest.mark.parametrize("field", ["mean", "covariance"])
-def test_estimate_that_is_not_finite_begins_again_and_says_so(field: str, start: str) -> None:
+def test_estimate_that_is_not_finite_restarts_and_reports_it(field: str, start: str) -> None:
     estimator = standing(S, start=start)
     watch = SourceWatch(estimator.parameters.timeouts_ns())
     estimator.window.best[field][: estimator.window.count] = np.nan

@@ -128,7 +128,7 @@ def test_order_of_arrival_does_not_matter() -> None:
     np.testing.assert_array_equal(ends[0].pose_covariance, ends[1].pose_covariance)
 
 
-def test_gap_and_other_frame_begin_anew_and_a_jump_is_refused_once() -> None:
+def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
     recorded = drive(Machine(duration=20.0))
     odometry = seen(recorded)
     stamps = [m.stamp_ns for m in odometry]

@@ -119,7 +119,7 @@ def test_a_good_orientation_holds_against_biased_accelerometers() -> None:
     assert errors @ np.linalg.solve(with_it.outputs.tilt.covariance[:2, :2], errors) < 9.2  # χ² of two, 99 %
 
 
-def test_it_alone_tells_the_attitude() -> None:
+def test_orientation_alone_gives_the_attitude() -> None:
     alone, own, _ = run(drive(), **WANTED, **{f"{GROUP}use_acceleration": False})
     assert off(alone) < 0.3
     assert "roll -6." in own.attitude

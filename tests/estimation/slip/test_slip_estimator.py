@@ -105,7 +105,7 @@ def turning_drive(drive: Callable[..., Any], **options: Any) -> Any:
     return drive([(t, a, b, *turning_slips(a, b, 0.45, 0.4, 0.01), 0.0) for t, a, b in legs], **options)
 
 
-def test_what_turns_taught_holds_in_the_next_one(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_what_a_turn_corrected_holds_in_the_next_one(drive: Callable[..., Any], thesis_run: Run) -> None:
     """Sub-model 1b: fixes and gyro are lost before the last turn, and its slips are right all the same."""
     driven = turning_drive(drive)
     found = [m for m in driven.measurements if isinstance(m, Sprockets) or m.stamp_ns < 26 * S]
@@ -183,7 +183,7 @@ def test_a_given_start_is_the_first_estimate(thesis_parameters: Make) -> None:
     np.testing.assert_allclose(np.diag(estimate.pose_covariance), (0.0009, 0.0009, 0.01))
 
 
-def test_positions_alone_drive_it_whatever_the_speeds_say(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_positions_alone_drive_it_whatever_the_speeds_are(drive: Callable[..., Any], thesis_run: Run) -> None:
     found = drive([(3.0, 2.0, 2.0, 0.0, 0.0, 0.0)], fix_every=10**9).measurements
     lying = [replace(m, left_speed=7.0, right_speed=-3.0) if isinstance(m, Sprockets) else m for m in found]
     last = thesis_run([m for m in lying if not isinstance(m, PoseFix)]).estimates[-1]

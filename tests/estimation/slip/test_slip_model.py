@@ -317,7 +317,7 @@ def test_the_jump_hypothesis_switches_the_noise(motion: MotionState, slip: float
     np.testing.assert_allclose(walk(motion), (NOISE["gyro_bias"], slip, slip, angle, *np.zeros(SIZE - 7)))
 
 
-def test_a_start_knows_its_pose_and_doubts_the_rest() -> None:
+def test_a_start_has_its_pose_and_wide_priors_of_the_rest() -> None:
     pose, R = np.array((1.0, 2.0, 3.0)), np.array(((4.0, 1.0, 0.5), (1.0, 5.0, 0.2), (0.5, 0.2, 6.0)))
     mean, P = start_of(CONFIG, pose, R)
     np.testing.assert_array_equal(mean, (1.0, 2.0, 3.0, *np.zeros(SIZE - 3)))

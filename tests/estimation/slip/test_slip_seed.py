@@ -139,7 +139,7 @@ def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
             assert after.slips[:2].mean() > 0.2
 
 
-def test_nobody_listens_unless_asked(drive: Callable[..., Any]) -> None:
+def test_seeds_are_ignored_unless_requested(drive: Callable[..., Any]) -> None:
     p = load_slip_parameters()
     assert p.slip_sources == ("",)
     assert "slip_seed" not in p.timeouts_ns()

@@ -187,7 +187,7 @@ def test_without_accelerations_all_is_as_on_flat_ground() -> None:
     np.testing.assert_array_equal(flat.outputs.twist, off.outputs.horizontal)
 
 
-def test_the_first_imu_that_may_tells_the_tilt() -> None:
+def test_the_first_imu_that_may_gives_the_tilt() -> None:
     both = {"yaw_rate_sources": ["one", "two"], "sources.one.use_acceleration": False}
     assert load_slip_parameters(both).tilt_source == "two"
     assert load_slip_parameters({**both, "sources.two.use_acceleration": False}).tilt_source is None
@@ -243,7 +243,7 @@ def slide(seconds: float = 25.0) -> list[Measurement]:
     return found
 
 
-def test_a_slide_turned_a_machine_whose_compass_said_no() -> None:
+def test_a_slide_keeps_the_heading_of_the_compass() -> None:
     """Fixes that went sideways while its tracks ran turned it by 90°; then its headings were refused."""
     own = estimator(heading_sources=["heading"], sources__box_pose__use_heading=False)
     reports = [report for report, _ in own.process_all(slide())]

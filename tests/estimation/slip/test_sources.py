@@ -177,7 +177,7 @@ def test_a_gyro_upside_down_is_turned_over(drive: Callable[..., Any]) -> None:
     assert Outcome.GATED not in outcomes
 
 
-def test_nobody_is_believed_better_than_the_floors() -> None:
+def test_no_variance_is_below_the_floors() -> None:
     tiny = PoseFix("box_pose", S, np.zeros(3), np.diag((1e-12, 1e-12, 1e-12)))
     estimator = SlipEstimator(
         load_slip_parameters(
@@ -251,7 +251,7 @@ def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -
             assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
-def test_a_doubtful_heading_is_not_a_measurement() -> None:
+def test_an_uncertain_heading_is_not_a_measurement() -> None:
     """The box may be seen the wrong way round; then its localizer says that it is in doubt."""
     c = config_of(FLOORS)[0]
     fixes = [
@@ -263,7 +263,7 @@ def test_a_doubtful_heading_is_not_a_measurement() -> None:
     assert [len(observe(np.zeros(1, STATE)[0], record, c).innovation) for record in records] == [3, 3, 2, 2]
 
 
-def test_what_is_said_of_a_source_that_another_layer_takes_away_is_no_mistake() -> None:
+def test_settings_of_a_source_that_another_layer_removes_are_accepted() -> None:
     told = {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}
     p = load_slip_parameters(told)
     assert list(p.sources) == ["rtk", "imu_data_raw"]
@@ -272,12 +272,12 @@ def test_what_is_said_of_a_source_that_another_layer_takes_away_is_no_mistake() 
     assert list(p.changed({"pose_sources": ["box_pose"]}).sources) == ["box_pose", "imu_data_raw"]
 
 
-def test_the_box_is_stamped_better_than_a_source_that_nobody_knows() -> None:
+def test_the_box_is_stamped_better_than_an_unknown_source() -> None:
     assert load_slip_parameters().poses()["box_pose"].stamp_error == 0.003
     assert load_slip_parameters({"pose_sources": ["fix"]}).poses()["fix"].stamp_error == 0.03
 
 
-def test_the_antenna_is_where_the_vehicle_has_it_unless_the_source_says_otherwise() -> None:
+def test_the_antenna_is_where_the_vehicle_has_it_unless_the_source_states_otherwise() -> None:
     given = {"vehicle": "excavator_20t", "pose_sources": ["box_pose", "gnss_pose"]}
     p = load_slip_parameters(given)
     assert p.vehicle.sensors is not None

@@ -132,7 +132,7 @@ def test_slips_of_a_track_that_stands_are_the_common_slip(model: str) -> None:
 
 
 @both
-def test_a_track_that_stands_was_said_to_roll_with_the_machine(model: str) -> None:
+def test_a_standing_track_does_not_roll_with_the_machine(model: str) -> None:
     """Its slip was the common one whatever dragged it: to the soil estimator that is a track that drives."""
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     x = np.zeros(SIZE)
@@ -165,7 +165,7 @@ def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
 
 
 @given(speeds, speeds, st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.floats(-0.1, 0.1))
-def test_the_turning_equations_hold_where_they_say(
+def test_the_turning_equations_hold_where_stated(
     left: float, right: float, kappa: float, eta: float, common: float
 ) -> None:
     """v = (1 − i₀) V − η s, ω = κ D/B; the mirrored turn mirrored, the one in reverse reversed."""
@@ -183,7 +183,7 @@ def test_the_turning_equations_hold_where_they_say(
 
 
 @given(speeds, speeds, st.floats(0.2, 2.0), st.floats(-2.0, -0.2), st.floats(-0.1, 0.1))
-def test_the_icr_equations_hold_where_they_say(
+def test_the_icr_equations_hold_where_stated(
     left: float, right: float, y_left: float, y_right: float, common: float
 ) -> None:
     """r ω_j (1 − i₀) = v − ω y_j solved for v and ω."""
@@ -282,7 +282,7 @@ def test_what_shows_in_turns_only_changes_in_turns_only(
 
 
 @both
-def test_a_start_knows_its_pose_and_doubts_the_rest(model: str) -> None:
+def test_a_start_has_its_pose_and_wide_priors_of_the_rest(model: str) -> None:
     pose, R = np.array((1.0, 2.0, 3.0)), np.array(((4.0, 1.0, 0.5), (1.0, 5.0, 0.2), (0.5, 0.2, 6.0)))
     mean, P = start_of(CONFIGS[model], pose, R)
     np.testing.assert_array_equal(mean[POSE], pose)

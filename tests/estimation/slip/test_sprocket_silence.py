@@ -242,7 +242,7 @@ def test_an_encoder_that_starts_from_elsewhere_is_counted_and_costs_nothing(
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_standing_teaches_the_bias(drive: Callable[..., Any], model: str) -> None:
+def test_standstill_corrects_the_bias(drive: Callable[..., Any], model: str) -> None:
     """10 s at rest: of 0.02 rad/s a tenth is left at the most, seen as yaw rate and turned heading."""
     driven = drive(
         [(10.0, 0.0, 0.0, 0.0, 0.0, 0.0), (5.0, 2.0, 2.0, 0.05, 0.05, 0.0)], gyro_bias=0.02, fix_every=10**9
@@ -276,9 +276,9 @@ def test_at_a_standstill_slips_are_frozen_and_no_direction_is_claimed(
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("heard_from", [3.06, 3.2, 3.8])
+@pytest.mark.parametrize("received_from", [3.06, 3.2, 3.8])
 def test_what_was_driven_between_the_first_fix_and_the_first_sample_is_unknown(
-    drive: Callable[..., Any], model: str, heard_from: float
+    drive: Callable[..., Any], model: str, received_from: float
 ) -> None:
     """An estimator that is started again while driving: its first fix is older than the first sample that
     it hears, and the machine has stopped since. It claimed 7 mm and was 198 mm off.
@@ -292,11 +292,11 @@ def test_what_was_driven_between_the_first_fix_and_the_first_sample_is_unknown(
         for m in driven.measurements
         if (isinstance(m, PoseFix) and m.stamp_ns == fix_ns)
         or (isinstance(m, YawRate) and m.stamp_ns > fix_ns)
-        or (isinstance(m, Sprockets) and m.stamp_ns >= heard_from * S)
+        or (isinstance(m, Sprockets) and m.stamp_ns >= received_from * S)
     ]
     published = run(kept, model=model, start="first_fix")[1]
     for e in published:
-        if e.stamp_ns >= heard_from * S:
+        if e.stamp_ns >= received_from * S:
             error = np.abs(e.pose - driven.truth[e.stamp_ns][:3])
             assert (error < 3.0 * np.sqrt(np.diag(e.pose_covariance))).all()
     assert np.abs(published[-1].pose[:2] - driven.truth[published[-1].stamp_ns][:2]).max() > 0.02

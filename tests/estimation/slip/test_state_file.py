@@ -104,7 +104,7 @@ def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert (tmp_path / "kept.yaml").is_file()
 
 
-def test_a_home_that_nobody_knows_is_refused() -> None:
+def test_an_unknown_home_is_refused() -> None:
     with pytest.raises(InputError, match=r"state_file: '~nobody_of_this_name/kept\.yaml' has no home"):
         StateFile("~nobody_of_this_name/kept.yaml")
 

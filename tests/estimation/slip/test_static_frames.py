@@ -82,7 +82,7 @@ def test_an_imu_waits_for_its_mounting_and_keeps_it(monkeypatch: pytest.MonkeyPa
     assert mountings.imu(IMU, "imu_link") == (imu, {})
 
 
-def test_an_imu_whose_parameters_say_how_it_is_mounted_needs_no_tf() -> None:
+def test_an_imu_whose_parameters_state_how_it_is_mounted_needs_no_tf() -> None:
     p = load_slip_parameters()
     mountings = StaticMountings(SimpleNamespace(), "base_link", p.gyros())
     assert mountings.imu(IMU, "anything") == (p.gyros()[IMU], {})

@@ -142,7 +142,7 @@ def test_a_cab_that_looks_aside_at_the_start(start: float) -> None:
     assert (np.abs(found[:, 3]) < found[:, 6]).all()
 
 
-def test_driving_off_finds_the_heading_of_a_cab_that_nobody_measures() -> None:
+def test_driving_off_makes_an_unmeasured_swing_observable() -> None:
     """It looks 0.25 rad aside at the start, and all sensors sit on it."""
     parts = [Part(3.0), Part(8.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(8.0, 2.0, 2.0)]
     truth = record(parts, Cab(start=0.25, encoder=False))
@@ -153,7 +153,7 @@ def test_driving_off_finds_the_heading_of_a_cab_that_nobody_measures() -> None:
     assert np.abs(found[-60:, 4]).max() < 0.03
 
 
-def test_a_swing_that_nobody_knows_is_found_from_the_way_driven() -> None:
+def test_an_unknown_swing_is_estimated_from_the_path() -> None:
     parts = [Part(3.0), Part(10.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(8.0, 2.0, 2.0)]
     truth = record(parts, Cab(start=2.4, encoder=False))
     p = load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 3.0})
@@ -171,7 +171,7 @@ def test_a_swing_while_it_drives_is_seen_by_the_encoder() -> None:
     assert np.abs(found[-60:, 3]).max() < 0.02
 
 
-def test_a_spike_of_the_encoder_is_refused_and_what_insists_is_believed() -> None:
+def test_a_spike_of_the_encoder_is_rejected_and_a_persistent_angle_is_accepted() -> None:
     truth = record([Part(2.0), Part(8.0, 2.0, 2.0)], Cab())
     readings = [k for k, m in enumerate(truth.measurements) if isinstance(m, SwingAngle)]
     spoilt = list(truth.measurements)
@@ -215,7 +215,7 @@ def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement
     return found
 
 
-def test_an_imu_above_tells_how_the_undercarriage_leans() -> None:
+def test_an_imu_above_gives_the_tilt_of_the_undercarriage() -> None:
     truth = record([Part(5.0), Part(8.0, swing_to=2.5), Part(2.0)], Cab())
     for e in estimates(leaning(truth, 0.1, -0.15), of_cab())[40:]:
         assert e.outputs.tilt is not None
@@ -223,7 +223,7 @@ def test_an_imu_above_tells_how_the_undercarriage_leans() -> None:
         np.testing.assert_allclose(e.outputs.tilt.force[:2], (1.4655, 0.968), atol=0.1)
 
 
-def test_an_imu_above_tells_nothing_while_nobody_knows_how_it_is_turned() -> None:
+def test_an_imu_above_gives_no_tilt_while_the_swing_is_unknown() -> None:
     truth = record([Part(5.0)], Cab(encoder=False))
     own = SlipEstimator(load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 2.0}))
     own.process_all(truth.measurements)
@@ -231,7 +231,7 @@ def test_an_imu_above_tells_nothing_while_nobody_knows_how_it_is_turned() -> Non
     assert "imu/data_raw sits on the upper structure, whose angle is not known" in own.attitude
 
 
-def test_the_vehicle_says_what_sits_above() -> None:
+def test_the_vehicle_states_what_sits_above() -> None:
     p = load_slip_parameters(ANTENNA, {"heading_sources": ["heading"]})
     assert {name: source.above for name, source in p.mounted().items()} == {
         "gnss_pose": True,

@@ -76,7 +76,7 @@ def test_loads_bear_the_weight_and_its_moments(roll: float, pitch: float) -> Non
     assert moment == pytest.approx(CENTRE.z * aside, abs=1e-6)
 
 
-def doubt(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
+def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
     """Standard deviation of the thrust that a weight of 1 N needs, after seconds of each motion."""
     burden, sample = burden_of(vehicle)[0], np.zeros(1, SAMPLE)[0]
     sample["dt"] = 0.1
@@ -91,10 +91,10 @@ def test_a_bucket_may_be_filled_where_the_tracks_stand() -> None:
     """Not before the first drive, whose weight is the file's, nor at a halt, nor without a bucket."""
     stand, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
     assert VEHICLE.bucket is not None
-    assert doubt(VEHICLE, [stand, drive]) == 0.0
-    assert doubt(VEHICLE, [stand, drive, halt, drive, halt]) == 0.0
-    assert doubt(VEHICLE, [stand, drive, stand, drive]) == pytest.approx(P.load.bucket_share)
-    assert doubt(replace(VEHICLE, bucket=None), [stand, drive, stand, drive]) == 0.0
+    assert load_stddev(VEHICLE, [stand, drive]) == 0.0
+    assert load_stddev(VEHICLE, [stand, drive, halt, drive, halt]) == 0.0
+    assert load_stddev(VEHICLE, [stand, drive, stand, drive]) == pytest.approx(P.load.bucket_share)
+    assert load_stddev(replace(VEHICLE, bucket=None), [stand, drive, stand, drive]) == 0.0
 
 
 def test_a_downhill_nose_is_pulled_forward_and_presses_in_front() -> None:

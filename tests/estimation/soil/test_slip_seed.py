@@ -66,7 +66,7 @@ def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
-def test_a_thrust_that_the_soil_may_not_give_tells_no_slip() -> None:
+def test_a_thrust_beyond_the_soils_gives_no_slip() -> None:
     ride = Ride()
     ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
     ride.seeds(Motion.TURNING, 1.0)
@@ -102,7 +102,7 @@ def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:
     assert ride.seeds(Motion.STRAIGHT, 20.0) == []  # there was no turn
     ride.seeds(Motion.TURNING, 1.0)
     assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
-    assert ride.seeds(Motion.TURNING, 1.0) == []  # and the way begins anew
+    assert ride.seeds(Motion.TURNING, 1.0) == []  # and the distance restarts
     assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
     assert len(ride.seeds(Motion.STRAIGHT, 20.0)) == 1
     ride.seeds(Motion.STANDING, 1.0)

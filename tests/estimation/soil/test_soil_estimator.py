@@ -302,7 +302,7 @@ def test_healthy_pressures_are_never_called_swapped_or_of_another_unit(soil: str
     assert estimator.stalled == (False, False)
 
 
-def test_a_clock_set_back_begins_anew() -> None:
+def test_a_clock_set_back_restarts_the_estimate() -> None:
     early = [replace(one, stamp_ns=one.stamp_ns - START_NS) for one in given()]
     estimator = SoilEstimator(P)
     outputs = run([*given(), *early], estimator)

@@ -63,7 +63,7 @@ def test_what_digging_presses_on_is_no_offset() -> None:
     assert learned(meter, own, 10.0, noise) == 0
 
 
-def test_an_offset_that_has_become_another_is_believed_in_the_end() -> None:
+def test_a_changed_offset_is_accepted_in_the_end() -> None:
     meter, noise = Meter(), P.thrust.pressure_stddev
     learned(meter, np.zeros(2), 10.0, noise)
     learned(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.persist_time, noise)

@@ -55,7 +55,7 @@ def rolled(straight: StraightSegment, distance: float, sign: float = 1.0) -> Flo
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_on_fresh_soil_a_straight_costs_what_3_3_says(sign: float) -> None:
+def test_on_fresh_soil_a_straight_costs_as_in_3_3(sign: float) -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
     rolled(straight, 2.0 * LENGTH, sign)
     slips = rolled(straight, 7.0, sign) / 7.0
@@ -183,7 +183,7 @@ def test_the_slip_distance_gives_the_modulus(sign: float) -> None:
 
 
 @pytest.mark.slow
-def test_intervals_from_slip_distances_cover_as_often_as_they_say() -> None:
+def test_intervals_from_slip_distances_cover_as_often_as_stated() -> None:
     random = np.random.default_rng(7)
     runs, stddev, covered = 60, 0.006, 0
     for _ in range(runs):
@@ -218,7 +218,7 @@ def test_a_machine_that_stands_is_seen_better() -> None:
 
 
 @pytest.mark.parametrize("spoil", ["thrust", "twist"])
-def test_a_straight_with_a_hole_tells_nothing_of_what_was_not_seen(spoil: str) -> None:
+def test_a_straight_with_a_gap_gives_nothing_of_the_gap(spoil: str) -> None:
     """Without the thrusts the distance so far counts; a sample that is not usable ends it uncounted."""
     strength = new_strength()
     before = strength.posterior.effective_samples
@@ -233,7 +233,7 @@ def test_a_straight_with_a_hole_tells_nothing_of_what_was_not_seen(spoil: str) -
     assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # less what 0.8 m forget
 
 
-def test_spinning_tracks_tell_nothing_of_k() -> None:
+def test_spinning_tracks_do_not_observe_k() -> None:
     """At the limit of the soil a machine loses any distance: that is F_max's doing."""
     strength = new_strength()
     before = strength.posterior.effective_samples

@@ -134,7 +134,7 @@ def test_exact_data_give_both_parameters_back() -> None:
     assert found.reason == ""
 
 
-def test_small_slips_alone_tell_only_the_ratio() -> None:
+def test_small_slips_alone_observe_only_the_ratio() -> None:
     posterior = fed(new_strength(), np.array((0.004, 0.006)), 20.0, modulus=0.03)
     found = posterior.summary()
     assert not found.identifiable
@@ -167,7 +167,7 @@ def test_a_slip_within_its_error_leaves_the_modulus_open() -> None:
 
 
 @pytest.mark.slow
-def test_intervals_cover_as_often_as_they_say() -> None:
+def test_intervals_cover_as_often_as_stated() -> None:
     """Errors of slip and thrust that last for seconds, in 80 runs: nine of ten intervals hold the truth."""
     random = np.random.default_rng(5)
     runs, stddev, scatter, covered = 80, 0.003, 0.01, np.zeros(2)
@@ -216,7 +216,7 @@ def test_one_wrong_sample_changes_nothing() -> None:
     assert after.shear_modulus == pytest.approx(before.shear_modulus, rel=0.02)
 
 
-def test_more_samples_of_one_moment_tell_no_more() -> None:
+def test_more_samples_of_one_moment_add_no_information() -> None:
     """At 100 Hz as at 5 Hz: what counts is how long, not how often."""
     often, seldom = new_strength(), new_strength()
     sample = straight(0.1, force_of(0.1))
@@ -254,7 +254,7 @@ def test_either_track_alone_will_do() -> None:
     assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
 
 
-def test_standing_teaches_nothing() -> None:
+def test_standstill_adds_no_information() -> None:
     strength = new_strength()
     covariance, force = 1e-6 * np.eye(3), np.zeros(2)
     still = Sample(STEP, NONE, np.zeros(3), covariance, force, np.ones(2), Motion.STANDING)

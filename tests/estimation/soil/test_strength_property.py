@@ -60,7 +60,7 @@ def test_any_input_leaves_a_distribution(given_samples: list[Sample]) -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.02, 0.3), st.floats(0.05, 0.5), st.floats(-0.02, 0.02), st.floats(0.0, 0.1), st.booleans())
-def test_left_and_right_turns_teach_the_same(
+def test_left_and_right_turns_give_the_same(
     slip: float, slower: float, v_y: float, rate: float, reverse: bool
 ) -> None:
     """Mirrored left to right, and front to back, a drive says the same of the soil."""

@@ -68,7 +68,7 @@ def test_sinkage_grows_with_pressure_from_nothing(p1, p2, ground):
 
 
 @given(between(0.0, 1e6), between(0.0, 1e8), between(0.1, 0.5), between(0.1, 0.5))
-def test_narrow_tracks_meet_at_least_the_modulus_of_wide_ones(k_c, k_phi, w1, w2):
+def test_narrow_tracks_have_at_least_the_modulus_of_wide_ones(k_c, k_phi, w1, w2):
     narrow = sinkage.bekker_modulus(k_c, k_phi, min(w1, w2))
     assert narrow >= sinkage.bekker_modulus(k_c, k_phi, max(w1, w2)) >= k_phi
 
@@ -88,7 +88,7 @@ def test_reece_modulus_is_the_sum_of_its_parts(c, k_c, gamma, k_phi, width):
 
 
 @given(between(0.0, 0.3), between(0.0, 1.0), between(0.0, 1.0), between(0.0, 1e5), between(0.0, 1e7))
-def test_unloading_meets_the_fresh_curve_and_never_pulls(z_u, s1, s2, p_u, k_u):
+def test_unloading_ends_on_the_fresh_curve_and_never_pulls(z_u, s1, s2, p_u, k_u):
     line = [sinkage.unloading_pressure(s * z_u, z_u, p_u, k_u) for s in (min(s1, s2), max(s1, s2), 1.0)]
     assert 0.0 <= line[0] <= line[1] <= line[2] == p_u
 

@@ -95,7 +95,7 @@ def _twist_values(rows: FloatArray, topic: BagTopic) -> Values:
 
 
 def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
-    """Of each joint's velocity and position, which may begin anew after each of its turns."""
+    """Of each joint's velocity and position, which may restart after each of its turns."""
     speeds, angles = np.split(rows, 2, axis=1)
     turned = [continuous(stamps_ns, *pair) for pair in zip(angles.T, speeds.T, strict=True)]
     velocity, position = _means(speeds, topic), _means(np.column_stack(turned), topic)

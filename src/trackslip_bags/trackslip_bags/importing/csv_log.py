@@ -171,7 +171,7 @@ def _note_zeros(table: Table, topic: CsvTopic) -> None:
 
 
 def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
-    """(rows,) of each, SI; angles of sprockets may begin anew after each turn of what the column shows."""
+    """(rows,) of each, SI; angles of sprockets may restart after each turn of what the column shows."""
     _note_zeros(table, topic)
     numbers = {
         name: [_increments_summed(_without_missing(table.numbers[n], column), column) for n in column.names]

@@ -24,7 +24,7 @@ _ARGUMENTS = {  # of those launch files whose nodes use them
     "log_level": ("info", "debug, info, warn, error or fatal"),
     "respawn": (
         "false",
-        f"start a node that ended anew after {_RESPAWN_DELAY:g} s, unless it refused its input",
+        f"restart a node {_RESPAWN_DELAY:g} s after its end, unless it refused its input",
     ),
     "laser": ("true", "scanner and box on the machine"),
     "imu": ("true", "inertial unit"),
@@ -201,7 +201,7 @@ def _node(one: Launched, given: Mapping[str, str], switches: Mapping[str, bool])
 
 
 def _respawn() -> dict[str, Any]:
-    """Launch starts a node anew whatever it ended with; what it refused once it would refuse for ever."""
+    """Launch restarts a node whatever it ended with; what it refused once it would refuse for ever."""
     return {"respawn": True, "respawn_delay": _RESPAWN_DELAY, "on_exit": _keep_ended}
 
 

@@ -67,7 +67,7 @@ class DriverNode(TrackslipNode[P]):
     advice = "check power and port"  # where nothing comes
     passing: Mapping[str, str] = MappingProxyType({})  # reasons that are no fault of the link → what to do
     period = 1.0  # s between messages when all is well
-    silence = math.inf  # s without a byte or frame after which the port is opened anew
+    silence = math.inf  # s without a byte or frame after which the port is reopened
 
     def configure(self) -> None:
         """Start counting."""

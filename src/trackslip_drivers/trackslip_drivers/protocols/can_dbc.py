@@ -3,7 +3,7 @@
 """Reads a DBC, after a look at its numbers: those of no frame take cantools hours, or all memory.
 
 cantools makes a text of as many characters as a start bit and a length say, a list of all selectors in a
-range, a whole number of any exponent, and for each selector of a multiplexer all below it anew: of 30
+range, a whole number of any exponent, and all below each selector of a multiplexer again: of 30
 multiplexers in each other, each of two selectors, 2³⁰.
 """
 
@@ -114,7 +114,7 @@ def _check(where: str, text: str) -> None:
         if any(signal.is_multiplexer for signal in signals):
             count += _Multiplexing(frame, signals, selectors.get(head[1], {})).count()
         if count > _MOST_SELECTORS:
-            accepted = f"up to {_MOST_SELECTORS} in a DBC, below each selector anew"
+            accepted = f"up to {_MOST_SELECTORS} in a DBC, below each selector again"
             raise InputError(f"{frame}: too many selectors of multiplexers; accepted: {accepted}")
 
 

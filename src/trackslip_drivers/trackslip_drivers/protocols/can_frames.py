@@ -220,7 +220,7 @@ class FrameDecoder:
         return f"frames come (ids {ids}), but none with a role; check dbc_file and roles_file"
 
     def resume(self) -> None:
-        """The bus was opened anew: what came before is continued by time alone."""
+        """The bus was reopened: what came before is continued by time alone."""
         for timing in self._timings.values():
             timing.resume()
 

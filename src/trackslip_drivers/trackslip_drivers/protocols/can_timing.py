@@ -35,7 +35,7 @@ class TimingEvent(Enum):
     LOST = "lost"
     ALIVE_REPEATED = "alive counter repeated"
     BURST = "came at once with the next"
-    CUT_OFF = "waited for the next as the bus was opened anew"
+    CUT_OFF = "waited for the next while the bus was reopened"
 
 
 Report = Callable[[TimingEvent, int], None]  # what happened to frames, and how many

@@ -84,7 +84,7 @@ class ExcavatorCan:
         return samples
 
     def resume(self) -> None:
-        """The bus was opened anew: positions go on, by the time that passed."""
+        """The bus was reopened: positions go on, by the time that passed."""
         self.decoder.resume()
 
 

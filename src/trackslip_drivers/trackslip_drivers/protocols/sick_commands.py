@@ -72,7 +72,7 @@ class PowerOn:
 
 @dataclass(frozen=True)
 class ResetDone:
-    """The scanner is about to start anew."""
+    """The scanner is about to restart."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class Rejection(Enum):
 class JointMotion:
     """Samples of joint states in order; positions are differenced where there are no velocities.
 
-    Positions may begin anew after each turn of a joint; those of a sample are continuous.
+    Positions may restart after each turn of a joint; those of a sample are continuous.
     """
 
     def __init__(self, p: WheelParameters) -> None:

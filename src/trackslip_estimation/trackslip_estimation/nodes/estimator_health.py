@@ -46,5 +46,5 @@ def estimator_health(
 
 
 def _diverged(watch: SourceWatch, now_ns: int) -> str:
-    """What to put before the state of an estimate that began anew lately."""
+    """What to put before the state of an estimate that restarted recently."""
     return "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""

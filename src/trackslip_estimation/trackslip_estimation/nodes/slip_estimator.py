@@ -68,7 +68,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._vehicle.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
 
     def reload(self, values: dict[str, Any]) -> None:
-        """Before its first run, the estimator is made anew; later it goes on with other values."""
+        """Before its first run, the estimator is created; later it goes on with other values."""
         if self.has_run:
             self._process(Reload(values))
         else:
@@ -97,15 +97,13 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         return self._apply_command(
-            Command(RESET), response, "the estimate begins anew; what was learned is kept"
+            Command(RESET), response, "the estimate restarts; what was learned is kept"
         )
 
     def _on_forget(self, _: Any, response: Any) -> Any:
         if self.active:
             self._kept.forget()
-        return self._apply_command(
-            Command(FORGET), response, "the estimate begins anew, with nothing learned"
-        )
+        return self._apply_command(Command(FORGET), response, "the estimate restarts, with nothing learned")
 
     def _on_freeze(self, request: Any, response: Any) -> Any:
         text = "poses are ignored from now on" if request.data else "poses are used again"

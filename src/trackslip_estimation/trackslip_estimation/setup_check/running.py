@@ -61,7 +61,7 @@ class RunningCheck:
                 rows.append((m.stamp_ns, values))
 
     def restart(self, p: SlipEstimatorParameters) -> None:
-        """With other parameters, or after the estimate began anew."""
+        """With other parameters, or after the estimate restarted."""
         with self._lock:
             self._parameters = p
             self._rows = {}

@@ -51,7 +51,7 @@ class CanDevice:
         self.start(start_ns)
 
     def start(self, start_ns: int) -> None:
-        """Begin anew, after a loss of power: the first cycle comes at ``start_ns``."""
+        """Restart, after a loss of power: the first cycle comes at ``start_ns``."""
         self._next_ns = start_ns
         self._alive_counter = 0
 

@@ -3,7 +3,7 @@
 """Serves the live page from a thread of its own: files to read, and a stream of frames that takes no word.
 
 Each frame is made and encoded once, and the same text goes to all pages. A page that falls behind by
-seconds misses frames, and then gets all anew; nothing waits for it. Requests are answered only if they come
+seconds misses frames, and then gets all again; nothing waits for it. Requests are answered only if they come
 by a name that is allowed, so that no other site's script reads the page through a browser (DNS rebinding,
 other origins).
 """
@@ -209,7 +209,7 @@ class _Stream(_Handler, WebSocketHandler):
         self.server._pages.discard(self)
 
     def offer(self, text: str) -> None:
-        """A frame; a page that has not taken many of those before it misses them, and then gets all anew."""
+        """A frame; a page that has not taken many of those before it misses them, and then gets all again."""
         if len(self._waiting) >= _MOST_WAITING:
             self._waiting.clear()
             self._missed = True

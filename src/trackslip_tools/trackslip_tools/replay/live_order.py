@@ -7,7 +7,7 @@ followed once everything is read that was logged up to ``HORIZON_NS`` later; an 
 by then was not processed live and is left out. A source that the journal does not know (another bag's, a
 remapped one) is merged in by log time; without a journal, log time orders all.
 
-Where the numbers of the lines begin anew, the estimator was started again: a row of ``IS_START`` comes first,
+Where the numbers of the lines restart, the estimator was started again: a row of ``IS_START`` comes first,
 with the parameters that were published since the line before. Several recordings of one run may be merged in
 a bag: of a line that stands in it twice the first counts. Lines of several runs at once have no order.
 """
@@ -156,7 +156,7 @@ class LiveOrder:
         return found[order]
 
     def _starts(self, lines: Rows) -> list["_Start"]:
-        """Of the runs that begin with these lines: their numbers begin anew, and parameters were published.
+        """Of the runs that begin with these lines: their numbers restart, and parameters were published.
 
         The first run of all has the parameters of the bag.
         """
@@ -209,7 +209,7 @@ class _Start(NamedTuple):
     line: int
     row: int  # of its parameters; −1 where there is none
     unknown: str  # why it cannot be repeated, or an empty text
-    again: bool  # whether the estimator has to be made anew
+    again: bool  # whether the estimator has to be created again
 
 
 def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:

@@ -21,7 +21,7 @@ from trackslip_tools.replay.series import Series, SeriesCollector
 
 
 class SettledInputs(NamedTuple):
-    """What was asked of the estimator while it ran (to begin anew, to hold still) is left out."""
+    """What was asked of the estimator while it ran (to restart, to hold still) is left out."""
 
     measurements: Rows  # (n,) MEASUREMENT by stamp
     series: dict[str, Series]  # by topic

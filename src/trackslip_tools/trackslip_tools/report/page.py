@@ -69,7 +69,7 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
     _link(time_plots, path)
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
     document = Document()
-    with document.models.freeze():  # else, for each plot, Bokeh walks anew through all that the cursor links
+    with document.models.freeze():  # else, for each plot, Bokeh walks again through all that the cursor links
         for plot in (path.plot, *time_plots):
             document.add_root(plot)
     page: str = file_html(

@@ -5,7 +5,7 @@
 
 const PATIENCE = 2000 // ms without a frame that was shown, after which all is grey
 const WATCH = 250 // ms between looks whether it is so
-const GIVEN_UP = 5000 // ms after which it connects anew
+const GIVEN_UP = 5000 // ms after which it reconnects
 const RETRY = 500 // ms between attempts
 const KEPT = 1920 // rows of the strips
 const LEVELS = ["ok", "warn", "error", "stale", "silent"]
