@@ -147,7 +147,8 @@ def _drive(
             turned = turned + speeds * dt
         drive.truth[stamp_ns] = np.concatenate((pose, i, (slips[2], gyro_bias)))
         angles = (float(turned[0]), float(turned[1])) if positions else None
-        drive.measurements.append(Sprockets("sprockets", stamp_ns, *map(float, speeds), angles))
+        left_speed, right_speed = speeds.tolist()
+        drive.measurements.append(Sprockets("sprockets", stamp_ns, left_speed, right_speed, angles))
         if k % gyro_every == 0 and k > 0:
             reading = float(rate + gyro_bias + rng.normal(0.0, gyro_sigma))
             drive.measurements.append(YawRate("imu/data_raw", stamp_ns, reading, gyro_sigma**2))

@@ -72,7 +72,7 @@ def written(recorded: Recorded) -> Iterator[Path]:
             channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in TOPICS}
             for topic, time_ns, raw in recorded.messages:
                 writer.add_message(channels[topic], time_ns, raw, time_ns)
-            writer.finish()  # type: ignore[no-untyped-call]
+            writer.finish()
         yield path
 
 

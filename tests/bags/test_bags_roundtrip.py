@@ -30,7 +30,7 @@ def scalars(name: str) -> st.SearchStrategy[Any]:
     if name == "bool":
         return st.booleans()
     if name.startswith("float"):
-        return st.floats(width=int(name[5:]), allow_nan=False)  # type: ignore[arg-type]
+        return st.floats(width=int(name[5:]), allow_nan=False)
     info = np.iinfo(name)
     return st.integers(int(info.min), int(info.max))
 

@@ -60,7 +60,7 @@ def test_a_bare_quaternion_has_the_variance_of_its_source_or_of_the_mapping(tmp_
     assert headings(messages) == [(pytest.approx(math.pi / 2.0), pytest.approx(0.01))]
 
 
-CSV = {
+CSV: dict[str, dict[str, Any]] = {
     "t,h,s\n0,0,2\n1,,2\n2,90,\n": {
         "heading": {"column": "h", "unit": "deg"},
         "stddev": {"yaw": {"column": "s", "unit": "deg"}},

@@ -30,7 +30,7 @@ def imported(folder: Path, log: Path, topics: dict[str, Any], **more: Any) -> tu
         return found, [bag.deserialize(m.raw, m.type_name) for m in bag.messages(list(topics))]
 
 
-VELOCITIES = {
+VELOCITIES: dict[str, dict[str, Any]] = {
     "t,e,n,s\n0,1,0,0.1\n1,0,-2,0.2\n": {
         "east": {"column": "e", "unit": "m/s"},
         "north": {"column": "n", "unit": "m/s"},

@@ -200,19 +200,20 @@ def test_all_packages_state_one_version_one_home_and_one_level() -> None:
         level = re.search(
             r"\*\*level (\d)\*\*", (package.parent / "QUALITY_DECLARATION.md").read_text("utf-8")
         )
-        email = about.find("maintainer").get("email")  # type: ignore[union-attr]
-        stated.add((about.findtext("version"), urls, email, level and level[1]))
+        email = about.find("maintainer").get("email")
+        assert level is not None
+        stated.add((about.findtext("version"), urls, email, level[1]))
         setup = package.parent / "setup.py"
         if setup.is_file():
             text = setup.read_text(encoding="utf-8")
             assert f'version="{about.findtext("version")}"' in text
             assert f'maintainer_email="{email}"' in text
-    ((version, urls, email, level),) = stated
+    ((version, urls, email, of_all),) = stated
     assert version == __version__
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert [kind for kind, _ in urls] == ["repository", "bugtracker"]
     has_home = not any("trackslip.invalid" in str(address) for address in (*urls, email))
-    assert level == "4" or (
+    assert of_all == "4" or (
         has_home and not str(version).startswith("0.")
     )  # REP-2004: 1.ii and 2.i of level 3
 

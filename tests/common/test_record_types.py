@@ -3,7 +3,7 @@
 """Declarations of records become dtypes."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pytest
@@ -103,7 +103,8 @@ def test_parameters_become_a_record_but_for_groups_that_may_be_absent() -> None:
     p = Numbers(size=Size(count=3), share=0.5, absent=Size(count=4))
     size = np.dtype([("count", np.int64)], align=True)
     assert dtype_of(Numbers) == np.dtype([("size", size), ("share", np.float64)], align=True)
-    assert record_of(Numbers, p)[0].item() == ((3,), 0.5)
+    record: Any = record_of(Numbers, p)[0]
+    assert record.item() == ((3,), 0.5)
 
 
 def test_a_record_has_those_parameters_that_it_declares_and_its_vehicle_whole() -> None:

@@ -4,11 +4,12 @@
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from cantools.database.errors import EncodeError
-from crccheck.crc import Crc8SaeJ1850, Crc12Gsm
+from crccheck.crc import Crc8SaeJ1850, Crc12Gsm  # type: ignore[import-untyped]
 from fixtures.excavator_bus import CYCLE_NS, FRAMES, PARAMETERS
 
 from trackslip_common.config_files import config_file
@@ -309,7 +310,7 @@ def test_a_floating_point_signal_is_read(tmp_path, tally):
         values = {"left_pressure": 0, "right_pressure": 0, "alive_counter": 0, "checksum": 0}
         payload = message.encode({**values, "supply_pressure": raw}, strict=False)
         sent = message.frame_id, frames.codecs[PRESSURES].sealed(message.frame_id, payload)
-        found = FrameDecoder(frames, tally).decode(*sent, 0)
+        found: Any = FrameDecoder(frames, tally).decode(*sent, 0)
         assert found is outcome or found[0].values["supply_pressure"] == raw
 
 

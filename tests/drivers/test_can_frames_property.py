@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN frames: round trips within the resolution, and nothing that arrives breaks the decoder."""
 
+from typing import Any
+
 import pytest
 from fixtures.excavator_bus import FRAMES, PARAMETERS
 from hypothesis import given, settings
@@ -40,7 +42,8 @@ seeded = settings(derandomize=True, max_examples=200, deadline=None)
 @given(READINGS, st.integers(0, 1000))
 def test_round_trip_within_half_the_resolution(reading, alive):
     name, values, half_step = reading
-    (frame,) = FrameDecoder(FRAMES, Tally()).decode(*FRAMES.encode(name, values, alive), 0)
+    found: Any = FrameDecoder(FRAMES, Tally()).decode(*FRAMES.encode(name, values, alive), 0)
+    (frame,) = found
     assert frame.values == pytest.approx(values, abs=half_step * 1.000001)
 
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ten thousand random valid records through each codec and back, seeded."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from fixtures.excavator_bus import CYCLE_NS, FRAMES
@@ -81,7 +83,8 @@ def test_can_frames(name: str) -> None:
         values = {s.name: float(rng.uniform(float(s.minimum or 0), float(s.maximum or 0))) for s in signals}
         if name == ENCODERS:
             values = {signal: float(round(value)) for signal, value in values.items()}
-        (found,) = decoder.decode(*FRAMES.encode(name, values, count), count * CYCLE_NS)
+        frames: Any = decoder.decode(*FRAMES.encode(name, values, count), count * CYCLE_NS)
+        (found,) = frames
         assert found.elapsed_ns == (CYCLE_NS if count else 0)
         for signal in signals:
             assert abs(found.values[signal.name] - values[signal.name]) <= 0.5000001 * float(signal.scale)

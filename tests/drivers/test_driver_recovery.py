@@ -77,8 +77,8 @@ def p99(stamps, device):
 def test_stamps_of_frames():
     device, driver, stamps, arrivals = can_device(), ExcavatorCan(PARAMETERS, FRAMES, Tally()), [], []
     for now in reads(1, 60):
-        for sent in device.step(now):
-            for sample in driver.receive(*sent, now):
+        for name, data in device.step(now):
+            for sample in driver.receive(name, data, now):
                 if isinstance(sample, SprocketSample):
                     stamps.append(sample.stamp_ns)
                     arrivals.append(now)

@@ -8,7 +8,6 @@ import pytest
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
-from trackslip_drivers.protocols import dbc_parts
 from trackslip_drivers.protocols.can_dbc import read_dbc
 
 FRAME = "BO_ 1 F: 64 A\n"
@@ -75,7 +74,7 @@ def test_numbers_of_no_can_bus_are_refused_before_cantools_has_them(
     text, message = HOSTILE[name]
     path = tmp_path / "bus.dbc"
     path.write_text(text, encoding="utf-8")
-    monkeypatch.setattr(dbc_parts.cantools.database, "load_string", reached)
+    monkeypatch.setattr("cantools.database.load_string", reached)
     with pytest.raises(InputError, match=message) as caught:
         read_dbc(path)
     assert str(path) in str(caught.value)

@@ -242,7 +242,9 @@ def test_gns_is_a_position_of_the_best_mode(modes, status, expected):
     found = decode(line(GNS.format(modes, status)))
     assert (found.status if isinstance(found, Gga) else found) is expected
     if isinstance(found, Gga):
-        assert found[:4] == decode(line(GGA.format(4)))[:4]
+        of_gga = decode(line(GGA.format(4)))
+        assert isinstance(of_gga, Gga)
+        assert found[:4] == of_gga[:4]
 
 
 @given(
@@ -260,7 +262,9 @@ def test_what_is_sent_is_what_is_read(latitude, longitude, altitude, centisecond
     assert isinstance(position, Gga)
     assert position[:4] == pytest.approx((time_ns, latitude, longitude, altitude), abs=2e-4)
     assert position[1:3] == pytest.approx((latitude, longitude), abs=1e-9)
-    assert decode(nmea_sentences.gst(at)[:-1])[1:] == pytest.approx((stddev, stddev, 2 * stddev), abs=1e-4)
+    noise = decode(nmea_sentences.gst(at)[:-1])
+    assert isinstance(noise, Gst)
+    assert noise[1:] == pytest.approx((stddev, stddev, 2 * stddev), abs=1e-4)
     assert decode(nmea_sentences.rmc(at)[:-1]) == Rmc(time_ns)
     moving = decode(nmea_sentences.rmc(at._replace(speed=stddev, course=heading))[:-1])
     assert isinstance(moving, Rmc)

@@ -165,7 +165,7 @@ FAULTS: dict[str, tuple[Serve, str]] = {
     ),
     "fails": (replies(b"HTTP/1.1 503 Busy\r\n\r\n"), "answers 503"),
     "1 MB/s": (
-        lambda c, _: [c.sendall(OK)] and [c.sendall(50 * rtcm(1000)) for _ in range(40)],
+        lambda c, _: c.sendall(OK + 2000 * rtcm(1000)),
         "sends more than",
     ),
 }

@@ -187,7 +187,7 @@ def test_what_has_no_distance_survives_a_round_trip(parameters: SickParameters) 
 )
 def test_bad_parameters_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        replace(PLS, **change)  # type: ignore[arg-type]
+        replace(PLS, **change)
 
 
 def test_bits_per_character() -> None:

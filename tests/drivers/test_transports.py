@@ -160,7 +160,7 @@ def test_a_port_that_was_locked_or_missing_was_named_three_times(pty_port, tmp_p
         ("socket://127.0.0.1:1", "Connection refused"),
     ):
         link = start_link(partial(SerialPort, place, 9600, "N"))
-        wait_for(lambda link=link: link.state().errors)
+        wait_for(partial(lambda one: one.state().errors, link))
         assert link.state().last_error == reason
     first.close()
 

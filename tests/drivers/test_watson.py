@@ -10,8 +10,8 @@ from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
+from trackslip_common.units import GRAVITY
 from trackslip_drivers.protocols.watson import (
-    GRAVITY,
     Layout,
     Reading,
     Rejection,

@@ -26,7 +26,8 @@ def _enter() -> None:
     environment = ROOT / ".venv" / "trackslip.sh"
     if environment.is_file():
         output = subprocess.check_output(["sh", "-c", script, str(environment)], text=True)
-        os.environ.update(entry.split("=", 1) for entry in output.split("\0") if entry)
+        pairs = (entry.partition("=") for entry in output.split("\0") if entry)
+        os.environ.update((name, value) for name, _, value in pairs)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 

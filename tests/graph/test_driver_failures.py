@@ -48,7 +48,7 @@ class FragileDriver(DriverNode[NoParameters]):
         super().__init__("fragile_driver", NoParameters)
         self.port, self.begun, self.received = QueuePort(), 0, []
 
-    def open_port(self) -> QueuePort:
+    def open_port(self):
         return self.port
 
     def begin(self) -> None:

@@ -152,16 +152,16 @@ def test_the_status_of_the_scanner_is_reported(programs, observer, device):
     programs.node("sick_pls", serial_port=str(path))
     parts = {"status": b"\2", "implausible": b"\2", "restart": b"\1", "pollution": b"\1"}
 
-    def status():
+    def levels():
         last = [h for h in healths if h.name == "sick_pls"][-1:]
         return {h.name.partition(": ")[2]: h.level for h in healths[healths.index(last[0]) :]} if last else {}
 
-    observer.wait(lambda: parts.items() <= status().items(), "all of its status")
+    observer.wait(lambda: parts.items() <= levels().items(), "all of its status")
     fatal = [h for h in healths if h.name == "sick_pls: status"][-1]
     assert fatal.message == "scanner reports: fatal"
     assert fatal.hardware_id == str(path)
     status["byte"] = 0
-    observer.wait(lambda: status() and not parts.keys() & status().keys(), "nothing more")
+    observer.wait(lambda: levels() and not parts.keys() & levels().keys(), "nothing more")
 
 
 def test_watson_over_range_is_reported(programs, observer, device):

@@ -7,6 +7,7 @@ import math
 import signal
 import time
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -249,7 +250,7 @@ def test_every_measurement_is_reported_on_and_given_back(programs, observer):
         assert counts["/gnss"] == sum(r.source == "gnss" for r in line.reports)
         connection = next(c for c in reader.connections if c.topic == "/odometry")
         first = next(raw for _, _, raw in reader.messages([connection]))
-        read = reader.deserialize(first, connection.msgtype)
+        read: Any = reader.deserialize(first, connection.msgtype)
         assert read.pose.pose.position.x == line.odometry[0].pose.pose.position.x
     program = programs.tool("trackslip", "replay", str(path), "--json", "found.json")
     assert program.wait() == 0, program.stderr

@@ -124,7 +124,12 @@ def test_sensors_fail_and_come_back(rig):
     for sensor in NODE:
         rig.fault(f"sensor: {sensor}, kind: unplug, duration: 4.0")
     missed = set()
-    rig.wait(lambda: missed.update(filter(rig.complains, NODE)) or missed == set(NODE), "all to be missed")
+
+    def all_missed():
+        missed.update(filter(rig.complains, NODE))
+        return missed == set(NODE)
+
+    rig.wait(all_missed, "all to be missed")
     rig.fault("sensor: sick, kind: pollution, duration: 600.0")
     rig.wait_until_nominal()
     rig.wait(lambda: rig.latest("sick_pls: pollution"), "the dirt to be seen")

@@ -3,7 +3,7 @@
 """What nodes send as bytes is, byte by byte, what rclpy sends of the same messages."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -25,11 +25,10 @@ from trackslip_estimation.slip.transforms import blank_transforms, fill_transfor
 
 STAMP_NS = 1_700_000_000_123_456_789
 RANDOM = np.random.default_rng(1)
-TILT = Tilt(*(RANDOM.normal(size=n) for n in (3, (3, 3), 3, 3, 3)), 0.25)
+NUMBERS: list[Any] = [RANDOM.normal(size=n) for n in (3, (3, 3), 3, 3, 3, 3, (3, 3), 3)]
+TILT = Tilt(*[*NUMBERS[:5], 0.25])
 SWING = Swing(0.5, -0.25, np.diag((0.01, 0.04)))
-OUTPUTS = Outputs(
-    *(RANDOM.normal(size=n) for n in (3, (3, 3), 3)), TILT, 0.1, 1e-4, RANDOM.normal(size=3), np.eye(3), SWING
-)
+OUTPUTS = Outputs(*[*NUMBERS[5:], TILT, 0.1, 1e-4, RANDOM.normal(size=3), np.eye(3), SWING])
 ESTIMATE = Estimate(STAMP_NS, RANDOM.normal(size=3), RANDOM.normal(size=(3, 3)), OUTPUTS, Motion.TURNING)
 LOCAL = Estimate(STAMP_NS, RANDOM.normal(size=3), RANDOM.normal(size=(3, 3)), OUTPUTS, Motion.TURNING)
 FRAMES = of_estimates.Frames("map", "odom", "base_link")
@@ -38,7 +37,8 @@ HYDRAULICS = HydraulicsSample(STAMP_NS, 1e7, -2e6, 0.5, -0.25, float("nan"))
 IMU = ImuSample(STAMP_NS, (0.1, 0.2, 9.8), (0.3, -0.4, 0.5), (1e-5, 2e-5, -4e-5), over_range=False)
 REPORT = Report("box_pose", STAMP_NS, Outcome.GATED, 20.5, 11.3, 3)
 
-Blank, Fill = Callable[[Any], Any], Callable[[Any], None]
+Blank: TypeAlias = Callable[[Any], Any]
+Fill: TypeAlias = Callable[[Any], None]
 FILLED: dict[str, tuple[Blank, Fill]] = {
     "sprockets": (
         lambda make: of_sensors.blank_joint_state(make, "base_link"),

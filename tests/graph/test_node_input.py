@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 from fixtures.node_arguments import ros_arguments
@@ -33,7 +34,7 @@ NODES = {
     "record": RecordNode,
     "emulator": EmulatorNode,
 }
-REFUSED = {
+REFUSED: dict[str, dict[str, Any]] = {
     "can_driver": {
         "can_port": 80,
         "can_bitrate": "fast",

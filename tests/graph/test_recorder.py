@@ -7,6 +7,7 @@ import random
 import signal
 import time
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,7 +135,8 @@ def is_strictly_readable(path):
     with AnyReader([path]) as reader:
         wanted = [connection for connection in reader.connections if connection.topic == "/sprockets"]
         for connection, _, raw in reader.messages(wanted):
-            numbers.append(int(reader.deserialize(raw, connection.msgtype).position[0]))
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            numbers.append(int(message.position[0]))
     count = 0
     for file in sorted(path.glob("*.mcap")):
         with file.open("rb") as stream:

@@ -4,6 +4,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -217,7 +218,7 @@ def test_set_up_ended_at_any_step_goes_on(checkout: Path, monkeypatch: pytest.Mo
     (checkout / "lib").mkdir(parents=True)
     (checkout / "trackslip.json").touch()
     with monkeypatch.context() as patch:
-        where = (setup_environment.shutil, "rmtree") if step == "removing" else (setup_workspace, step)
+        where = (shutil, "rmtree") if step == "removing" else (setup_workspace, step)
         patch.setattr(*where, end)
         with pytest.raises(KeyboardInterrupt):
             setup_workspace.set_up("", checks=False)
@@ -234,7 +235,7 @@ def test_what_cannot_be_removed_is_named(checkout: Path, monkeypatch: pytest.Mon
     def refuses(path: Path) -> None:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(setup_environment.shutil, "rmtree", refuses)
+    monkeypatch.setattr(shutil, "rmtree", refuses)
     with pytest.raises(SetupError, match=r"lib cannot be replaced \(Permission denied\)"):
         setup_workspace.set_up("", checks=False)
 

@@ -132,7 +132,7 @@ def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
     sprockets = [SprocketSample(s, *row[:4]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
     pressures = [HydraulicsSample(s, *row[:5]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
     swings = [SwingSample(s, *row[:2]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
-    lines = [ImuSample(s, *parts, over_range=False) for s, parts in zip(stamps, vectors, strict=True)]
+    lines = [ImuSample(s, a, b, c, over_range=False) for s, (a, b, c) in zip(stamps, vectors, strict=True)]
     stddevs = (WATSON.linear_acceleration_stddev, WATSON.angular_velocity_stddev)
     expected = {
         "sprockets": [conversions.joint_state(make, s, "base_link") for s in sprockets],

@@ -130,8 +130,8 @@ def test_an_antenna_leans_with_the_machine(bag: dict[str, Any], truth: Truth) ->
     assert np.sqrt(np.mean(errors**2)) < 0.015
     upright = np.column_stack((truth.interpolate(times).x, truth.interpolate(times).y))
     assert np.hypot(*(antennas[:, :2] - upright).T).max() > 0.5  # 2 m high on up to 15°
-    _, fixes = of_drive(bag["/fix"], truth.duration, 0.5)
-    climb = np.array([m.altitude for m in fixes]) - PARAMETERS.gnss.altitude
+    _, messages = of_drive(bag["/fix"], truth.duration, 0.5)
+    climb = np.array([m.altitude for m in messages]) - PARAMETERS.gnss.altitude
     assert climb == pytest.approx(antennas[:, 2], abs=0.1)
 
 

@@ -46,7 +46,7 @@ class Counted:
         change = {"into": "", "recognised_after": math.nan, "wrong_before": math.nan}
         if trial.scenario == "soil_change":
             change = {"into": "clayey_soil", "recognised_after": math.inf, "wrong_before": 0.2}
-        return Result(**(numbers | intervals | change | {"identifiable": True, "reason": ""}))  # type: ignore[arg-type]
+        return Result(**(numbers | intervals | change | {"identifiable": True, "reason": ""}))
 
 
 @pytest.fixture

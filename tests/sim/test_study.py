@@ -191,7 +191,7 @@ def _linearised(x: FloatArray, drive: np.void, config: ConfigRecord) -> tuple[Fl
     """F by central differences, and Q at a state that is known."""
     e, c = 1e-5, config[0]
     columns = [
-        (move(x + e * d, drive, PERIOD, c) - move(x - e * d, drive, PERIOD, c)) / (2.0 * e)
+        np.subtract(move(x + e * d, drive, PERIOD, c), move(x - e * d, drive, PERIOD, c)) / (2.0 * e)
         for d in np.eye(x.size)
     ]
     return np.stack(columns, axis=1), linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, c)[2]

@@ -4,6 +4,7 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -170,7 +171,7 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     P[spare, spare] = 1e-4
     start, states, J = x, [], np.linalg.inv(P)
     for kind, drive in zip(kinds.tolist(), rows.drives, strict=True):
-        F = _by_differences(lambda state, drive=drive: move(state, drive, PERIOD, config[0]), x)
+        F = _by_differences(partial(move, drive=drive, dt=PERIOD, c=config[0]), x)
         Q = linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, config[0])[2]
         J = np.linalg.inv(F @ np.linalg.inv(J) @ F.T + Q)
         x = move(x, drive, PERIOD, config[0])

@@ -34,7 +34,7 @@ STRAIGHT_SLIP = {"sand": 0.0072, "sandy_loam": 0.016, "clayey_soil": 0.016, "dry
 
 
 def drive(*segments: tuple[float, float, float], soil: str = "sand", **more: object) -> Scenario:
-    return Scenario(name="test", soil=soil, segments=tuple(Segment(*s) for s in segments), **more)  # type: ignore[arg-type]
+    return Scenario(name="test", soil=soil, segments=tuple(Segment(*s) for s in segments), **more)
 
 
 def random_drive(seed: int, soil: str) -> Scenario:

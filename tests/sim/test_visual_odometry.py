@@ -74,7 +74,8 @@ def test_replay_reads_odometry_as_the_node_does(bag: Path) -> None:
     with open_bag(bag) as opened:
         messages = [opened.deserialize(m.raw, m.type_name) for m in opened.messages([f"/{TOPIC}"])]
         rows = read_inputs(opened, p, InputFilters(), ()).measurements(numbers)
-    expected = to_records([odometry_pose(m, TOPIC, p.odometries()[TOPIC]) for m in messages], numbers)
+    poses: list[Any] = [odometry_pose(m, TOPIC, p.odometries()[TOPIC]) for m in messages]
+    expected = to_records(poses, numbers)
     found = rows[rows["kind"] == ODOMETRY]
     assert len(found) == len(expected) > 900
     for name in ("stamp_ns", "source", "value", "noise", "turn", "frame"):

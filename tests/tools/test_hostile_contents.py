@@ -243,7 +243,7 @@ def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, 
             channel = writer.register_channel(f"/t{k}", "cdr", schema)
             if k % 5000 == 0:
                 writer.add_message(channel, 10**18 + k, b"\0\1\0\0\1\0\0\0", 10**18 + k)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     if has_metadata:
         topics = [{"topic_metadata": {"name": f"/t{k}"}, "message_count": 0} for k in range(5_000)]
         information = {"topics_with_message_count": topics, "relative_file_paths": [file.name]}

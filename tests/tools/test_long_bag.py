@@ -45,7 +45,8 @@ GROWTHS = {"replay": 30.0, "calibrate": 25.0, "smooth": 30.0, "report": 60.0}
 
 
 def lengthened(path: Path, minutes: float, *options: str) -> Path:
-    command = [sys.executable, ROOT / "scripts" / "long_bag.py", ROOT / "bags" / "slalom_sand", path]
+    places = (ROOT / "scripts/long_bag.py", ROOT / "bags/slalom_sand", path)
+    command = [sys.executable, *map(str, places)]
     subprocess.run([*command, "--hours", str(minutes / 60.0), *options], check=True)
     return path
 

@@ -34,8 +34,8 @@ def ordered(
     order = LiveOrder(SOURCES, {*lines["source"].tolist()}, commands, sprockets)
     found, begin = [], 0
     for end in (*cuts, 10**15):
-        parts = [part[(part["log_time_ns"] >= begin) & (part["log_time_ns"] < end)] for part in (rows, lines)]
-        found.append(order.push(*parts, end))
+        now = [part[(part["log_time_ns"] >= begin) & (part["log_time_ns"] < end)] for part in (rows, lines)]
+        found.append(order.push(now[0], now[1], end))
         begin = end
     return np.concatenate((*found, order.finish())), order.counts
 

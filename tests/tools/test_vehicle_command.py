@@ -33,7 +33,7 @@ def test_file_loads_and_its_receiver_is_the_source_of_poses(tmp_path: Path) -> N
     assert vehicle.lacks == "vehicle 'digger' has no hydraulics"
     p = load_slip_parameters(vehicle_layer(vehicle))
     assert p.pose_sources == ("gnss_pose",)
-    assert p.sources["gnss_pose"].lever_arm_z > 1.0
+    assert p.poses()["gnss_pose"].lever[2] > 1.0
     assert not p.poses()["gnss_pose"].use_heading
 
 

@@ -60,7 +60,7 @@ def first_fix(pose, prediction, stddev, seed, resolution=0.01):
         range_resolution=resolution,
     )
     ranges = SiteScanner(site(stddev, resolution), BOX, seed).scan(
-        0.0, lambda times: tuple(np.full_like(times, value) for value in pose)
+        0.0, lambda times: (times * 0.0 + pose[0], times * 0.0 + pose[1], times * 0.0 + pose[2])
     )
     scan = Scan(0, ranges, ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT)
     return BoxLocalizer(parameters, BOX).locate(scan)

@@ -145,7 +145,8 @@ def test_covariance_stays_symmetric_and_positive(model: str, kappa: float, seed:
     state = start_of(config, rng.normal(size=3), covariance(rng, 3, 6.0))
     for _ in range(60):
         measured = measurement(rng)
-        speeds = Speeds(*rng.uniform(-4.0, 4.0, 2).tolist(), 0.01, differenced=bool(rng.random() < 0.5))
+        left, right = rng.uniform(-4.0, 4.0, 2).tolist()
+        speeds = Speeds(left, right, 0.01, differenced=bool(rng.random() < 0.5))
         motion = MotionState(Motion(int(rng.integers(4))), changing=bool(rng.random() < 0.5))
         state = filter_step(
             config, state, speeds, float(rng.choice((0.0, 0.01, 0.3))), motion, measured

@@ -278,7 +278,8 @@ def test_many_at_once_are_bit_for_bit_what_each_is_by_itself(
         assert_same_bits(results, one_by_one)
         count = single.window.count
         assert estimator.window.count == count
-        for mine, its in zip(estimator.window[1:], single.window[1:], strict=True):
+        arrays: list[tuple[Any, Any]] = list(zip(estimator.window[1:], single.window[1:], strict=True))
+        for mine, its in arrays:
             assert_same_bits(mine[:count], its[:count])
 
 

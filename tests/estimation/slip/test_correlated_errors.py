@@ -261,7 +261,7 @@ def test_any_order_of_arrival_gives_the_same_estimate(seed: int, order: int) -> 
         for m in measurements:
             estimator.process(m)
         windows.append(estimator.window)
-    one, other = (w.receivers[w.count - 1, 0] for w in windows)
+    one, other = (np.asarray(w.receivers[w.count - 1, 0]) for w in windows)
     assert one["known"] == 1
     assert one.tobytes() == other.tobytes()
 

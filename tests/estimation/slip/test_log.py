@@ -243,9 +243,9 @@ def test_nothing_is_compiled_while_driving(drive: Callable[..., Any], model: str
         model=model, **{"sources.box_pose.use_heading": False}, **{"sources.box_pose.lever_arm_x": 0.3}
     )
     estimator = SlipEstimator(p)
-    before = list(live.process.signatures)
+    before = list(live.process.signatures)  # type: ignore[attr-defined]  # numba's
     steps = [estimator.process(m) for m in measurements(drive)]
     assert any(r.outcome is Outcome.GATED for r, _ in steps)
     assert any(e is not None for _, e in steps)
-    assert live.process.signatures == before
+    assert live.process.signatures == before  # type: ignore[attr-defined]
     assert len(before) == 1

@@ -53,7 +53,8 @@ def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
 
 def seen(recorded: Recording, scale: float = 1.0, seed: int = 0) -> list[Measurement]:
     """The odometry of a drive: 10 Hz, lengths times ``scale``, a millimetre of noise between two poses."""
-    noise, place, found = np.random.default_rng(seed), recorded.poses[0, :2], []
+    noise, place = np.random.default_rng(seed), recorded.poses[0, :2]
+    found: list[Measurement] = []
     for k in range(0, len(recorded.t), 2):
         if k:
             moved = recorded.poses[k, :2] - recorded.poses[k - 2, :2]
@@ -171,7 +172,9 @@ def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
     first, second = pose_of(S, np.zeros(3)), pose_of(2 * S, np.array((x, y, turn)))
     c = SimpleNamespace(levers=np.array([LEVER]), mountings=np.array([quaternion_of(*MOUNTING)]))
     measured = SimpleNamespace(source=0, value=second.place, turn=second.turn)
-    found = increment.py_func(first, measured, T, c)
+    found = increment.py_func(  # type: ignore[attr-defined]  # numba's
+        first, measured, T, c
+    )
     np.testing.assert_allclose(found, (v, 0.0, rate), atol=1e-12)
 
 
@@ -184,7 +187,9 @@ def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> No
             odometry_variances=np.array([(0.09, 0.01)]),
         )
         measured = SimpleNamespace(source=0, noise=now)
-        return variances_stated.py_func(SimpleNamespace(noise=before), measured, 0.5, c)
+        return variances_stated.py_func(  # type: ignore[attr-defined]  # numba's
+            SimpleNamespace(noise=before), measured, 0.5, c
+        )
 
     nothing, twist = np.zeros((2, 3)), np.array(((1e-4, 4e-4, 0.0), (0.0, 0.0, 1e-6)))
     by_turn, twist_there = np.array((4e-6, 1e-6, 0.0)), np.array((4e-4, 1e-4, 1e-6))

@@ -46,7 +46,7 @@ def across(heading: float, slope: float) -> tuple[float, float]:
 
 def drive(heading: float, slope: float, seconds: float = 20.0, antenna: float = 0.0) -> list[Measurement]:
     """5 s of standing, then straight on at 0.4 m/s without slip; 20 Hz, fixes once a second."""
-    rng, found = np.random.default_rng(3), []
+    rng, found = np.random.default_rng(3), list[Measurement]()
     roll, pitch = across(heading, slope)
     lean = np.array((math.cos(roll) * math.sin(pitch), -math.sin(roll))) * antenna
     c, s = math.cos(heading), math.sin(heading)

@@ -154,7 +154,7 @@ def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> 
         if isinstance(m, PoseFix)
     ]
     both = sorted([*driven.measurements, *gnss], key=lambda m: m.stamp_ns)
-    changes = {
+    changes: dict[str, Any] = {
         "pose_sources": ["box_pose", "gnss"],
         "sources.gnss.use_heading": False,
         "sources.gnss.lever_arm_x": LEVER[0],

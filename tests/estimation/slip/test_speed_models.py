@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -109,10 +110,12 @@ def test_outputs_come_with_their_derivatives(model: str, x: FloatArray, left: fl
     v += math.copysign(0.05, v)
     found = outputs_of(config, Gaussian(x, P), measured)
     twist, slips = found["twist"], found["slips"]
-    J, S = (
-        differences(lambda at, name=name: outputs_of(config, Gaussian(at, P), measured)[name].copy(), x)
-        for name in ("twist", "slips")
-    )
+
+    def output(at: FloatArray, name: str) -> FloatArray:
+        values: FloatArray = outputs_of(config, Gaussian(at, P), measured)[name].copy()
+        return values
+
+    J, S = (differences(partial(output, name=name), x) for name in ("twist", "slips"))
     np.testing.assert_allclose(twist, (v, -rate * x[ROTATION_OFFSET], rate), atol=1e-12)
     np.testing.assert_allclose(found["twist_covariance"], J @ P @ J.T, rtol=1e-5, atol=1e-8)
     np.testing.assert_allclose(found["slip_covariance"], S @ P @ S.T, rtol=1e-5, atol=1e-8)

@@ -46,7 +46,7 @@ def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """A function that sets the clock, s since 1970."""
 
     def set_clock(seconds: float) -> None:
-        monkeypatch.setattr(state_file.time, "time", lambda: seconds)
+        monkeypatch.setattr("time.time", lambda: seconds)
 
     return set_clock
 

@@ -176,7 +176,7 @@ def test_a_spike_of_the_encoder_is_rejected_and_a_persistent_angle_is_accepted()
     readings = [k for k, m in enumerate(truth.measurements) if isinstance(m, SwingAngle)]
     spoilt = list(truth.measurements)
     for k in readings[100:101] + readings[150:]:
-        spoilt[k] = replace(spoilt[k], angle=spoilt[k].angle + 0.5)  # type: ignore[type-var]
+        spoilt[k] = replace(spoilt[k], angle=spoilt[k].angle + 0.5)
     steps = SlipEstimator(of_cab()).process_all(spoilt)
     outcomes = [report.outcome for report, _ in steps if report.source == ENCODER]
     assert outcomes[100] is Outcome.GATED
@@ -196,7 +196,7 @@ def test_the_order_of_arrival_does_not_matter() -> None:
     assert Outcome.TOO_LATE not in [report.outcome for report, _ in own.process_all([*head, *late])]
     found = own.estimate()
     np.testing.assert_array_equal(found.pose, expected_.pose)
-    assert found.outputs.swing.angle == expected_.outputs.swing.angle  # type: ignore[union-attr]
+    assert found.outputs.swing.angle == expected_.outputs.swing.angle
 
 
 def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement]:

@@ -23,7 +23,7 @@ def uneven_drive(seed: int) -> tuple[list[Measurement], np.ndarray]:
     """Turns to the left and to the right; the heading at the sprocket samples."""
     rng, p = np.random.default_rng(seed), load_slip_parameters()
     r, tread = p.vehicle.kinematics.rolling_radius, p.vehicle.kinematics.tread
-    pose, headings, measurements = np.zeros(3), [], []
+    pose, headings, measurements = np.zeros(3), list[float](), list[Measurement]()
     for k in range(round((LEARNS + SILENT) * HZ)):
         t, stamp_ns = k / HZ, S + k * S // HZ
         side = 1.0 if math.floor(t / SWITCHES) % 2 == 0 else -1.0

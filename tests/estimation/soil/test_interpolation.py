@@ -5,6 +5,7 @@
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,7 +104,10 @@ def test_sample_holds_all_of_its_state() -> None:
 
 def test_every_order_of_arrival_gives_the_same_samples() -> None:
     """Per topic in order, between topics in any."""
-    topics = ([hydraulics(t, 1e4 * t) for t in (96, 106, 116)], [state(t) for t in (100, 110)])
+    topics: tuple[list[Any], ...] = (
+        [hydraulics(t, 1e4 * t) for t in (96, 106, 116)],
+        [state(t) for t in (100, 110)],
+    )
     order = [k for k, topic in enumerate(topics) for _ in topic]
     results = set()
     for arrangement in set(itertools.permutations(order)):
