@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimators over columns: an import and a replay in a directory that is removed after it."""
 
-import math
 import tempfile
-from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +21,7 @@ from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import InputError, collected, suggestion
 from trackslip_common.parameters import flatten
 from trackslip_estimation.slip.sources import group_name
+from trackslip_tools.cli.replay_options import ReplayOptions
 
 REFERENCE = "reference_pose"  # is scored against, and no source
 
@@ -34,7 +33,6 @@ _LISTS = {
     "odometry": "odometry_sources",
 }
 _HEADINGS = {"yaw", "heading", *QUATERNION}
-_ALL = Namespace(start=0.0, stop=math.inf, withhold=(), thin=(), seed=0, remap=(), reference=None)
 
 
 class Estimator:
@@ -101,7 +99,7 @@ class Estimator:
                     imported = import_log([log], read_mapping(mapping), bag)
                     with open_bag(bag) as opened:
                         notes += _notes(imported)
-                        return replayed(opened, _ALL, (None, (), None), notes, imported.datum)
+                        return replayed(opened, ReplayOptions(), (None, (), None), notes, imported.datum)
                 except InputError as error:
                     raise InputError(str(error).replace(f"{folder}/", "")) from error
 

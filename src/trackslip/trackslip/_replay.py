@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A replay of a bag, and all that it gives."""
 
-import math
-from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +16,7 @@ from trackslip_common.errors import collected
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.cli import replay_options
+from trackslip_tools.cli.replay_options import ReplayOptions
 from trackslip_tools.replay import run
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.output import summary, text
@@ -44,13 +43,13 @@ def replay(
     vehicle: str | None = None,
     params: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
-    start: float = 0.0,
-    stop: float = math.inf,
-    withhold: Sequence[str] = (),
-    thin: Sequence[str] = (),
-    seed: int = 0,
-    remap: Sequence[str] = (),
-    reference: str | None = None,
+    start: float = ReplayOptions.start,
+    stop: float = ReplayOptions.stop,
+    withhold: Sequence[str] = ReplayOptions.withhold,
+    thin: Sequence[str] = ReplayOptions.thin,
+    seed: int = ReplayOptions.seed,
+    remap: Sequence[str] = ReplayOptions.remap,
+    reference: str | None = ReplayOptions.reference,
     namespace: str = "",
 ) -> Result:
     """Run the estimators over a bag in the order in which they ran live, as ``trackslip replay`` does.
@@ -72,22 +71,20 @@ def replay(
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    options = Namespace(
-        start=start, stop=stop, withhold=withhold, thin=thin, seed=seed, remap=remap, reference=reference
-    )
+    options = ReplayOptions(start, stop, withhold, thin, seed, remap, reference)
     with compilation_announced(), collected() as notes, open_bag(bag, namespace) as opened:
         return replayed(opened, options, (vehicle, params, settings), notes)
 
 
 def replayed(
     bag: Bag,
-    options: Namespace,
+    options: ReplayOptions,
     parameters: tuple[str | None, Sequence[str], Mapping[str, Any] | None],
     notes: list[str],
     datum: Datum | None = None,
 ) -> Result:
     """Of an open bag; ``parameters``: vehicle, files and settings; ``notes`` gather meanwhile."""
-    filters, reference = replay_options.filters_of(options), replay_options.reference_of(options)
+    filters, reference = options.filters(), options.scored_against
     vehicle, params, settings = parameters
     p = parameters_of(bag, params, settings, vehicle)
     replay_options.require_named(bag, p, filters, reference)

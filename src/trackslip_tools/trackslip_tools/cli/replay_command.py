@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    filters = replay_options.filters_of(args)  # refused before the work
+    filters = replay_options.options_of(args).filters()  # refused before the work
     if fleet_command.is_fleet(args.bags):
         if not args.publish:
             publish.refuse_without_publish(args)
@@ -78,7 +78,8 @@ def run(args: argparse.Namespace) -> int:
 def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
     """By the options, into the bag of ``--output`` where one is wanted."""
     _show_damage(bag)
-    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    options = replay_options.options_of(args)
+    filters, reference = options.filters(), options.scored_against
     p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
     replay_options.require_named(bag, p, filters, reference)
     of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)

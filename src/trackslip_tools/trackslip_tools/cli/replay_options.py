@@ -5,7 +5,8 @@
 import argparse
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 from trackslip_bags.input_filters import InputFilters, parse_remap, parse_thin, parse_withhold, relative
@@ -36,17 +37,58 @@ _LONGEST = 1e9  # s, some thirty years
 _POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
 
 
+@dataclass(frozen=True)
+class ReplayOptions:
+    """Which part of a bag is replayed, what is hidden, and what the estimates are scored against."""
+
+    start: float = 0.0  # s from the bag's first message
+    stop: float = math.inf  # s from the bag's first message
+    withhold: Sequence[str] = ()  # TOPIC[:T0:T1], s
+    thin: Sequence[str] = ()  # TOPIC:HZ[:SIGMA], m
+    seed: int = 0
+    remap: Sequence[str] = ()  # from:=to
+    reference: str | None = None  # topic
+
+    def filters(self) -> InputFilters:
+        """What they change in a bag.
+
+        Raises:
+            InputError: an option has another form, or a value out of range.
+        """
+        if not -_LONGEST <= self.start < self.stop or _LONGEST < self.stop < math.inf:
+            accepted = f"start before stop, both at most {_LONGEST:g} s"
+            raise InputError(f"--start {self.start:g} --stop {self.stop:g}: accepted: {accepted}")
+        return InputFilters(
+            start_s=self.start,
+            stop_s=self.stop,
+            remap=dict(map(parse_remap, self.remap)),
+            withhold=tuple(map(parse_withhold, self.withhold)),
+            thin=tuple(map(parse_thin, self.thin)),
+            seed=self.seed,
+        )
+
+    @property
+    def scored_against(self) -> str | None:
+        """The topic, without the slash that it may begin with."""
+        return relative(self.reference) if self.reference else None
+
+
+def options_of(args: argparse.Namespace) -> ReplayOptions:
+    """Those of a command line that ``add_options`` declared."""
+    return ReplayOptions(**{field.name: getattr(args, field.name) for field in fields(ReplayOptions)})
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare all of them but the parameter files."""
-    add = parser.add_argument
+    add, usual = parser.add_argument, ReplayOptions()
     add(
         "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
     )
     machine_options.add_vehicle(parser, "the bag's")
     machine_options.add_namespace(parser)
     add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
-    add("--start", metavar="S", type=float, default=0.0, help="seconds from the bag's first message")
-    add("--stop", metavar="S", type=float, default=float("inf"), help="seconds from the bag's first message")
+    add("--start", metavar="S", type=float, default=usual.start, help="seconds from the bag's first message")
+    add("--stop", metavar="S", type=float, default=usual.stop, help="seconds from the bag's first message")
     add(
         "--withhold",
         metavar="TOPIC[:T0:T1]",
@@ -61,7 +103,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="keep a topic at HZ; SIGMA m of noise is added to its positions",
     )
-    add("--seed", metavar="N", type=_seed, default=0, help="of the added noise")
+    add("--seed", metavar="N", type=_seed, default=usual.seed, help="of the added noise")
     add("--reference", metavar="TOPIC", help="score against this topic, every sample of it")
 
 
@@ -71,25 +113,6 @@ def add_force(parser: argparse.ArgumentParser) -> None:
         "--force",
         action="store_true",
         help="exit code 0 although the setup check found a cause (trackslip check)",
-    )
-
-
-def filters_of(args: argparse.Namespace) -> InputFilters:
-    """What the options change in a bag.
-
-    Raises:
-        InputError: an option has another form, or a value out of range.
-    """
-    if not -_LONGEST <= args.start < args.stop or _LONGEST < args.stop < math.inf:
-        accepted = f"start before stop, both at most {_LONGEST:g} s"
-        raise InputError(f"--start {args.start:g} --stop {args.stop:g}: accepted: {accepted}")
-    return InputFilters(
-        start_s=args.start,
-        stop_s=args.stop,
-        remap=dict(map(parse_remap, args.remap)),
-        withhold=tuple(map(parse_withhold, args.withhold)),
-        thin=tuple(map(parse_thin, args.thin)),
-        seed=args.seed,
     )
 
 
@@ -203,11 +226,6 @@ def _known(node: str, values: Mapping[str, Any], where: str) -> set[str]:
         *known_names(kind, kind.overlaid(node_defaults(node, f"{node}.yaml"), values), where),
         *kind.NAMED,
     }
-
-
-def reference_of(args: argparse.Namespace) -> str | None:
-    """The topic to score against, where one is named."""
-    return relative(args.reference) if args.reference else None
 
 
 def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> None:

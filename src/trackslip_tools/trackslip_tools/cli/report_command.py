@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: a bag, a parameter or an option cannot be used.
     """
-    replay_options.filters_of(args)  # refused before the work, like the limits
+    replay_options.options_of(args).filters()  # refused before the work, like the limits
     limits = load_limits(args.limits or ())
     files = args.params or [_OWN]
     if any(map(is_folder, args.bags)):
@@ -104,7 +104,8 @@ def _run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
     """A bag with a parameter file; ``recording``: what the bag holds, where that is known."""
-    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    options = replay_options.options_of(args)
+    filters, reference = options.filters(), options.scored_against
     given = ([] if name == _OWN else [name], args.set)
     p = replay_options.parameters_of(bag, *given, args.vehicle)
     of_soil = replay_options.soil_parameters_of(bag, p, *given)

@@ -38,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    options = replay_options.options_of(args)
+    filters, reference = options.filters(), options.scored_against
     refuse_existing(args.output)
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:

@@ -93,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
-    filters, reference = replay_options.filters_of(args), replay_options.reference_of(args)
+    options = replay_options.options_of(args)
+    filters, reference = options.filters(), options.scored_against
     with open_bag(path, args.namespace) as bag:
         if bag.damage:
             show(f"note: {bag.damage}", file=sys.stderr)
