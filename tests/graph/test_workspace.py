@@ -152,7 +152,7 @@ def test_sourcing_twice_adds_nothing_and_keeps_the_settings_of_the_user() -> Non
 
 @made_by_setup
 def test_command_needs_nothing_sourced() -> None:
-    assert "example: trackslip info" in from_nothing(str(ROOT / ".venv" / "bin" / "trackslip"), "--help")
+    assert "trackslip vehicle new" in from_nothing(str(ROOT / ".venv" / "bin" / "trackslip"), "--help")
 
 
 @pytest.mark.parametrize("name", ["trackslip_bags", "trackslip_estimation"])

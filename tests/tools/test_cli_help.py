@@ -29,7 +29,7 @@ def test_all_commands_are_listed_with_what_they_do(capsys: pytest.CaptureFixture
     text = help_of(capsys)
     assert [name for name in COMMANDS if f" {name} " not in text] == []
     assert "95 % intervals" in text
-    assert "example: trackslip info" in text
+    assert "trackslip vehicle new" in text
 
 
 @pytest.mark.parametrize("command", COMMANDS)

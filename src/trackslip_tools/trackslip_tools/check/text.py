@@ -2,8 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check as text: what was found comes first, with the line that undoes it."""
 
+import re
+
 from trackslip_estimation.setup_check.finding import Result, odds_text
 from trackslip_tools.terminal_text import table, wrapped
+
+_SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
+
+
+def settings(result: Result) -> list[str]:
+    """What the remedies set, as ``--set`` takes it; empty where a cause has another remedy."""
+    found = [_SETTING.findall(cause.remedy) for cause in result.causes]
+    return [one for settings in found for one in settings] if all(found) else []
 
 
 def finding(result: Result) -> str:

@@ -3,13 +3,14 @@
 """``trackslip check``: which mistake of the setup explains how the sensors of a bag disagree."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import whole
+from trackslip_tools.check.text import settings, whole
 from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.outputs import require_writable
@@ -47,4 +48,9 @@ def run(args: argparse.Namespace) -> int:
     show(whole(result))
     if args.json is not None:
         write_json(args.json, result.as_dict())
+    elif result.is_plausible or settings(result):
+        remedies = [word for setting in settings(result) for word in ("--set", setting)]
+        show(
+            f"next: trackslip replay {shlex.join([str(args.bag), *machine_options.stated(args), *remedies])}"
+        )
     return ExitCode.DONE if result.is_plausible else ExitCode.FAILED

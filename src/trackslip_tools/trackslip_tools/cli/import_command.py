@@ -3,18 +3,22 @@
 """``trackslip import``: a log of another robot becomes a bag."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+from trackslip_bags.importing.first_mapping import first_mapping
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.input_filters import relative
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
-from trackslip_common.config_files import config_file
-from trackslip_common.errors import ExitCode, collected, show
+from trackslip_common.config_files import config_file, node_parameters, read_yaml
+from trackslip_common.errors import ExitCode, InputError, collected, show
 from trackslip_common.vehicle_files import load_vehicle
+from trackslip_common.whole_file import write_whole
 from trackslip_estimation.setup_check.finding import Result
+from trackslip_estimation.slip.parameters import NODE
 from trackslip_tools.check.bag import check_bag
 from trackslip_tools.check.text import finding
 from trackslip_tools.cli import machine_options, replay_options
@@ -22,6 +26,8 @@ from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted
 from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.terminal_text import wrapped
+
+_VEHICLE = "excavator_20t"
 
 EXAMPLE = "trackslip import field_log.csv --mapping mappings/warthog.yaml --output out/field_log"
 
@@ -39,20 +45,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--mapping",
         metavar="YAML",
-        required=True,
-        help="columns and units, or topics; a path or a file of config/ (docs/import.md)",
+        help="columns and units, or topics; a path or a file of config/ (docs/import.md); "
+        "none: a first one is written for a CSV log, from the names of its columns",
     )
     machine_options.add_vehicle(parser, "the mapping's")
-    add("--output", metavar="BAG", type=Path, required=True, help="directory to create")
+    add("--output", metavar="BAG", type=Path, help="directory to create; needed with --mapping")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import and show what the bag holds.
+    """Import and show what the bag holds; without a mapping, write a first one.
 
     Raises:
         InputError: the log, the mapping or the output cannot be used.
     """
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
+    if args.mapping is None:
+        return _write_mapping(args.logs, args.vehicle)
+    if args.output is None:
+        raise InputError("--output is missing; accepted: a directory to create, for the bag")
     refuse_existing(args.output)
     mapping = read_mapping(config_file(args.mapping), vehicle)
     with counted(None, "importing"):
@@ -68,6 +78,37 @@ def run(args: argparse.Namespace) -> int:
         show(wrapped(line))
     show(f"next: trackslip {'replay' if setup is None or setup.is_plausible else 'check'} {args.output}")
     return ExitCode.DONE
+
+
+def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
+    """Into the working directory, under the name of the log."""
+    if len(logs) > 1 or not logs[0].is_file():
+        raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
+    (log,) = logs
+    path = Path(f"{log.stem}_mapping.yaml")
+    again = f"trackslip import {log} --mapping {path} --output {log.stem}_bag"
+    if path.exists():
+        raise InputError(f"'{path}' exists; accepted: {again}")
+    first = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
+    write_whole(path, first.text)
+    for field, column in first.found.items():
+        show(f"found: {field}: {column}")
+    for line in first.guessed:
+        show(f"guessed: {line}")
+    for name in first.unused:
+        show(f"not used: {name}")
+    if vehicle is None:
+        show(f"guessed: vehicle: {_VEHICLE}; trackslip vehicle new writes a file of yours, for --vehicle")
+    show(f"mapping: {path}; correct it where it is wrong")
+    show(f"next: {again}")
+    return ExitCode.DONE
+
+
+def _priors(vehicle: str | None) -> dict[str, Any]:
+    """Of the slip estimator: what ``trackslip vehicle new`` wrote beside the vehicle's file."""
+    path = Path(f"{vehicle}")
+    priors = path.with_name(f"{path.stem}_estimator.yaml")
+    return node_parameters(read_yaml(priors), NODE, str(priors)) if priors.is_file() else {}
 
 
 def _check(bag: Bag) -> Result | None:

@@ -17,3 +17,11 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Declare ``--namespace``."""
     about = "the machine's part of a bag: topic sprockets is /NS/sprockets, and so on"
     parser.add_argument("--namespace", metavar="NS", default="", help=about)
+
+
+def stated(args: argparse.Namespace) -> list[str]:
+    """Options of a command that the next one needs too: machine, parameters; as words of a command line."""
+    named = {"--vehicle": args.vehicle, "--namespace": args.namespace}
+    found = [word for option, value in named.items() if value for word in (option, value)]
+    found += [word for setting in args.set for word in ("--set", setting)]
+    return [*found, "--params", *args.params] if len(args.params) == 1 else found

@@ -86,7 +86,8 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = _Parser(
         prog="trackslip",
         description="The workbench around bags.",
-        epilog="example: trackslip info out/demo/bag; 'trackslip COMMAND --help' has one for each",
+        epilog="begin with: trackslip demo; with a machine of yours: trackslip vehicle new --mass 20000 "
+        "--tread 2.4; 'trackslip COMMAND --help' has an example of each",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version, and exit")
     added = parser.add_subparsers(metavar="COMMAND", required=True)

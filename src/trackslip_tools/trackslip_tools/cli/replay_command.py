@@ -3,6 +3,7 @@
 """``trackslip replay``: the estimator over a bag."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
@@ -11,7 +12,7 @@ from pathlib import Path
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.cli import fleet_command, publish, replay_options, worker_options
+from trackslip_tools.cli import fleet_command, machine_options, publish, replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.json_file import write_json
 from trackslip_tools.cli.outputs import require_writable
@@ -72,7 +73,14 @@ def run(args: argparse.Namespace) -> int:
         show(f"estimates: {args.output}")
     if args.json is not None:
         write_json(args.json, summary(result, waited_s()))
-    return ExitCode.FAILED if result.has_failed(force=args.force) else ExitCode.DONE
+    has_failed = result.has_failed(force=args.force)
+    if args.output is None and args.json is None:
+        command, output = (
+            ("check", []) if has_failed else ("report", ["--output", f"{args.bags[0].stem}.html"])
+        )
+        words = [command, str(args.bags[0]), *machine_options.stated(args), *output]
+        show(f"next: trackslip {shlex.join(words)}")
+    return ExitCode.FAILED if has_failed else ExitCode.DONE
 
 
 def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:

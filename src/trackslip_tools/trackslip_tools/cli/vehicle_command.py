@@ -73,7 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
         show(f"left out: {line}")
     show(f"vehicle: {paths[0]}")
     priors = "".join(f" --params {path}" for path in paths[1:])
-    show(f"next: trackslip replay BAG --vehicle {paths[0]}{priors}")
+    show(f"next: trackslip import LOG.csv --vehicle {paths[0]}")
+    show(f"of a bag: trackslip replay BAG --vehicle {paths[0]}{priors}")
     return ExitCode.DONE
 
 

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""The path of a newcomer from a CSV log to a report: each command is read in the output of the one before."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fixtures.newcomer import write_log
+
+from trackslip_tools.cli.main import main
+
+MOST = 10  # commands
+_SUGGESTED = re.compile(r"(?:next|machine of yours): (trackslip [^;\n]+)|see (trackslip --help)")
+_GUESSED = re.compile(r"^guessed: unit of (\w+): ", re.MULTILINE)
+MINE = {"LOG.csv": "log.csv"}  # what a reader puts in
+UNITS = {"v_left": "km/h", "v_right": "km/h", "yaw_rate": "deg/s", "t": "s"}  # which no name states
+
+
+def correct(mapping: Path, columns: list[str]) -> None:
+    """The units of these columns, as a reader does who is told that they are guessed."""
+    for name in columns:
+        text = mapping.read_text(encoding="utf-8")
+        changed = re.sub(rf"(column: {name}, unit: )[\w/]+", rf"\g<1>{UNITS.get(name, 'deg')}", text)
+        mapping.write_text(changed, encoding="utf-8")
+
+
+@pytest.fixture
+def commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[str]:
+    """Each that was suggested, from ``trackslip`` on; it runs when the next one is asked for."""
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "log.csv")
+
+    def run() -> Iterator[str]:
+        line = "trackslip"
+        while line:
+            yield line
+            try:
+                code = main(shlex.split(line)[1:])
+            except SystemExit as ended:  # --help
+                code = int(ended.code or 0)
+            printed = "".join(capsys.readouterr())
+            assert code == 0 or line in ("trackslip", "trackslip check log_bag"), printed
+            correct(tmp_path / "log_mapping.yaml", _GUESSED.findall(printed))
+            found = _SUGGESTED.search(" ".join(printed.split()) if "--help" in line else printed)
+            line = next(filter(None, found.groups())).strip() if found else ""
+            for theirs, mine in MINE.items():
+                line = line.replace(theirs, mine)
+
+    return run()
+
+
+def test_each_command_suggests_the_next_until_there_is_a_report(
+    commands: Iterator[str], tmp_path: Path
+) -> None:
+    lines = list(commands)
+    assert len(lines) <= MOST
+    assert lines[-1].startswith("trackslip report "), lines
+    assert (tmp_path / shlex.split(lines[-1])[-1]).stat().st_size > 100_000
