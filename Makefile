@@ -45,7 +45,7 @@ drives: setup ## forty random drives of random machines, in and out of the laser
 	@$(ENTER) exec $(VENV)/python -m trackslip_sim.drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
 
 cases: setup ## drives with injected faults, scored beside those of a baseline, and their bars (ARGS='--only marmotte --json FILE')
-	@$(ENTER) exec $(VENV)/python scripts/fault_cases.py $(ARGS)
+	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/main.py $(ARGS)
 
 # A module's tests run in one worker, and those with whole graphs (group graph) one by one: two more workers than
 # cores use what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
@@ -74,11 +74,11 @@ units: checks ## the command of each systemd unit for half a minute in the read-
 	@$(ENTER) exec $(VENV)/python -m pytest -m slow tests/graph/test_units.py
 
 soak: setup ## the graph at ten times its speed, and what grows meanwhile; page in out/soak (DURATION=300, SPEED=10)
-	@$(ENTER) exec $(VENV)/python scripts/soak.py $(if $(DURATION),--duration '$(DURATION)') $(if $(SPEED),--speed '$(SPEED)')
+	@$(ENTER) exec $(VENV)/python tests/soak/soak.py $(if $(DURATION),--duration '$(DURATION)') $(if $(SPEED),--speed '$(SPEED)')
 
 bench: setup ## speed of filters and drivers on this machine
 	@$(VENV)/python -m pip install -q -r requirements/bench.txt
-	@$(ENTER) exec $(VENV)/python scripts/bench.py
+	@$(ENTER) exec $(VENV)/python tests/bench/bench.py
 
 fuzz: checks ## random measurements and messages for the estimators, hostile files for every reader (FILES=500 each), hostile bags for every command (BAGS=246), a million mutated messages of receivers, 100000 mutated DBCs and roles, then random bytes into every decoder (RUNS=10000 each, by hypothesis)
 	@$(ENTER) $(VENV)/python tests/fuzz/random_steps.py

@@ -10,7 +10,7 @@ _BLOCK = re.compile(r"<!-- numbers: .*?<!-- end of .*?-->", re.DOTALL)
 _INDENTED = re.compile(r"\n\n(?: {4,}.*\n?)+")  # after a gap; an item's second line is none
 _LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
 _ITEM = re.compile(r"^ *(?:[-*]|\d+\.) +", re.MULTILINE)
-_END = re.compile(r"(?<=[.!?])[\"')*]*\s+(?=[\"'(*`]*[A-ZÄÖÜ0-9`])")  # not of "e.g. a", nor of "Fig. 3"
+_END = re.compile(r"(?<=[.!?])[\"')*]*\s+(?=[\"'(*`]*[A-ZÄÖÜΑ-Ωα-ω0-9`])")  # not of "e.g. a", nor "Fig. 3"
 _SHORT = re.compile(r"\b(e\.g|i\.e|Fig|et al|cf|vs)\.")
 
 
@@ -28,7 +28,7 @@ def sentences(text: str) -> list[str]:
         text = pattern.sub("\n", text)
     text = _INDENTED.sub("\n\n", text)
     text = re.sub(r"^(?:\|.*|#.*|<!--.*-->|!\[.*)$", "", text, flags=re.MULTILINE)
-    text = _LINK.sub(r"\1", re.sub(r"`[^`]*`", "x", text))
+    text = _LINK.sub(r"\1", re.sub(r"`[^`]*`", "`x`", text))
     found = []
     for paragraph in re.split(r"\n\s*\n", _ITEM.sub("\n\n", text)):
         one_line = " ".join(_SHORT.sub(r"\1", paragraph).split())

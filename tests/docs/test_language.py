@@ -5,9 +5,8 @@
 from pathlib import Path
 
 import pytest
+from fixtures import replaced_words as words
 from fixtures.documents import DOCUMENTS, ROOT
-
-import words
 
 
 @pytest.mark.parametrize("folder", words.CODE)

@@ -15,6 +15,7 @@ import readability
         ("One two `code with spaces` three.\n\n    a block. of code\n", [4]),
         ("| a table. With words |\n|---|\n\nOne [link text](page.md) two.\n", [4]),
         ("- First item here\n- second item\n", [3, 2]),
+        ("One two. `code` begins the next. κ too.\n", [2, 4, 2]),
         ("By Fig. 3 one sees it.\n", [6]),
         ("```\nA block. Of code\n```\nOne two.\n", [2]),
         ("<!-- numbers: a -->\nA figure of it.\n<!-- end of a -->\nOne two.\n", [2]),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of many minutes, made of a short one by ``scripts/long_bag.py``, goes through in bounded memory."""
+"""A bag of many minutes, made of a short one by ``tests/fixtures/long_bag.py``, goes through in bounded memory."""
 
 import subprocess
 import sys
@@ -45,7 +45,7 @@ GROWTHS = {"replay": 30.0, "calibrate": 25.0, "smooth": 30.0, "report": 60.0}
 
 
 def lengthened(path: Path, minutes: float, *options: str) -> Path:
-    places = (ROOT / "scripts/long_bag.py", ROOT / "bags/slalom_sand", path)
+    places = (ROOT / "tests/fixtures/long_bag.py", ROOT / "bags/slalom_sand", path)
     command = [sys.executable, *map(str, places)]
     subprocess.run([*command, "--hours", str(minutes / 60.0), *options], check=True)
     return path

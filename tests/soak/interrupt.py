@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Presses Ctrl-C at random moments of set-up, demo, tests, tuning, study; then each must work without help.
 
-    python3 scripts/interrupt.py [--times 20] [--seed 1] [--only tune study]
+    python3 tests/soak/interrupt.py [--times 20] [--seed 1] [--only tune study]
 
 It runs in the checkout that it stands in; use a clone: an interrupted set-up leaves the environment to be
 made. Each of the five commands, or of those named, is interrupted TIMES / 5 times, must end within 20 s,
@@ -20,7 +20,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 TRACKSLIP = str(ROOT / ".venv" / "bin" / "trackslip")
 _PYTEST = ".venv/bin/python -m pytest -q -n 2"
 PATIENCE_S, LONGEST_S = 20.0, 1800.0

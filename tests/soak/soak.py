@@ -30,7 +30,7 @@ from trackslip_sim.demo.output import LOGS, Results, claim
 from trackslip_sim.demo.processes import Processes, end_with_parent
 from trackslip_tools.cli.progress import shown
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "soak"
 RESULTS = Results("soak", ("bag*", "devices", "drive", *LOGS, "soak.md", "state.yaml*"))
 DRIVE_S, SPEED = 600, 10.0
