@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the live page costs: a machine that drives in the graph, the node ``live``, and pages that look at it.
 
-``python tests/bench/bench_live.py [--minutes 5] [--pages 3] [--chromium]``, after sourcing .venv/trackslip.sh,
+``python tests/bench/bench_live.py [--minutes 5] [--pages 3] [--chromium]`` (source .venv/trackslip.sh before)
 plays a made-up drive at the rates of the real nodes, and prints the node's share of a core, its memory over
 the time, and the frames that each page got. A page is a websocket that decodes what it gets; with
 ``--chromium`` it is in a browser as wide as a phone, a tablet or a desk, and its console is printed too.

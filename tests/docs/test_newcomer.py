@@ -54,6 +54,7 @@ def commands(
     return run()
 
 
+@pytest.mark.slow
 def test_each_command_suggests_the_next_until_there_is_a_report(
     commands: Iterator[str], tmp_path: Path
 ) -> None:

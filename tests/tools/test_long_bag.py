@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of many minutes, made of a short one by ``tests/fixtures/long_bag.py``, goes through in bounded memory."""
+"""A bag of many minutes, made by ``tests/fixtures/long_bag.py``, goes through in bounded memory."""
 
 import subprocess
 import sys
