@@ -9,6 +9,7 @@ from typing import Any
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from mkdocs.utils import get_relative_url
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = {  # file of the repository → page of the site
@@ -20,6 +21,7 @@ OUTSIDE = {  # file of the repository → page of the site
     "deploy/README.md": "deploy.md",
 }
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
+_SHIM = "https://unpkg.com/iframe-worker/shim"
 API = ROOT / "scripts" / "api_pages"  # Markdown, with a line ::: MODULE for each module
 
 
@@ -39,6 +41,11 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, **_: An
     if page.file.generated_by:
         return markdown
     return relinked(markdown, PurePosixPath("docs") / PurePosixPath(page.file.src_uri).parent)
+
+
+def on_post_page(output: str, *, page: Page, **_: Any) -> str:
+    """Take the theme's script for pages that are opened as files from the site, not from the net."""
+    return output.replace(_SHIM, get_relative_url("offline_search.js", page.url))
 
 
 def relinked(text: str, folder: PurePosixPath) -> str:

@@ -109,16 +109,16 @@ def _parameters(fields: Iterable[Any], defaults: Mapping[str, Any]) -> Iterator[
     rows = [
         (
             f"`{name}`",
-            _mark(spec),
+            _text(spec),
             _value(defaults.get(name)),
             spec.unit,
-            _type(kind),
             _range(spec),
-            _text(spec),
+            _type(kind),
+            _mark(spec),
         )
         for name, kind, spec in own_first
     ]
-    yield from table(("parameter", "for", "default", "unit", "type", "range", "meaning"), rows)
+    yield from table(("parameter", "meaning", "default", "unit", "range", "type", "for"), rows)
 
 
 def _mark(spec: Spec) -> str:
