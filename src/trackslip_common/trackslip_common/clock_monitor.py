@@ -11,7 +11,7 @@ Other sources carry the clock on only while the first is silent: when their stam
 gone on for its timeout without a sample of it.
 
 A step back into the history leaves stamps that look like late data. Late data agree with the history, while
-samples stamped anew have the positions that the sprockets had elsewhere in it.
+samples with new stamps have the positions that the sprockets had elsewhere in it.
 
 ``CLOCK`` is all that is remembered: compiled code keeps it in a record; ``ClockMonitor`` is for Python.
 """
@@ -63,7 +63,7 @@ class StampStatus(IntEnum):
     IN_LINE = 0
     AHEAD = 1  # further ahead than the gap, and not (yet) confirmed
     BEHIND = 2  # before the history, and not (yet) confirmed
-    BACK = 3  # the clock has gone back: all begins anew
+    BACK = 3  # the clock has gone back: all restarts
 
 
 _CARRIERS = 3  # measurements in a row that carry the clock on
@@ -73,7 +73,7 @@ _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 @compiled
 def _add(streak: StampStreak, stamp_ns: int, gap_ns: int, counts: bool) -> int:
-    """How many in a row by now; a stamp that does not follow on the last one begins anew."""
+    """How many in a row by now; a stamp that does not follow on the last one restarts."""
     if not 0 < stamp_ns - streak.last_ns <= gap_ns:
         streak.count, streak.first_ns = 0, stamp_ns
     streak.count, streak.last_ns = streak.count + (1 if counts else 0), stamp_ns

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Angles that begin anew after each whole turn, as drivers of joints give them, made continuous.
+"""Angles that restart after each whole turn, as drivers of joints give them, made continuous.
 
 Such an angle lies within one turn, from 0 on or from half a turn before it, and jumps by nearly a whole turn.
 An angle that was ever seen outside both is a continuous one, whose numbers stay as they are; so is one whose
@@ -65,7 +65,7 @@ class TurnCounter:
 
 
 def within_a_turn(low: float, high: float, turn: float) -> bool:
-    """Whether angles between these may be such as begin anew after each turn."""
+    """Whether angles between these may be such as restart after each turn."""
     slack = _SLACK * turn
     return (low >= -slack and high <= turn + slack) or (
         low >= -turn / 2.0 - slack and high <= turn / 2.0 + slack

@@ -41,7 +41,7 @@ class OdometryBuffer:
         self._latest: deque[Odometry] = deque(maxlen=KEPT)
 
     def add(self, odometry: Odometry) -> None:
-        """Keep one, if it is that long after the one before; stamps that go back begin anew."""
+        """Keep one, if it is that long after the one before; stamps that go back restart it."""
         if not _is_usable(odometry):
             self._tally.add("odometry", OdometryReason.MALFORMED)
             return

@@ -146,7 +146,7 @@ class SlipEstimator:
 
     @property
     def divergences(self) -> int:
-        """How often the estimate began anew because its state was not finite."""
+        """How often the estimate restarted because its state was not finite."""
         return int(self.window.status["divergences"][0])
 
     @property

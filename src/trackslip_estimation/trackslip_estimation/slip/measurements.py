@@ -123,7 +123,7 @@ class OdometryPose:
     stamp_ns: int
     place: FloatArray  # (3,) m
     turn: FloatArray  # (4,) quaternion x, y, z, w
-    frame: int  # number of its odom frame; another one begins anew
+    frame: int  # number of its odom frame; another one restarts
     variances: FloatArray  # (2, 3) linear and angular, of twist or pose, as the source's parameters want
 
 
@@ -164,10 +164,10 @@ class Outcome(IntEnum):
     WAITING = 5  # no estimate yet: it starts with the first fix
     AHEAD = 6  # far ahead of the sprockets, or a sprocket sample that the next ones must confirm
     JUMPED = 7  # used, but the sprocket positions jump: its measured speeds count
-    RESTARTED = 8  # the clock went back: the estimate begins anew with this sample
+    RESTARTED = 8  # the clock went back: the estimate restarts with this sample
     FROZEN = 9  # poses are not wanted now
-    BEGUN = 10  # odometry that begins anew: there is no pose before it to compare with
-    DIVERGED = 11  # the estimate was not finite any more: it begins anew
+    BEGUN = 10  # odometry restarts: there is no earlier pose to compare it with
+    DIVERGED = 11  # the estimate was not finite: it restarts
 
     @property
     def refused(self) -> bool:

@@ -3,7 +3,7 @@
 """The last guard: whether a state can be gone on from; compiled.
 
 ``usable`` keeps out what would break a state, and ``kalman.positive`` keeps its covariance positive definite.
-Should a state be broken nevertheless, ``process`` counts a divergence and begins anew, as after a reset.
+Should a state be broken nevertheless, ``process`` counts a divergence and restarts, as after a reset.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class SourceWatch:
         self._timeouts_ns = timeouts_ns
 
     def clear(self) -> None:
-        """The estimate begins anew."""
+        """The estimate restarts."""
         self._taken_ns: dict[str, int] = {}
         self._silences: dict[str, Silence] = defaultdict(Silence)
         self._innovations: dict[str, deque[Report]] = defaultdict(deque)
@@ -52,7 +52,7 @@ class SourceWatch:
             self._innovations[report.source].append(report)
 
     def has_diverged(self, now_ns: int) -> bool:
-        """Whether the estimate was not finite at some time in the last seconds, and began anew."""
+        """Whether the estimate was not finite at some time in the last seconds, and restarted."""
         return self._diverged_ns is not None and now_ns - self._diverged_ns < _WINDOW_NS
 
     def lost(self, now_ns: int) -> dict[str, float]:

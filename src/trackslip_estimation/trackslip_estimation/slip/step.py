@@ -101,7 +101,7 @@ def step(
 
 @inlined
 def _update_ground(state: State, update: Update, prior: Prior) -> None:
-    """The height, where the place was corrected; one where it began, or that was found anew, is no way."""
+    """The height, where the place was corrected; one where it began, or that was found again, is no way."""
     jumped = update.opened == MOVED or update.opened == FOLDED or update.opened == TURNED
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])

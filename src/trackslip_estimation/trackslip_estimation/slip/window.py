@@ -58,7 +58,7 @@ class Status(Record):
     known: int  # of these, once started: how many have their state
     restarts: int  # since the clock went back, not those a user asked for
     published_ns: int  # stamp of the newest estimate
-    divergences: int  # how often a state was not finite, and the estimate began anew
+    divergences: int  # how often a state was not finite, and the estimate restarted
     scripted: bool  # one branch, whose events are those of the script
     played: int  # events of the script so far
     begun: int  # of these up to the first entry

@@ -185,9 +185,9 @@ class Rejection(Enum):
     DUPLICATE = "same stamp as one before"
     TOO_LATE = "older than what is done already"
     AHEAD = "far ahead of the others"
-    RESTARTED = "the clock went back: all begins anew"
+    RESTARTED = "the clock went back: all restarts"
     OUT_OF_RANGE = "beyond physical limits"
-    DIVERGED = "the estimate was not finite any more: all begins anew"
+    DIVERGED = "the estimate was not finite: all restarts"
 
 
 # Of compiled code: the place of each in ``Rejection``

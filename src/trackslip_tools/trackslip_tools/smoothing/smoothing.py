@@ -9,7 +9,7 @@ no state does (a start, a manual pose, silent sprockets) nothing is carried back
 itself. The filter is the extended Kalman filter, whichever the parameters name.
 
 Memory is bounded: the first pass keeps the state at which each block begins, the second goes back through the
-blocks, made anew from there, and keeps what is carried into each; the third makes them once more, in order.
+blocks, made again from there, and keeps what is carried into each; the third makes them once more, in order.
 """
 
 from collections.abc import Iterator
@@ -48,7 +48,7 @@ class _Begin(NamedTuple):
 def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
     """Filter and smoother over a log, block by block.
 
-    What was asked of the estimator while it ran (to begin anew, to hold still, new parameters) is left out.
+    What was asked of the estimator while it ran (to restart, to hold still, new parameters) is left out.
     """
     p = replace(p, filter="ekf")
     start, config = begin_log(log, p, script_of(log, p))
