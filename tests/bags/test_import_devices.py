@@ -127,7 +127,7 @@ def test_logs_of_one_drive_are_read_in_order_of_their_times(tmp_path: Path) -> N
     }
 
 
-def test_a_blf_cut_short_says_so(tmp_path: Path) -> None:
+def test_a_blf_cut_short_is_named(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.blf")
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
     found, messages = imported(tmp_path, [log], can={})

@@ -103,7 +103,14 @@ def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path, bag: Path, r
     assert "cannot be written" in refuse("replay", bag, "--json", tmp_path)
 
 
-@pytest.mark.parametrize("arguments", [[], ["drive"], ["replay"], ["import", "log.csv"]])
+def test_a_log_that_is_not_there_is_named(refuse: Refuse) -> None:
+    assert (
+        refuse("import", "log.csv")
+        == "log 'log.csv' not found; accepted: logs or their directory, or a bag\n"
+    )
+
+
+@pytest.mark.parametrize("arguments", [[], ["drive"], ["replay"], ["import"]])
 def test_a_bad_command_line_is_refused(arguments: list[str], refuse: Refuse) -> None:
     error = refuse(*arguments)
     assert error.startswith("trackslip")

@@ -7,12 +7,11 @@ from functools import cache
 
 import pytest
 from fixtures.setup_drives import make_drive, without_fixes
-from fixtures.setup_mistakes import MISTAKES
+from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
 
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.log import Log
 
-AMBIGUOUS = {"lever arm to the left"}  # a radius of the turns explains it as well
 HEALTHY = {
     "precise fixes": {},
     "no headings": {"has_heading": False},

@@ -23,6 +23,7 @@ _LENGTHS = (5.0, 10.0, 20.0)  # s
 _ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
 _LEAST_LEVER = 0.08  # m
 _SURE = 4.0  # standard deviations
+_EXACT = 0.06  # of the tread, standard deviation of a lever arm that is known
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
 _LEAST_COURSES = 5
@@ -54,7 +55,10 @@ def judge_lever(path: Path, fixes: Fixes, log: Log, rival: float) -> tuple[list[
     )
     is_off = np.abs(off) > np.maximum(allowed, 0.0) + _SURE * sure
     if not is_off.any() or lever.log_ratio < LEAST_LOG:
-        return [], []
+        if max(sure) < _EXACT * machine.tread:
+            return [], []
+        what = f"lever arm of {fixes.name}, which turns show to ± {_SURE * max(sure):.2g} m only"
+        return [], [Undetermined(what, "turn on the spot by 180° to the left and to the right")]
     if lever.log_ratio < rival:
         what = f"lever arm of {fixes.name}, or a delay of its stamps"
         return [], [Undetermined(what, "turn on the spot, and stop and start on straights")]

@@ -149,6 +149,9 @@ def judge(
             f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
+    if middle - ratios.spread / factor > _RADIUS_RANGE[0]:
+        what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
+        return [], [Undetermined(what, "drive 20 m straight in each gear")]
     if ratios.best < 0.9 and ratios.best > 0.55:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
         return [], [

@@ -82,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
     """Into the working directory, under the name of the log."""
+    if not logs[0].exists():
+        raise InputError(f"log '{logs[0]}' not found; accepted: logs or their directory, or a bag")
     if len(logs) > 1 or not logs[0].is_file():
         raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
     (log,) = logs
