@@ -130,10 +130,8 @@ def _open_mf4(path: Path) -> Any:
         InputError: it is not installed, or the file is damaged.
     """
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it finds wrong is raised, too
-    hook, sys.unraisablehook = (
-        sys.unraisablehook,
-        lambda _: None,
-    )  # a half-opened file raises when it is freed
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None  # a file that was opened in part raises once more when it is freed
     try:
         return can.MF4Reader(path)
     except NotImplementedError:
