@@ -3,6 +3,7 @@
 """``trackslip import``: a log of another robot becomes a bag."""
 
 import argparse
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,8 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
         raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
     (log,) = logs
     path = Path(f"{log.stem}_mapping.yaml")
-    again = f"trackslip import {log} --mapping {path} --output {log.stem}_bag"
+    words = ["trackslip", "import", str(log), "--mapping", str(path), "--output", f"{log.stem}_bag"]
+    again = shlex.join(words)
     if path.exists():
         raise InputError(f"'{path}' exists; accepted: {again}")
     first = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
@@ -108,7 +110,9 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
 
 def _priors(vehicle: str | None) -> dict[str, Any]:
     """Of the slip estimator: what ``trackslip vehicle new`` wrote beside the vehicle's file."""
-    path = Path(f"{vehicle}")
+    if vehicle is None:
+        return {}
+    path = Path(vehicle)
     priors = path.with_name(f"{path.stem}_estimator.yaml")
     return node_parameters(read_yaml(priors), NODE, str(priors)) if priors.is_file() else {}
 
