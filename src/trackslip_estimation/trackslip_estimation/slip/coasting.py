@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The machine while its sprockets are silent: it may stand, go on, or turn, each as fast as it can; compiled.
 
-    v̂, ω̂   fastest that it can drive and turn              m/s, rad/s
-    τ       how long an unknown speed lasts                 s
+    v̂, ω̂   standard deviations of a speed and a yaw rate that may be any    m/s, rad/s
+    τ       how long an unknown speed lasts                                  s
     x, P    mean and covariance of the state
 
 Before, the sprockets' last speeds are taken to go on, and have errors of v̂ √(t/τ) and ω̂ √(t/τ) more. Then
-the pose is held where it was and its uncertainty grows as that of a random walk, by v̂ √(2 τ t). Where
-velocity errors are states, all of speed and yaw rate is an error now. The speed is forgotten after each step.
-The yaw rate is a first-order Gauss–Markov process of size ω̂ and time τ, so that a gyro that still works
-carries the heading on, whatever else is measured between its readings.
+all of speed and yaw rate is a velocity error (``models.speed``): first-order Gauss–Markov processes of sizes
+v̂ and ω̂ and time τ. Fixes show them, and a gyro that still works. Models without these states hold the pose
+where it was; its uncertainty grows as that of a random walk, by v̂ √(2 τ t) and ω̂ √(2 τ t).
 
 An estimate may start before its first sample. Until that one the machine goes as it shows, or otherwise: back
 from it speed and yaw rate may be random walks of v̂ √(t/τ) and ω̂ √(t/τ), which after a time t is a variance of
@@ -25,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Kinematics
-from trackslip_estimation.kalman.single_state import decay_state, replace_state
+from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
@@ -34,51 +33,37 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
+_SIDEWAYS = 0.1  # share of v̂ that an unseen machine may go aside
+
 
 @dataclass(frozen=True)
-class MotionLimits:
-    """What the machine can do at the most."""
+class UnknownMotion:
+    """Standard deviations of speed and yaw rate of a machine of which nothing is known."""
 
-    speed: float  # m/s
-    yaw_rate: float  # rad/s
+    speed: float  # v̂, m/s
+    yaw_rate: float  # ω̂, rad/s
 
 
-def motion_limits(vehicle: Kinematics, max_sprocket_speed: float) -> MotionLimits:
-    """What the sprockets can do at the most."""
+def unknown_motion(vehicle: Kinematics, max_sprocket_speed: float) -> UnknownMotion:
+    """Any speed and yaw rate that the sprockets can do is as likely."""
     fastest = vehicle.rolling_radius * max_sprocket_speed
-    return MotionLimits(fastest, 2.0 * fastest / vehicle.tread)
+    return UnknownMotion(fastest / math.sqrt(3.0), 2.0 * fastest / vehicle.tread / math.sqrt(3.0))
 
 
 @compiled
 def begin_coast(state: State, rate: tuple[float, float], c: Config) -> None:
-    """At the end of what is known; ``rate``: yaw rate and its variance."""
-    if not has_velocity_errors(c):
-        return
-    reset_speed(state, c)
-    replace_state(state.mean, state.covariance, YAW_RATE_ERROR, rate[0], rate[1])
-
-
-@compiled
-def reset_speed(state: State, c: Config) -> None:
-    """Speed unknown: about zero, as wide as it can be."""
+    """At the end of what is known; ``rate``: yaw rate and its variance. The speed may be any."""
     if has_velocity_errors(c):
-        replace_state(state.mean, state.covariance, SPEED_ERROR, 0.0, c.speed_limit**2)
-
-
-@compiled
-def decay_yaw_rate(state: State, dt: float, c: Config) -> None:
-    """The yaw rate dt later: it goes to zero, as wide as it can be."""
-    if has_velocity_errors(c):
-        left = math.exp(-dt / LASTS)
-        decay_state(state.mean, state.covariance, YAW_RATE_ERROR, left, c.yaw_rate_limit**2)
+        replace_state(state.mean, state.covariance, SPEED_ERROR, 0.0, c.unknown_speed**2)
+        replace_state(state.mean, state.covariance, YAW_RATE_ERROR, rate[0], rate[1])
 
 
 @compiled
 def inflate(state: State, dt: float, c: Config) -> None:
-    """What may have been driven in ``dt`` s, and turned where no state accounts for it."""
-    P = state.covariance
-    P[X, X] += 2.0 * LASTS * dt * c.speed_limit**2
-    P[Y, Y] += 2.0 * LASTS * dt * c.speed_limit**2
+    """What may have been driven in ``dt`` s, and turned, where no state accounts for it."""
+    P, speed = state.covariance, c.unknown_speed * (_SIDEWAYS if has_velocity_errors(c) else 1.0)
+    P[X, X] += 2.0 * LASTS * dt * speed**2
+    P[Y, Y] += 2.0 * LASTS * dt * speed**2
     P[YAW, YAW] += 2.0 * LASTS * dt * c.unseen_yaw_rate**2
 
 
@@ -88,6 +73,6 @@ def widen_start(state: State, reached_ns: int, c: Config) -> None:
     P, start_ns = state.covariance, state.sample.stamp_ns
     before, after = (state.stamp_ns - start_ns) * 1e-9, (reached_ns - start_ns) * 1e-9
     grown = (after**3 - before**3) / (3.0 * LASTS)
-    P[X, X] += grown * c.speed_limit**2
-    P[Y, Y] += grown * c.speed_limit**2
-    P[YAW, YAW] += grown * c.yaw_rate_limit**2
+    P[X, X] += grown * c.unknown_speed**2
+    P[Y, Y] += grown * c.unknown_speed**2
+    P[YAW, YAW] += grown * c.unknown_yaw_rate**2

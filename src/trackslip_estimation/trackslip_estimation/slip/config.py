@@ -18,7 +18,7 @@ from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.adaptation import AdaptationConstants
 from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
-from trackslip_estimation.slip.coasting import motion_limits
+from trackslip_estimation.slip.coasting import unknown_motion
 from trackslip_estimation.slip.events import EventParameters
 from trackslip_estimation.slip.ground import GroundParameters
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
@@ -67,10 +67,11 @@ class Config(Record):
     motion_limits: LimitsRecord
     sprocket_timeout_ns: int
     max_sprocket_speed: float  # rad/s
-    speed_limit: float  # m/s
-    yaw_rate_limit: float  # rad/s
+    unknown_speed: float  # standard deviation of one that may be any, m/s
+    unknown_yaw_rate: float  # rad/s
     unseen_yaw_rate: float  # standard deviation of a yaw rate that no state holds, rad/s
     max_gap: float  # s
+    gyros: int  # how many there are
     window_ns: int
     clock: ClockLimits
     gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite where all are used
@@ -134,9 +135,9 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     c["starts_with_fix"] = p.start == "first_fix"
     c["motion_limits"] = limits_record(p.motion)[0]
     c["sprocket_timeout_ns"], c["max_sprocket_speed"] = round(p.sprocket_timeout * 1e9), p.max_sprocket_speed
-    limits = motion_limits(p.vehicle.kinematics, p.max_sprocket_speed)
-    c["speed_limit"], c["yaw_rate_limit"] = limits.speed, limits.yaw_rate
-    c["unseen_yaw_rate"] = limits.yaw_rate if p.model == "free_slips" else 0.0
+    unknown = unknown_motion(p.vehicle.kinematics, p.max_sprocket_speed)
+    c["unknown_speed"], c["unknown_yaw_rate"] = unknown.speed, unknown.yaw_rate
+    c["unseen_yaw_rate"] = unknown.yaw_rate if p.model == "free_slips" else 0.0
     c["adaptation"] = adaptation.constants(p.adaptation)
     for name in ("events", "bank", "receivers", "ground"):
         fill_record(c[name], getattr(p, name))
@@ -215,6 +216,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         if pose.above:
             c["repeat_times"][numbers[name]] = p.swing.repeat_time
     c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
+    c["gyros"] = len(p.gyros())
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude, measures_height=p.measures_height), -1

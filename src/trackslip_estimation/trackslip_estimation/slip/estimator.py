@@ -34,7 +34,7 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import clear, fill_last_estimate, process
-from trackslip_estimation.slip.records import ESTIMATE, RESULT, to_records
+from trackslip_estimation.slip.records import ESTIMATE, GYROS, RESULT, TRACKS, to_records
 from trackslip_estimation.slip.window import Records, Window, enlarged, make_window
 
 FloatArray = NDArray[np.float64]
@@ -248,7 +248,7 @@ class SlipEstimator:
         self.sources = {name: number for number, name in enumerate(p.timeouts_ns())}
         self.config = make_config(p, self._window_ns)
         self.meaning = meaning(p)
-        names = {number: name for name, number in self.sources.items()}
+        names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
         self._named = Sources(names, self.config["offsets"][0].tolist(), set(p.compasses()))
         if self._start is not None:
             start_from(self._start, self.config, self.meaning, self.sources)

@@ -9,6 +9,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     OUTLIER     nothing; this one measurement is left out             at the measurement
     OFFSET      the source's offset: two states of a pose source,     just before it
                 one of a compass
+    WANDERS     the same, which begins at zero and wanders            since the last consistent measurement
     REPEATS     nothing; bit-identical fixes                          just before it
     SCATTERS    nothing; measurements uniform over an area            just before it
     SOUND       nothing; a fault of the source ended                  just before it
@@ -20,6 +21,10 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                 fix
     SLID        i₀, k; on a slope                                     since the last consistent measurement
     NOISE       noise factor of the source                            since the last consistent measurement
+    STRAYS      speed and yaw rate: the machine does not move as its  since the last consistent measurement
+                sprockets turn (encoder fault, towed, slides); or
+                nothing: its gyros do not show how it turns
+    BIASED      bias of the first gyro                                since the last consistent measurement
     FOLDED      the source's offset, which becomes a jump of what     just before it
                 it measures
 
@@ -46,6 +51,7 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
     DOWNHILL,
     FIX_DELAY,
+    GYRO_BIAS,
     GYRO_SCALE,
     SWING,
     SWING_RATE,
@@ -78,6 +84,9 @@ class Event(IntEnum):
     NOISE = 11
     FOLDED = 12
     SKIDDED = 13
+    STRAYS = 14
+    WANDERS = 15
+    BIASED = 16
 
 
 class SourceFault(IntEnum):
@@ -88,6 +97,7 @@ class SourceFault(IntEnum):
     REPEATS = 2
     SCATTERS = 3
     IGNORED = 4  # for one measurement
+    STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
 
 
 (
@@ -105,8 +115,11 @@ class SourceFault(IntEnum):
     NOISE,
     FOLDED,
     SKIDDED,
+    STRAYS,
+    WANDERS,
+    BIASED,
 ) = map(int, Event)
-(IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED) = map(int, SourceFault)
+(IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED, IS_STRAYING) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``
@@ -126,6 +139,8 @@ class EventParameters(Parameters):
 
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
+    wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
+    wander: float = parameter("random walk of fixes that wander off", unit="m/√s", gt=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
@@ -135,6 +150,11 @@ class EventParameters(Parameters):
         "its standard deviation, over the way since the last consistent fix", gt=0.0
     )
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
+    stray_rate: float = parameter(
+        "rate at which the sprockets, or the gyros, no longer show the motion", unit="1/s", gt=0.0
+    )
+    bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
+    bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
 
@@ -147,6 +167,8 @@ def log_rate(event: int, source: int, c: Config) -> float:
         return math.log(c.fault_rate[source])
     if event == REPEATS:
         return math.log(c.fault_rate[source] * e.repeat_share)
+    if event == WANDERS:
+        return math.log(c.fault_rate[source] * e.wander_share)
     if event == SCATTERS:
         return math.log(c.fault_rate[source] * e.scatter_share)
     if event == MOVED:
@@ -159,9 +181,20 @@ def log_rate(event: int, source: int, c: Config) -> float:
         return math.log(e.noise_rate)
     if event == SKIDDED:
         return math.log(e.skid_rate)
+    if event == STRAYS:
+        return math.log(e.stray_rate)
+    if event == BIASED:
+        return math.log(e.bias_rate)
     if event == SOUND:
         return -math.log(e.fault_time)
     return math.log(e.heading_rate)
+
+
+@compiled
+def wanders(state: State, source: int, c: Config) -> bool:
+    """Whether fixes of a source are off by an error that an event has opened, and that wanders."""
+    number = number_of(source, c)
+    return bool(number >= 0 and state.fault[source] == IS_OFFSET and state.offsets[number].variance > 0.0)
 
 
 @compiled
@@ -196,6 +229,8 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     elif event == SKIDDED:
         P[X, X] += value * value
         P[Y, Y] += value * value
+    elif event == BIASED:
+        P[GYRO_BIAS, GYRO_BIAS] += c.events.bias_stddev**2
     elif event in (SLIPPED, SLID):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
@@ -230,13 +265,15 @@ def _assume(state: State, event: int, source: int) -> None:
         state.adaptation.fix_log_weights[source] = 1e-9
     elif event == MOVED:
         state.rests_on = source
-    elif event in (REPEATS, SCATTERS, OFFSET, SOUND, FOLDED):
+    elif event in (REPEATS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
         state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
         if event == REPEATS:
             state.fault[source] = IS_REPEATING
         elif event == SCATTERS:
             state.fault[source] = IS_SCATTERING
-        elif event == OFFSET:
+        elif event == STRAYS:
+            state.fault[source] = IS_STRAYING
+        elif event in (OFFSET, WANDERS):
             state.fault[source] = IS_OFFSET
 
 
@@ -247,7 +284,13 @@ def _set_opened(
     """States that an event replaces, their means and variances; how many."""
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
-    if event in (OFFSET, SOUND, FOLDED) and own >= 0:
+    if event == WANDERS:
+        offset = state.offsets[number_of(source, c)]
+        offset.variance = c.events.wander**2 * offset.time / 2.0
+        count = 2
+        for i in range(count):
+            states[i], means[i], variances[i] = own + i, 0.0, 0.0
+    elif event in (OFFSET, SOUND, FOLDED) and own >= 0:
         number, usual, any_ = number_of(source, c), 0.0, math.pi**2 / 3.0
         if number >= 0:
             usual, any_ = usual_variance(state, source, c), AREA / (2.0 * math.pi)

@@ -86,11 +86,13 @@ class Sources(NamedTuple):
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
-_FAULTS = (Event.OFFSET, Event.REPEATS, Event.SCATTERS)
+_FAULTS = (Event.OFFSET, Event.WANDERS, Event.REPEATS, Event.SCATTERS, Event.STRAYS)
+_STRAYS = "the motion is not what {source} shows"
 _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
     Event.OFFSET: "{source} is off",
+    Event.WANDERS: "{source} wanders",
     Event.REPEATS: "{source} repeats itself",
     Event.SCATTERS: "{source} scatters",
     Event.SOUND: "{source} is sound again",
@@ -100,6 +102,8 @@ _WORDS = {
     Event.SLIPPED: "the slip of both tracks changed",
     Event.SLID: "the machine slides",
     Event.SKIDDED: "the machine skidded",
+    Event.STRAYS: _STRAYS,
+    Event.BIASED: "the bias of the gyro changed",
     Event.NOISE: "{source} is noisier than before",
     Event.FOLDED: "the machine was moved",
 }
@@ -206,6 +210,8 @@ def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
 
 def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources) -> str:
     name, own = sources.names[number], sources.offsets[number]
+    if fault is SourceFault.STRAYS:
+        return _STRAYS.format(source=name)
     if fault is SourceFault.REPEATS:
         return f"{name} repeats itself"
     if fault is not SourceFault.OFFSET or own < 0:

@@ -25,7 +25,7 @@ from trackslip_estimation.slip.models.dispatch import ModelParameters
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 from trackslip_estimation.slip.models.swing import SwingParameters
 from trackslip_estimation.slip.motion import MotionParameters
-from trackslip_estimation.slip.records import MOST_ODOMETRIES, MOST_SOURCES
+from trackslip_estimation.slip.records import MOST_ODOMETRIES, TRACKS
 from trackslip_estimation.slip.sources import (
     KINDS,
     SWINGS,
@@ -168,10 +168,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             raise InputError(
                 f"{NODE}: model: 'free_slips' knows no swing, and {above} sits above; accepted: turning, icr"
             )
-        if len(self.timeouts_ns()) >= MOST_SOURCES:
-            raise InputError(
-                f"{NODE}: {len(self.timeouts_ns())} sources; accepted: fewer than {MOST_SOURCES}"
-            )
+        if len(self.timeouts_ns()) > TRACKS:
+            raise InputError(f"{NODE}: {len(self.timeouts_ns())} sources; accepted: {TRACKS} at the most")
 
         odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
         offsets = 2 * len(self.poses()) + len(self.compasses())

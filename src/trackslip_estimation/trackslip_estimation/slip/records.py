@@ -30,7 +30,7 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MotionRecord, SpeedsRecord
 
-MOST_SOURCES = 12  # of all kinds together
+MOST_SOURCES = 14  # of all kinds together
 MOST_ODOMETRIES = 2
 
 # kinds, in the order at one stamp
@@ -63,6 +63,7 @@ class MeasurementRecord(Record):
 
 MEASUREMENT = dtype_of(MeasurementRecord)
 
+TRACKS, GYROS = MOST_SOURCES - 3, MOST_SOURCES - 2  # of the sprockets and of all gyros, among faults
 MANUAL = MOST_SOURCES - 1  # the source number of a manual pose: the last of those with one stamp
 
 

@@ -9,6 +9,9 @@ the newest sample it is the same. The longer speeds are taken to go on, the more
 what silence leaves of them (``coasting``). Between a start and the first sample, where that comes within the
 timeout, the speeds are those that it shows, and may have been others (``coasting.widen_start``).
 
+While a branch assumes that the machine does not move as its sprockets turn (``events.STRAYS``), all is
+silence.
+
 Speeds come from the difference of positions where there are positions and they do not jump; else they are the
 measured ones of the sample that closes the interval.
 
@@ -24,7 +27,8 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.records import SPROCKETS
+from trackslip_estimation.slip.events import IS_SOUND
+from trackslip_estimation.slip.records import SPROCKETS, TRACKS
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -40,6 +44,8 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
     """
     sample, speeds = state.sample, state.speeds
     state.unheard = 0.0
+    if state.fault[TRACKS] != IS_SOUND:
+        return NEVER_NS
     closed = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start
         in_time = closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns

@@ -27,7 +27,7 @@ from trackslip_estimation.kalman.linear_algebra import sandwich, used_size
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
-from trackslip_estimation.slip.coasting import begin_coast, decay_yaw_rate, inflate, reset_speed, widen_start
+from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
 from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
@@ -149,8 +149,6 @@ def coast(state: State, dt: float, c: Config) -> None:
     state.shear[:] = 0.0
     propagate(state, dt, c)
     inflate(state, dt, c)
-    reset_speed(state, c)
-    decay_yaw_rate(state, dt, c)
     limit_heading(state)
     state.coasting = True
 

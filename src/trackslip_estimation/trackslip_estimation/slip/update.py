@@ -19,11 +19,13 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
+from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.gate import note_reception
+from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, use_rate
 from trackslip_estimation.slip.observations.odometry import use_odometry
 from trackslip_estimation.slip.observations.slips import observe_slips, use_slips
-from trackslip_estimation.slip.records import ODOMETRY, SLIPS, YAW_RATE
+from trackslip_estimation.slip.records import GYROS, ODOMETRY, SLIPS, YAW_RATE
 from trackslip_estimation.slip.tilt import tilt_by
 from trackslip_estimation.slip.weighing import observe_weighed, use_weighed
 from trackslip_estimation.slip.window import is_weighed
@@ -31,6 +33,8 @@ from trackslip_estimation.slip.window import is_weighed
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
+
+_GATED = int(Outcome.GATED)
 
 
 @inlined
@@ -44,6 +48,9 @@ def use(state: State, measurement: MeasurementRecord, c: Config, update: Update,
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
             update.attitude = tilt_by(state, measurement, bias_of(measurement.source, c), c)
+        if state.fault[GYROS] != IS_SOUND:
+            update.outcome = _GATED
+            return
         use_rate(state, measurement, c, update, prior)
     elif kind == ODOMETRY:
         use_odometry(state, measurement, c, update, prior)

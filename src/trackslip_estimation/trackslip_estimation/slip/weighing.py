@@ -269,7 +269,7 @@ def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray, c: Con
 def _density_of_scatter(kind: int, m: int, c: Config) -> float:
     """ln of the density of a measurement of a source that scatters: any place of an area, angle or speed."""
     if kind == VELOCITY:
-        return -math.log(math.pi * c.speed_limit**2 if m > 1 else 2.0 * c.speed_limit)
+        return -math.log(math.pi * c.unknown_speed**2 if m > 1 else 2.0 * c.unknown_speed)
     if kind != POSE:
         return -_LOG_TURN
     return -math.log(AREA) - (_LOG_TURN if m > YAW else 0.0)

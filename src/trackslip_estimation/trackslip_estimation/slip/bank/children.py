@@ -17,6 +17,7 @@ from trackslip_estimation.slip.bank.pool import to_pool, update_of
 from trackslip_estimation.slip.bank.script import remember
 from trackslip_estimation.slip.events import (
     AREA,
+    BIASED,
     FOLDED,
     HEADINGS,
     IS_OFFSET,
@@ -34,11 +35,14 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     SOUND,
+    STRAYS,
     SWUNG,
     TURNED,
+    WANDERS,
     apply_event,
     is_steep,
     log_rate,
+    wanders,
 )
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -47,7 +51,16 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.own_errors import is_correlated
-from trackslip_estimation.slip.records import HEADING, HISTORY, MOST_SOURCES, ON_SWING, POSE, VELOCITY
+from trackslip_estimation.slip.records import (
+    GYROS,
+    HEADING,
+    HISTORY,
+    MOST_SOURCES,
+    ON_SWING,
+    POSE,
+    TRACKS,
+    VELOCITY,
+)
 from trackslip_estimation.slip.weighing import log_density_of_any_size
 from trackslip_estimation.slip.window import POOL, Window
 
@@ -95,6 +108,10 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
     if fault != IS_SOUND:
         elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
         branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
+    for unit in (TRACKS, GYROS):
+        if measurement.kind == POSE and state.fault[unit] != IS_SOUND:
+            elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].fixed_ns
+            branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET)
     if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
         follows = fault == IS_SOUND and state.motion.motion != _STANDING
@@ -133,8 +150,10 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
-    if measurement.kind == POSE and outside_range(before, c) > 0.0:
-        return True
+    if measurement.kind == POSE:
+        strays = before.fault[TRACKS] != IS_SOUND or before.fault[GYROS] != IS_SOUND
+        if strays or wanders(before, measurement.source, c) or outside_range(before, c) > 0.0:
+            return True
     if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
         return bool((update.repeated == 1 and moves) or branch.cusum.max() > c.bank.cusum_limit)
@@ -163,14 +182,14 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k, c)
     contradicts = _contradicts(window, p, k, c)
     if fault == IS_SCATTERING:
-        _child(window, p, k, SOUND, 0, False, now + log_rate(SOUND, source, c), c)
+        _child(window, p, k, SOUND, source, 0, False, now + log_rate(SOUND, source, c), c)
         return
-    if fault != IS_SOUND and contradicts:
-        _child(window, p, k, SOUND, 0, False, now + log_rate(SOUND, source, c), c)
+    if fault != IS_SOUND and (contradicts or wanders(before, source, c)):
+        _child(window, p, k, SOUND, source, 0, False, now + log_rate(SOUND, source, c), c)
     if _may_fold(window, p, k, c):  # as a jump it would not have paid for its duration
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + log_rate(MOVED, source, c) - log_rate(OFFSET, source, c)
-        _child(window, p, k, FOLDED, 0, False, prior, c)
+        _child(window, p, k, FOLDED, source, 0, False, prior, c)
     if m.kind != POSE:
         if contradicts:
             _have_angle_children(window, p, k, c)
@@ -178,8 +197,12 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind == VELOCITY and (contradicts or shows):
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
+    for unit in (TRACKS, GYROS):
+        if before.fault[unit] != IS_SOUND:
+            ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
+            _child(window, p, k, SOUND, unit, 0, True, ended, c)
     if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
-        _child(window, p, k, REPEATS, 0, False, now + log_rate(REPEATS, source, c), c)
+        _child(window, p, k, REPEATS, source, 0, False, now + log_rate(REPEATS, source, c), c)
     implausible = outside_range(before, c) > 0.0
     shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if contradicts:
@@ -193,6 +216,14 @@ def _log_time(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the source's measurement before."""
     m = window.measurements[k]
     elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
+    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
+
+
+@compiled
+def _log_since(window: Window, p: int, k: int, c: Config) -> float:
+    """ln of the time since the snapshot of branch p."""
+    branch = window.branches[p, k]
+    elapsed_ns = window.measurements[k].stamp_ns - window.states[branch.slot, branch.snapshot].stamp_ns
     return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
 
 
@@ -212,16 +243,16 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
     size = math.log(AREA) + log_density_of_any_size(max(squared, c.bank.least_jump**2), c)
     if before.fault[source] == IS_SOUND:
         if update.outcome != _GATED:
-            _child(window, p, k, OUTLIER, 0, False, 0.0, c)
-        _child(window, p, k, SCATTERS, 0, False, now + log_rate(SCATTERS, source, c), c)
-        _child(window, p, k, OFFSET, 0, False, now + size + log_rate(OFFSET, source, c), c)
+            _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
+        _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
+        _child(window, p, k, OFFSET, source, 0, False, now + size + log_rate(OFFSET, source, c), c)
     moved = now + log_rate(MOVED, source, c)
     if before.rests_on == source:  # that fix may have been an outlier
         moved = max(moved, math.log(before.outlier_share[source]))
-    _child(window, p, k, MOVED, 0, False, size + moved, c)
+    _child(window, p, k, MOVED, source, 0, False, size + moved, c)
     if _driven_since(window, p, k) > c.bank.least_driven and update.stated <= c.events.skid_stddev:
         prior = now + log_rate(SKIDDED, source, c) - _correlated_penalty(window, p, k, c)
-        _child(window, p, k, SKIDDED, 0, False, prior, c)
+        _child(window, p, k, SKIDDED, source, 0, False, prior, c)
 
 
 @compiled
@@ -231,26 +262,42 @@ def _have_earlier_children(
     """Children in which an event happened since the snapshot, and shows in a fix or a velocity now."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     e, source, drove = window.branches[p, k], m.source, _driven_since(window, p, k) > c.bank.least_driven
-    elapsed_ns = m.stamp_ns - window.states[e.slot, e.snapshot].stamp_ns
-    since = math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
+    since = _log_since(window, p, k, c)
     penalty = _correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
-        _child(window, p, k, SLIPPED, 0, True, since + log_rate(SLIPPED, source, c) - penalty, c)
+        _child(window, p, k, SLIPPED, source, 0, True, since + log_rate(SLIPPED, source, c) - penalty, c)
     is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
     if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
         return  # as a rule it is an outlier; what began earlier shows in the next one too
     if contradicts and may_swing(before, source, c):
         for part in range(HEADINGS):
-            _child(window, p, k, SWUNG, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c)
+            _child(
+                window, p, k, SWUNG, source, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c
+            )
+    if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
+        _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
+    if has_velocity_errors(c):
+        _have_stray_children(window, p, k, since - penalty, c)
     if before.fault[source] != IS_REPEATING and update.coarse == 0:
-        _child(window, p, k, NOISE, 0, True, since + log_rate(NOISE, source, c), c)
+        _child(window, p, k, NOISE, source, 0, True, since + log_rate(NOISE, source, c), c)
     if is_steep(before) and has_velocity_errors(c):
-        _child(window, p, k, SLID, 0, True, since + log_rate(SLID, source, c), c)
+        _child(window, p, k, SLID, source, 0, True, since + log_rate(SLID, source, c), c)
     shows_heading = (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove)
     if shows_heading:
         prior = since + log_rate(TURNED, source, c) - _ANY_SHARE - penalty
         for part in range(HEADINGS):
-            _child(window, p, k, TURNED, part, True, prior, c)
+            _child(window, p, k, TURNED, source, part, True, prior, c)
+
+
+@compiled
+def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
+    """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time."""
+    before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
+    if before.fault[TRACKS] == IS_SOUND:
+        _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
+    if before.fault[GYROS] == IS_SOUND and c.gyros > 0:
+        _child(window, p, k, STRAYS, GYROS, 0, True, strays, c)
+        _child(window, p, k, BIASED, GYROS, 0, True, since + log_rate(BIASED, GYROS, c), c)
 
 
 @compiled
@@ -267,19 +314,27 @@ def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     source, now = m.source, _log_time(window, p, k, c)
     if before.fault[source] == IS_SOUND:
         if update.outcome != _GATED:
-            _child(window, p, k, OUTLIER, 0, False, 0.0, c)
-        _child(window, p, k, SCATTERS, 0, False, now + log_rate(SCATTERS, source, c), c)
+            _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
+        _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
         if c.offsets[source] >= 0:
-            _child(window, p, k, OFFSET, 0, False, now + log_rate(OFFSET, source, c), c)
+            _child(window, p, k, OFFSET, source, 0, False, now + log_rate(OFFSET, source, c), c)
     if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
-        _child(window, p, k, SWUNG, MEASURED, False, now + log_rate(MOVED, source, c), c)
+        _child(window, p, k, SWUNG, source, MEASURED, False, now + log_rate(MOVED, source, c), c)
     if m.kind == HEADING:
-        _child(window, p, k, TURNED, MEASURED, False, now + log_rate(MOVED, source, c), c)
+        _child(window, p, k, TURNED, source, MEASURED, False, now + log_rate(MOVED, source, c), c)
 
 
 @compiled
 def _child(
-    window: Window, p: int, k: int, event: int, part: int, since: bool, log_prior: float, c: Config
+    window: Window,
+    p: int,
+    k: int,
+    event: int,
+    source: int,
+    part: int,
+    since: bool,
+    log_prior: float,
+    c: Config,
 ) -> None:
     """A child of branch p in the pool: an event was just before measurement k, or ``since`` the snapshot.
 
@@ -305,6 +360,6 @@ def _child(
     value = m.value[0]
     if event == SKIDDED:
         value = c.events.skid_share * _driven_since(window, p, k)
-    remember(branch, event, m.source, part, value, m, window.measurements[first], 0)
+    remember(branch, event, source, part, value, m, window.measurements[first], 0)
     update.opened = event
-    update.renewed = apply_event(state, event, m.source, part, value, c)
+    update.renewed = apply_event(state, event, source, part, value, c)

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.correlated_errors import add_fix
-from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING
+from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING, IS_SOUND
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.own_errors import number_of
+from trackslip_estimation.slip.records import GYROS, TRACKS
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def follow_receivers(window: Window, k: int, c: Config) -> None:
             of.way[X] += way[X]
             of.way[Y] += way[Y]
             of.driven += math.hypot(way[X], way[Y])
-        if n != number or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
+        strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
+        if n != number or strays or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
             continue
         spread = heading_variance(window, k - 1)
         if update.coarse == 1 and (

@@ -25,7 +25,8 @@ rings on the soil, and has the rest settled within tenths of a second. All this 
 yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. A start
 adds what the tracks shear of the soil first (``shear``). Real tracks err by more: each by a share s of its
 speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and the machine go sideways. When the sprockets
-are silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves, and hold.
+are silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves
+(``coasting``).
 """
 
 from __future__ import annotations
@@ -190,10 +191,16 @@ def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
 
 
 @compiled
+def _error_time(motion: int, c: Config) -> float:
+    """τ, s; of silent sprockets that of the speeds themselves."""
+    return LASTS if motion == _SILENT else c.velocity_errors.time
+
+
+@compiled
 def persistence(dt: float, motion: int, c: Config) -> tuple[float, float]:
     """Share of a velocity error that is left after dt, ρ, and the mean share over it, (1 − ρ) τ/dt."""
-    a = dt / c.velocity_errors.time
-    if motion == _SILENT or a <= 0.0:
+    a = dt / _error_time(motion, c)
+    if a <= 0.0:
         return 1.0, 1.0
     lost = -math.expm1(-a)
     return 1.0 - lost, lost / a
@@ -202,8 +209,8 @@ def persistence(dt: float, motion: int, c: Config) -> tuple[float, float]:
 @compiled
 def error_growth(dt: float, motion: int, c: Config) -> tuple[float, float, float]:
     """What dt adds to an error of size 1: variance of its mean over dt, covariance with its end, variance."""
-    a = dt / c.velocity_errors.time
-    if motion == _SILENT or a <= 0.0:
+    a = dt / _error_time(motion, c)
+    if a <= 0.0:
         return 0.0, 0.0, 0.0
     lost = -math.expm1(-a)  # 1 − ρ
     if a < 1e-2:  # the closed form cancels
@@ -224,6 +231,8 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     Speeds that are only taken to go on may have changed since (``coasting``).
     """
     e, speeds, motion = c.velocity_errors, drive.speeds, drive.motion
+    if motion.motion == _SILENT:
+        return c.unknown_speed**2, c.unknown_yaw_rate**2
     if motion.motion == _TURNING:
         steady = e.turning * c.rolling_radius * (speeds.right - speeds.left)
     else:
@@ -237,8 +246,8 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     goes_on = drive.unheard / LASTS
     return (
-        of_speed + goes_on * c.speed_limit**2,
-        of_rate / (c.tread * c.tread) + goes_on * c.yaw_rate_limit**2,
+        of_speed + goes_on * c.unknown_speed**2,
+        of_rate / (c.tread * c.tread) + goes_on * c.unknown_yaw_rate**2,
     )
 
 

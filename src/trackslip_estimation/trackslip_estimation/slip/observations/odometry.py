@@ -274,7 +274,7 @@ def _unseen_errors(
     """
     T, D = drive.T, np.zeros(3)
     if state.coasting:
-        D[0] = D[1] = 2.0 * LASTS * c.speed_limit**2 / T
+        D[0] = D[1] = 2.0 * LASTS * c.unknown_speed**2 / T
         return 0.0, 1.0, D
     if not has_velocity_errors(c):
         return 0.0, 0.0, D

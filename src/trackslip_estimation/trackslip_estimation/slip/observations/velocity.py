@@ -78,7 +78,7 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
     beyond[0], beyond[1] = -turn.sin, turn.cos
     R += (_sideways(state, left, right, c) * np.outer(beyond, beyond))[:m, :m]
     if state.coasting and not has_velocity_errors(c):
-        R += c.speed_limit**2 * np.eye(m)
+        R += c.unknown_speed**2 * np.eye(m)
     beyond[0], beyond[1] = -w[1], w[0]
     R += (turn.along * np.outer(w, w) + turn.across * np.outer(beyond, beyond))[:m, :m]
     if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
@@ -159,7 +159,7 @@ def _jacobian(state: State, left: float, right: float, source: int, c: Config) -
 def _sideways(state: State, left: float, right: float, c: Config) -> float:
     """Variance of the speed of C to the left that no state holds, (m/s)²."""
     if state.coasting:
-        return c.speed_limit**2
+        return c.unknown_speed**2
     if not has_velocity_errors(c):
         return 0.0
     squares = c.rolling_radius**2 * (left * left + right * right) / 4.0
