@@ -140,7 +140,7 @@ class EventParameters(Parameters):
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
-    wander: float = parameter("random walk of fixes that wander off", unit="m/√s", gt=0.0)
+    wander: float = parameter("standard deviation of fixes that wander off", unit="m", gt=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
@@ -285,9 +285,7 @@ def _set_opened(
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
     if event == WANDERS:
-        offset = state.offsets[number_of(source, c)]
-        offset.variance = c.events.wander**2 * offset.time / 2.0
-        count = 2
+        count, state.offsets[number_of(source, c)].variance = 2, c.events.wander**2
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, 0.0
     elif event in (OFFSET, SOUND, FOLDED) and own >= 0:

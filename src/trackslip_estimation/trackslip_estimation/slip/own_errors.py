@@ -84,8 +84,6 @@ def prepare_offset(
         for i in (own, own + 1):
             _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
     offset.variance, offset.stddev = wanted, stddev
-    if not is_coarse(R, c):
-        offset.time = c.receivers.precise_time
 
 
 @compiled

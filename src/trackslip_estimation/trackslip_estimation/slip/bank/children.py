@@ -109,8 +109,8 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
         elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
         branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     for unit in (TRACKS, GYROS):
-        if measurement.kind == POSE and state.fault[unit] != IS_SOUND:
-            elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].fixed_ns
+        if measurement.kind in (POSE, VELOCITY) and state.fault[unit] != IS_SOUND:
+            elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET)
     if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
@@ -150,9 +150,11 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
+    strays = before.fault[TRACKS] != IS_SOUND or before.fault[GYROS] != IS_SOUND
+    if strays and measurement.kind in (POSE, VELOCITY):
+        return True
     if measurement.kind == POSE:
-        strays = before.fault[TRACKS] != IS_SOUND or before.fault[GYROS] != IS_SOUND
-        if strays or wanders(before, measurement.source, c) or outside_range(before, c) > 0.0:
+        if wanders(before, measurement.source, c) or outside_range(before, c) > 0.0:
             return True
     if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
@@ -190,6 +192,10 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + log_rate(MOVED, source, c) - log_rate(OFFSET, source, c)
         _child(window, p, k, FOLDED, source, 0, False, prior, c)
+    for unit in (TRACKS, GYROS):
+        if m.kind in (POSE, VELOCITY) and before.fault[unit] != IS_SOUND:
+            ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
+            _child(window, p, k, SOUND, unit, 0, True, ended, c)
     if m.kind != POSE:
         if contradicts:
             _have_angle_children(window, p, k, c)
@@ -197,10 +203,6 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind == VELOCITY and (contradicts or shows):
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
-    for unit in (TRACKS, GYROS):
-        if before.fault[unit] != IS_SOUND:
-            ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
-            _child(window, p, k, SOUND, unit, 0, True, ended, c)
     if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
         _child(window, p, k, REPEATS, source, 0, False, now + log_rate(REPEATS, source, c), c)
     implausible = outside_range(before, c) > 0.0

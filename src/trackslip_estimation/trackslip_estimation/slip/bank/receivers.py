@@ -32,7 +32,8 @@ def take_errors(state: State, window: Window, k: int, c: Config) -> None:
     """What row k knows of the errors of fixes, for the next step."""
     for n in range(c.poses):
         offset, of = state.offsets[n], window.receivers[k, n]
-        offset.f, offset.g, offset.time, offset.observed = of.f, of.g, of.time, of.observed
+        offset.f, offset.g, offset.observed = of.f, of.g, of.observed
+        offset.time = of.time if of.known == 1 else c.receivers.precise_time
 
 
 @compiled
