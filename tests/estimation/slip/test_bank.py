@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.log import make_log, run_log, script_of
-from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
+from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
 
@@ -175,6 +175,54 @@ def test_a_slip_that_no_track_can_have_is_a_wrong_heading() -> None:
     assert abs(last["mean"][8]) < 0.3
     assert abs(math.remainder(last["mean"][2] - recording.poses[-1, 2], math.tau)) < 0.2
     assert error[error.size // 2 :].max() < 0.15
+
+
+@pytest.mark.parametrize(
+    "shown", [(0.0, 0.0), (0.0, 1.0), (1.0, -1.0)], ids=["both 0", "left 0", "right reversed"]
+)
+def test_a_machine_whose_encoders_fail_is_where_the_fixes_show_it(shown: tuple[float, float]) -> None:
+    """Fixes were called off, or the machine slipping, and the place was metres off and certain."""
+    recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    begin, end = 20.0, 30.0
+    broken = [
+        replace(m, left_speed=shown[0] * m.left_speed, right_speed=shown[1] * m.right_speed)
+        if isinstance(m, Sprockets) and begin <= m.stamp_ns / S - 1.0 < end
+        else m
+        for m in recording.measurements
+    ]
+    error, nees, estimator = errors(broken, recording, parameters(**GNSS))
+    t = np.arange(error.size) * 40.0 / error.size
+    assert {Event.STRAYS, Event.SLIPPED} & set(events(estimator))
+    assert error.max() < 1.5
+    assert error[(t > end + 3.0)].max() < 0.15
+    assert np.mean(nees[t > begin] > 13.8) < 0.1
+
+
+def test_a_gyro_that_fails_is_left_out() -> None:
+    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    broken = [
+        replace(m, rate=-m.rate) if isinstance(m, YawRate) and 20.0 <= m.stamp_ns / S - 1.0 < 35.0 else m
+        for m in recording.measurements
+    ]
+    error, nees, estimator = errors(broken, recording, parameters(**GNSS))
+    assert {Event.STRAYS, Event.BIASED} & set(events(estimator))
+    assert error[error.size * 4 // 5 :].max() < 0.15
+    assert np.mean(nees > 13.8) < 0.05
+
+
+def test_fixes_that_wander_off_do_not_take_the_machine_with_them() -> None:
+    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+
+    def around(m: PoseFix, t: float) -> PoseFix:
+        turned = 0.25 * (t - 20.0)
+        return (
+            moved(m, 0.6 * math.sin(turned), 0.6 - 0.6 * math.cos(turned)) if 0.0 < turned < math.tau else m
+        )
+
+    error, nees, estimator = errors(changed(recording, around), recording, parameters(**GNSS))
+    assert Event.WANDERS in events(estimator)
+    assert np.mean(nees > 13.8) < 0.05
+    assert np.sqrt(np.mean(error**2)) < 0.4
 
 
 def faulty(seed: int) -> list[Measurement]:

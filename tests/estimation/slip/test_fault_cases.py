@@ -28,6 +28,7 @@ from fixtures.fault_cases.running import (
     write_scores,
 )
 from fixtures.fault_cases.scoring import Score
+from fixtures.fault_cases.sensor_faults import SENSOR_FAULTS
 
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets
 from trackslip_estimation.slip.records import to_records
@@ -64,9 +65,9 @@ def test_baseline_has_a_score_of_every_case(baseline: dict[str, Score]) -> None:
     assert list(baseline) == list(CATALOGUE)
 
 
-@pytest.mark.parametrize("name", INJECTIONS)
+@pytest.mark.parametrize("name", [*INJECTIONS, *SENSOR_FAULTS])
 def test_injection_leaves_what_precedes_its_event(name: str, drawn: list[Measurement]) -> None:
-    injected = INJECTIONS[name].inject(drawn, EVENT, 0.03)
+    injected = {**INJECTIONS, **SENSOR_FAULTS}[name].inject(drawn, EVENT, 0.03)
     begin = injected.window[0]
     of_first = [m for m in injected.measurements if m.source != SECOND]
     before, after = ([m for m in ms if seconds(m) < begin] for ms in (drawn, of_first))

@@ -46,7 +46,7 @@ from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.observations.altitude import use_altitude
 from trackslip_estimation.slip.observations.odometry import integrate_motion
 from trackslip_estimation.slip.own_errors import pass_offsets
-from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS
+from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, TRACKS
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.tilt import rise, update_ground
 from trackslip_estimation.slip.update import use
@@ -129,7 +129,8 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
         state.coasting, reached_ns = False, known_ns
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
-        if closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns:
+        ends = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
+        if ends and state.fault[TRACKS] == IS_SOUND:
             interval_speeds(state.sample, closing, c, state.speeds)
     state.stamp_ns = stamp_ns
 
@@ -140,8 +141,10 @@ def coast(state: State, dt: float, c: Config) -> None:
     dt = min(dt, c.max_gap)
     if not state.coasting:
         left, right = state.speeds.left, state.speeds.right
-        rate = twist(state.mean[:], left, right, c)[2]
-        variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
+        rate, variance = 0.0, c.unknown_yaw_rate**2
+        if state.fault[TRACKS] == IS_SOUND:
+            rate = twist(state.mean[:], left, right, c)[2]
+            variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
         begin_coast(state, (rate, variance), c)
     stand_still(state.speeds)
     clear_track_error(state.adaptation)

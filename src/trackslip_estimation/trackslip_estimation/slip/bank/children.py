@@ -153,9 +153,10 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
     strays = before.fault[TRACKS] != IS_SOUND or before.fault[GYROS] != IS_SOUND
     if strays and measurement.kind in (POSE, VELOCITY):
         return True
-    if measurement.kind == POSE:
-        if wanders(before, measurement.source, c) or outside_range(before, c) > 0.0:
-            return True
+    if measurement.kind == POSE and (
+        wanders(before, measurement.source, c) or outside_range(before, c) > 0.0
+    ):
+        return True
     if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
         return bool((update.repeated == 1 and moves) or branch.cusum.max() > c.bank.cusum_limit)
