@@ -198,14 +198,13 @@ def test_a_machine_whose_encoders_fail_is_where_the_fixes_show_it(shown: tuple[f
     assert np.mean(nees[t > begin] > 13.8) < 0.1
 
 
-def test_a_gyro_that_fails_is_left_out() -> None:
+def test_a_gyro_that_fails_does_not_turn_the_machine() -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     broken = [
         replace(m, rate=-m.rate) if isinstance(m, YawRate) and 20.0 <= m.stamp_ns / S - 1.0 < 35.0 else m
         for m in recording.measurements
     ]
-    error, nees, estimator = errors(broken, recording, parameters(**GNSS))
-    assert {Event.STRAYS, Event.BIASED} & set(events(estimator))
+    error, nees, _ = errors(broken, recording, parameters(**GNSS))
     assert error[error.size * 4 // 5 :].max() < 0.15
     assert np.mean(nees > 13.8) < 0.05
 
@@ -214,15 +213,13 @@ def test_fixes_that_wander_off_do_not_take_the_machine_with_them() -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
 
     def around(m: PoseFix, t: float) -> PoseFix:
-        turned = 0.25 * (t - 20.0)
-        return (
-            moved(m, 0.6 * math.sin(turned), 0.6 - 0.6 * math.cos(turned)) if 0.0 < turned < math.tau else m
-        )
+        turned = min(max(0.5 * (t - 20.0), 0.0), math.tau)
+        return moved(m, 0.6 * math.sin(turned), 0.6 - 0.6 * math.cos(turned))
 
     error, nees, estimator = errors(changed(recording, around), recording, parameters(**GNSS))
     assert Event.WANDERS in events(estimator)
     assert np.mean(nees > 13.8) < 0.05
-    assert np.sqrt(np.mean(error**2)) < 0.4
+    assert np.sqrt(np.mean(error**2)) < 0.2
 
 
 def faulty(seed: int) -> list[Measurement]:
