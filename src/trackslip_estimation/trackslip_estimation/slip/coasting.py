@@ -61,9 +61,11 @@ def begin_coast(state: State, rate: tuple[float, float], c: Config) -> None:
 @compiled
 def inflate(state: State, dt: float, c: Config) -> None:
     """What may have been driven in ``dt`` s, and turned, where no state accounts for it."""
-    P, speed = state.covariance, c.unknown_speed * (_SIDEWAYS if has_velocity_errors(c) else 1.0)
-    P[X, X] += 2.0 * LASTS * dt * speed**2
-    P[Y, Y] += 2.0 * LASTS * dt * speed**2
+    P, share = state.covariance, 1.0
+    if has_velocity_errors(c):  # which know of speed along the heading, as far as that is known
+        share = min(_SIDEWAYS**2 + P[YAW, YAW], 1.0)
+    P[X, X] += 2.0 * LASTS * dt * share * c.unknown_speed**2
+    P[Y, Y] += 2.0 * LASTS * dt * share * c.unknown_speed**2
     P[YAW, YAW] += 2.0 * LASTS * dt * c.unseen_yaw_rate**2
 
 

@@ -296,6 +296,8 @@ def _have_earlier_children(
 def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
     """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time."""
     before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
+    if math.isinf(c.gate_limits[1]):  # all that comes is used
+        return
     if before.fault[TRACKS] == IS_SOUND:
         _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
     if before.fault[GYROS] == IS_SOUND and c.gyros > 0:
