@@ -38,6 +38,7 @@ from trackslip_estimation.slip.events import (
     STRAYS,
     SWUNG,
     TURNED,
+    UNKNOWN_HEADING,
     WANDERS,
     apply_event,
     is_steep,
@@ -294,9 +295,13 @@ def _have_earlier_children(
 
 @compiled
 def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
-    """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time."""
+    """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time.
+
+    While the heading is unknown nothing tells them from it.
+    """
     before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
-    if math.isinf(c.gate_limits[1]):  # all that comes is used
+    is_unknown = before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2
+    if is_unknown or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
     if before.fault[TRACKS] == IS_SOUND:
         _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
