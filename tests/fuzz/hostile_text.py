@@ -115,8 +115,23 @@ def _joined(draw: random.Random, one: bytes, other: bytes) -> bytes:
     return b"".join(draw.sample(lines, draw.randint(1, len(lines))))
 
 
+def _overwritten(draw: random.Random, content: bytes) -> bytes:
+    """Some bytes replaced, so that all others keep their addresses."""
+    changed = bytearray(content)
+    for _time in range(draw.choice((1, 1, 2, 5))):
+        at, length = draw.randrange(len(content)), draw.choice((1, 1, 2, 8))
+        values = draw.choice((draw.randbytes(length), bytes(length), b"\xff" * length))
+        changed[at : at + length] = values[: len(content) - at]
+    return bytes(changed)
+
+
 def _swapped(draw: random.Random, content: bytes, other: bytes) -> bytes:
-    """Of YAML, or of lines of JSON, some values replaced by others and by whole branches of another file."""
+    """Of YAML, or of lines of JSON, some values replaced by others and by whole branches of another file.
+
+    Of a binary file some bytes are: readers find its parts by their addresses.
+    """
+    if b"\0" in content:
+        return _overwritten(draw, content)
     lines = content.splitlines()
     if lines and lines[0].startswith(b"{"):
         k = draw.randrange(len(lines))

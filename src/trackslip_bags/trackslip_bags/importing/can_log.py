@@ -131,7 +131,13 @@ def _open_mf4(path: Path) -> Any:
     """
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it finds wrong is raised, too
     hook = sys.unraisablehook
-    sys.unraisablehook = lambda _: None  # a file that was opened in part raises once more when it is freed
+
+    def keep_others(raised: Any) -> None:
+        """A file of asammdf that was opened in part raises once more when it is freed."""
+        if not str(getattr(raised.object, "__module__", "")).startswith("asammdf"):
+            hook(raised)
+
+    sys.unraisablehook = keep_others
     try:
         return can.MF4Reader(path)
     except NotImplementedError:
