@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from trackslip_bags.importing.log_kinds import encoding_of_mark
+from trackslip_bags.importing.log_kinds import encoding_of_mark, utf16_without_mark
 from trackslip_bags.importing.tree import check_keys, choice, section, texts
 from trackslip_common.errors import InputError
 
@@ -80,9 +80,8 @@ def encoding_of(path: Path) -> str:
         first = file.read(1024)
         if encoding_of_mark(first) == "utf-16":
             return "utf-16"
-        zeros = [first[k::2].count(0) for k in (0, 1)]
-        if max(zeros) > len(first) // 4:
-            return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+        if encoding := utf16_without_mark(first):
+            return encoding
         decoder = codecs.getincrementaldecoder("utf-8")()
         try:
             decoder.decode(first)

@@ -77,9 +77,16 @@ def encoding_of_mark(first: bytes) -> str:
     return next((name for mark, name in _MARKS.items() if first.startswith(mark)), "")
 
 
+def utf16_without_mark(first: bytes) -> str:
+    """The encoding of a text half of whose bytes are zeros, by where they are; empty where that is not so."""
+    even, odd = (first[k::2].count(0) for k in (0, 1))
+    if not max(even, odd) > len(first) // 4 > min(even, odd):
+        return ""
+    return "utf-16-le" if odd > even else "utf-16-be"
+
+
 def _is_binary(first: bytes) -> bool:
-    zeros = [first[k::2].count(0) for k in (0, 1)]
-    if max(zeros) > len(first) // 4 > min(zeros):  # UTF-16 without a mark
+    if utf16_without_mark(first):
         first = first.replace(b"\0", b"")
     if len(_CONTROL.findall(first)) > _MOST_CONTROL * len(first):
         return True
