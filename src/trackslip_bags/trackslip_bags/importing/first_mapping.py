@@ -13,11 +13,12 @@ import yaml
 
 from trackslip_bags.importing.csv_text import Dialect, encoding_of, find_head, lines_of
 from trackslip_bags.importing.log_kinds import refuse_other_kinds
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.units import UNITS
+from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
 _LINES = 200  # in which the names are looked for
-_RECEIVER = 0.05  # m, of a position of which nothing is stated
 
 # As they stand in names, where / and ° cannot.
 _SPELT = {"kmh": "km/h", "kph": "km/h", "mps": "m/s", "m_s": "m/s", "rad_s": "rad/s", "rads": "rad/s"} | {
@@ -92,8 +93,9 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         )
     guessed = [f"unit of {name}: {unit}" for name, unit, is_stated in fields.values() if not is_stated]
     if "latitude" in topics.get("gnss_pose", {}):
-        topics["gnss_pose"]["stddev"] = _Flow(x=_RECEIVER, y=_RECEIVER)
-        guessed.append(f"standard deviation of positions: {_RECEIVER} m")
+        stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
+        topics["gnss_pose"]["stddev"] = _Flow(x=stddev, y=stddev)
+        guessed.append(f"standard deviation of positions: {stddev:g} m")
     tree |= {"topics": topics, "parameters": {**_sources(topics), **parameters}}
     head = f"# What is what in {log.name}, by trackslip import. Correct it; docs/import.md has every key.\n"
     used = {name for name, _, _ in fields.values()}
