@@ -24,4 +24,4 @@ def stated(args: argparse.Namespace) -> list[str]:
     named = {"--vehicle": args.vehicle, "--namespace": args.namespace}
     found = [word for option, value in named.items() if value for word in (option, value)]
     found += [word for setting in args.set for word in ("--set", setting)]
-    return [*found, "--params", *args.params] if len(args.params) == 1 else found
+    return [*found, "--params", *args.params] if args.params else found

@@ -75,12 +75,18 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, summary(result, waited_s()))
     has_failed = result.has_failed(force=args.force)
     if args.output is None and args.json is None:
-        command, output = (
-            ("check", []) if has_failed else ("report", ["--output", f"{args.bags[0].stem}.html"])
-        )
-        words = [command, str(args.bags[0]), *machine_options.stated(args), *output]
-        show(f"next: trackslip {shlex.join(words)}")
+        show(_next(args, has_failed=has_failed))
     return ExitCode.FAILED if has_failed else ExitCode.DONE
+
+
+def _next(args: argparse.Namespace, *, has_failed: bool) -> str:
+    """The command to go on with; a report takes one parameter file, for it compares several."""
+    if len(args.params) > 1 and not has_failed:
+        bag = shlex.quote(str(args.bags[0]))
+        return f"next: trackslip report {bag}, with --params as one file: it compares several"
+    command, output = ("check", []) if has_failed else ("report", ["--output", f"{args.bags[0].stem}.html"])
+    words = [command, str(args.bags[0]), *machine_options.stated(args), *output]
+    return f"next: trackslip {shlex.join(words)}"
 
 
 def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
