@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from measurements.workbench import SOILS, trackslip
-from trackslip_sim.study.table import table, words
+from trackslip_sim.study.engine import table, words
 
 _SCENARIOS = ("hill", "ramp_up", "side_slope")
 _ALTITUDE = "slip_estimator.sources.gnss_pose.use_altitude"

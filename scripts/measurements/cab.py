@@ -15,7 +15,7 @@ from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle, vehicle_text
 from trackslip_estimation.terramechanics.strength import thrust_limit
-from trackslip_sim.study.table import table, words
+from trackslip_sim.study.engine import table, words
 
 _DRIVES = (("sand", 0), ("dry_clay", 5))
 _ANGLES = {"ahead": 0.0, "left": math.pi / 2.0, "back": math.pi, "right": -math.pi / 2.0}

@@ -8,7 +8,7 @@ from typing import Any
 
 from measurements.workbench import run, trackslip, write_yaml
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
-from trackslip_sim.study.table import table
+from trackslip_sim.study.engine import table
 
 _SIMULATE = "simulate --scenario thesis --soil sand --vehicle excavator_20t --duration 60"
 _REPLAY = "replay {}/drive --params gnss.yaml"

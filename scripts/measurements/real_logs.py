@@ -15,7 +15,7 @@ import yaml
 
 from measurements.blocks import ROOT
 from measurements.workbench import NotMeasured, run, trackslip, write_yaml
-from trackslip_sim.study.table import table
+from trackslip_sim.study.engine import table
 
 
 class _Log(NamedTuple):

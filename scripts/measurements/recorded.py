@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from measurements.blocks import ROOT
-from trackslip_sim.study.table import NOTHING, table
+from trackslip_sim.study.engine import NOTHING, table
 
 _RUNS = {
     "bag": lambda row: f"`{row['name']}`",

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from measurements.workbench import SOILS, trackslip
-from trackslip_sim.study.table import table, words
+from trackslip_sim.study.engine import table, words
 
 _TERRAINS = {"slope_15": "15° up", "slope_down_15": "15° down", "side_slope_15": "15° across", "hill": "hill"}
 _SLOPES = {

@@ -21,8 +21,7 @@ from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.whole_inputs import read_inputs
-from trackslip_tools.tuning.reading import read_task
-from trackslip_tools.tuning.task import score_of
+from trackslip_tools.tuning.task import read_task, score_of
 from trackslip_tools.workers import cores, workers
 
 RUNS = 5

@@ -22,9 +22,9 @@ from trackslip_sim.machine.message_columns import MessageColumns, set_fields, st
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.truth.record import KEPT, TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import duration_of, simulate, simulate_in_pieces
-from trackslip_sim.truth.window import KEPT, TruthWindow
 
 PARAMETERS = load_emulator_parameters({"lead_in": 6.0, "seed": 5, "gnss.device.rate": 10.0})
 SCENARIO = load_scenario("patches").stretched(4.0)
@@ -78,7 +78,7 @@ def test_a_truth_in_pieces_gives_the_same_bag(
     recorded: list[tuple[str, int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("trackslip_sim.truth.simulate.PIECE", 0.7)
-    monkeypatch.setattr("trackslip_sim.truth.window.KEPT", 2.0)
+    monkeypatch.setattr("trackslip_sim.truth.record.KEPT", 2.0)
     monkeypatch.setattr(offline, "_WRITE_NS", 1000 * MS)
     window = TruthWindow(simulate_in_pieces(SCENARIO), duration_of(SCENARIO, load_settings()))
     record_drive(PARAMETERS, window, tmp_path / "bag")

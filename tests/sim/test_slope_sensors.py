@@ -15,9 +15,8 @@ from trackslip_sim.machine.placement import Placement
 from trackslip_sim.machine.sensors import MachineSensors
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.simulate import simulate
-from trackslip_sim.truth.window import TruthWindow
 
 QUIET = {
     f"noise.{name}": 0.0

@@ -15,10 +15,10 @@ from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.sensors import MachineSensors, mounting_of
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
+from trackslip_sim.truth.record import TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import simulate
 from trackslip_sim.truth.swing import swing_to
-from trackslip_sim.truth.window import TruthWindow
 
 STEP = 1e-3
 CAB = load_vehicle("pc05_cab")

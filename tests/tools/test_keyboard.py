@@ -10,12 +10,12 @@ from contextlib import suppress
 
 import pytest
 
-from trackslip_tools.cli.keyboard import Keyboard
+from trackslip_tools.cli.publish import Keyboard
 
 CHILD = """
 import sys, termios, time
 sys.path[:] = {path!r}
-from trackslip_tools.cli.keyboard import Keyboard
+from trackslip_tools.cli.publish import Keyboard
 before = termios.tcgetattr(0)
 text = ""
 with Keyboard() as keyboard:

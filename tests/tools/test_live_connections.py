@@ -19,8 +19,7 @@ from trackslip_tools.live import connections
 from trackslip_tools.live.connections import MOST
 from trackslip_tools.live.page import File
 from trackslip_tools.live.parameters import LiveParameters
-from trackslip_tools.live.server import PageServer
-from trackslip_tools.live.server_log import ServerLog
+from trackslip_tools.live.server import PageServer, ServerLog
 
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1"
 LARGE = 10_000_000  # bytes: more than sockets take unread

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_tools.report.decimate import extremes
+from trackslip_tools.report.plots import extremes
 from trackslip_tools.report.recording import Timing
 
 

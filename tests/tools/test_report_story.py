@@ -21,9 +21,8 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.cli.report_command import distinct
 from trackslip_tools.report.details import Details
-from trackslip_tools.report.events import Event
+from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.headline import Fact, facts_of, travel_of
-from trackslip_tools.report.light_log import LightLog
 from trackslip_tools.report.lights import SILENT_S, Level
 from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.motion_panels import motion_panels

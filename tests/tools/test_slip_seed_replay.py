@@ -31,7 +31,7 @@ from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.replay.whole_inputs import read_inputs
-from trackslip_tools.tuning.reading import read_task
+from trackslip_tools.tuning.task import read_task
 
 SOURCE = {"slip_sources": ["slip_seed"]}
 MODELS = ("free_slips", "turning")

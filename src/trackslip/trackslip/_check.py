@@ -12,8 +12,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
 from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined
-from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import whole
+from trackslip_tools.check.bag import check_bag, whole
 
 
 @dataclass(frozen=True, eq=False)

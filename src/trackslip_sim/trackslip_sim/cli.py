@@ -3,7 +3,6 @@
 """``trackslip simulate``: drives a scenario on the truth model, and says where it ends."""
 
 import argparse
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -14,15 +13,13 @@ from trackslip_sim.devices.nmea_device import RECEIVER_RATE
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
-from trackslip_sim.scenarios.terrains import load_terrain, terrain_names
-from trackslip_sim.truth.record import Truth
+from trackslip_sim.scenarios.terrains import terrain_names
+from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
-from trackslip_sim.truth.window import TruthWindow
 from trackslip_tools.cli import machine_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted
 
 EXAMPLE = "trackslip simulate --scenario thesis --soil sandy_loam --json end.json"
@@ -62,15 +59,11 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         InputError: scenario or soil is refused, or a file cannot be written.
     """
-    scenario = load_scenario(arguments.scenario)
-    if arguments.duration is not None:
-        if not 0.0 < arguments.duration <= _LONGEST:
-            raise InputError(
-                f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
-            )
-        scenario = scenario.stretched(arguments.duration)
-    if arguments.terrain is not None:
-        scenario = dataclasses.replace(scenario, terrain=load_terrain(arguments.terrain))
+    if arguments.duration is not None and not 0.0 < arguments.duration <= _LONGEST:
+        raise InputError(
+            f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
+        )
+    scenario = load_scenario(arguments.scenario, arguments.terrain or "", arguments.duration or 0.0)
     given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
     vehicle = arguments.vehicle or scenario.vehicle
     p = load_emulator_parameters({**given, "vehicle": vehicle, **_receiver(vehicle)})

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from trackslip_sim.demo.results import DemoResult
-from trackslip_sim.demo.soil_results import SoilResult
+from trackslip_sim.demo.results import DemoResult, SoilResult
 from trackslip_tools.replay.scoring import Score
 
 _MARGIN = " " * 9  # as wide as the time

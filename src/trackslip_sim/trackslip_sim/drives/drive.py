@@ -17,7 +17,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.slip.window import Records
 from trackslip_sim.drives.route import drive_at_random
-from trackslip_sim.machine.drawn import DrawnMachine, FloatArray, draw_machine
+from trackslip_sim.machine.drawn import DrawnMachine, FloatArray, draw_machine, interpolated
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.truth.ground import build_ground
 from trackslip_sim.truth.settings import load_settings
@@ -44,7 +44,7 @@ class RandomDrive(NamedTuple):
 
     def pose_at(self, stamps_ns: FloatArray) -> FloatArray:
         """(l, 3) true poses."""
-        return _at((stamps_ns - _START_NS) * 1e-9, self.t, self.poses)
+        return interpolated((stamps_ns - _START_NS) * 1e-9, self.t, self.poses)
 
 
 def random_drive(seed: int, p: SlipEstimatorParameters, duration: float = 600.0) -> RandomDrive:
@@ -89,7 +89,7 @@ def _fixes(
     """Those in sight, and when they are stamped."""
     site = load_emulator_parameters({}).site
     stamps = np.arange(_LEAD_IN, t[-1], 1.0 / _SCANS)
-    at = _at(stamps - machine.fix_delay, t, poses)
+    at = interpolated(stamps - machine.fix_delay, t, poses)
     from_laser = at[:, :2] - (site.laser_x, site.laser_y)
     ahead = from_laser @ (np.cos(site.laser_yaw), np.sin(site.laser_yaw))
     distances = np.hypot(*from_laser.T)
@@ -101,10 +101,6 @@ def _fixes(
         PoseFix(source, _ns(stamps[k]), measured[k], np.diag(stated[k])) for k in np.flatnonzero(seen)
     ]
     return found, stamps[seen]
-
-
-def _at(times: FloatArray, t: FloatArray, poses: FloatArray) -> FloatArray:
-    return np.stack([np.interp(times, t, column) for column in poses.T], axis=1)
 
 
 def _ns(t: float) -> int:

@@ -89,6 +89,11 @@ class MotionErrors:
         return np.asarray(found)
 
 
+def interpolated(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
+    """(k, m) at times (k,), s, of columns (n, m) at times ``t`` (n,)."""
+    return np.stack([np.interp(times, t, column) for column in columns.T], axis=1)
+
+
 def integrated(twists: FloatArray, period: float, start: FloatArray) -> FloatArray:
     """(n, 3) poses after each of n periods with twists (n, 3) at their ends, from a pose (3,) on."""
     yaw = start[2] + period * np.cumsum(twists[:, 2])

@@ -4,7 +4,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -23,7 +22,6 @@ from trackslip_drivers.records import ImuSample
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, CanDevice
-from trackslip_sim.devices.inertial_unit import InertialUnit
 from trackslip_sim.devices.line import NEVER_NS, BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
 from trackslip_sim.devices.sick_device import SickDevice
@@ -36,13 +34,29 @@ from trackslip_sim.machine.scan_model import SiteScanner
 from trackslip_sim.machine.sensors import MachineSensors, mounting_of
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.truth.record import Truth
+from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.simulate import simulate
-from trackslip_sim.truth.window import TruthWindow
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T", bound=Parameters)
+
+
+class InertialUnit:
+    """Samples at ``rate`` Hz from ``start_ns`` on; ``measure`` has the readings at a stamp."""
+
+    def __init__(self, rate: float, measure: Callable[[int], ImuSample], start_ns: int) -> None:
+        self._period_ns = round(1e9 / rate)
+        self._measure = measure
+        self.next_ns = start_ns
+
+    def step(self, now_ns: int, powered: bool) -> list[ImuSample]:
+        """Those due by now; none where it has no power, or nobody hears it."""
+        found = []
+        while self.next_ns <= now_ns:
+            if powered:
+                found.append(self._measure(self.next_ns))
+            self.next_ns += self._period_ns
+        return found
 
 
 def drive(p: EmulatorParameters) -> Truth:
@@ -51,11 +65,7 @@ def drive(p: EmulatorParameters) -> Truth:
     Raises:
         InputError: scenario, soil or terrain is unknown, or refused.
     """
-    scenario = load_scenario(p.scenario)
-    if p.terrain:
-        scenario = replace(scenario, terrain=load_terrain(p.terrain))
-    if p.duration > 0.0:
-        scenario = scenario.stretched(p.duration)
+    scenario = load_scenario(p.scenario, p.terrain, p.duration)
     whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
     return simulate(scenario, soil=p.soil or None, mode=p.mode, vehicle=whole, upper=upper)
 

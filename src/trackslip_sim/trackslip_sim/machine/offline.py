@@ -69,8 +69,7 @@ from trackslip_sim.machine.truth_messages import (
     track_slip_columns,
 )
 from trackslip_sim.parameters import EmulatorParameters
-from trackslip_sim.truth.record import Truth
-from trackslip_sim.truth.window import KEPT, TruthWindow
+from trackslip_sim.truth.record import KEPT, Truth, TruthWindow
 
 START_NS = 1_000_000_000  # of the counted clock
 _SECOND_NS = 1_000_000_000

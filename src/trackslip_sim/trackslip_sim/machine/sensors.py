@@ -24,8 +24,7 @@ from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_sim.machine.placement import Placement, about_z, upper_poses
-from trackslip_sim.truth.record import Truth
-from trackslip_sim.truth.window import TruthWindow
+from trackslip_sim.truth.record import Truth, TruthWindow
 
 FloatArray = NDArray[np.float64]
 

@@ -44,7 +44,7 @@ from trackslip_sim.machine.truth_messages import (
     track_forces_columns,
     track_slip_columns,
 )
-from trackslip_sim.nodes.awaited import AwaitedNodes
+from trackslip_sim.nodes.remote_lifecycle import AwaitedNodes
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
 
 _LOOK = 0.2  # s, from one look at the nodes that it waits for to the next

@@ -2,12 +2,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads records out of YAML mappings, and says in one line what is wrong with one."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
+from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError, suggestion
 
 T = TypeVar("T")
+
+
+def named(kind: str) -> list[str]:
+    """Names of the files in the folder of ``config/`` for records of a kind."""
+    return sorted(path.stem for path in (config_directory() / f"{kind}s").glob("*.yaml"))
+
+
+def load(kind: str, name_or_file: str, known: Iterable[str], parse: Callable[[Mapping[str, Any]], T]) -> T:
+    """A record by its name in the folder of ``config/`` for its kind, or from a file of the user's own.
+
+    Raises:
+        InputError: it is not among the ``known``, or its file is refused.
+    """
+    for path in (config_directory() / f"{kind}s" / f"{name_or_file}.yaml", Path(name_or_file)):
+        if path.is_file():
+            tree = read_yaml(path)
+            try:
+                return parse(tree)
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from error
+    like = suggestion(str(name_or_file), known, ", or a YAML file")
+    raise InputError(f"{kind}: '{name_or_file}' is unknown{like}")
 
 
 def each(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]], T]) -> Iterator[T]:

@@ -8,17 +8,15 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import config_directory, read_yaml
-from trackslip_common.errors import InputError, suggestion
+from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
-from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
+from trackslip_sim.scenarios.checks import each, load, named, number, refuse_unknown, text
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import FloatArray
@@ -159,27 +157,21 @@ class Scenario:
 
 def scenario_names() -> list[str]:
     """Names of the scenarios in ``config/scenarios``."""
-    return sorted(path.stem for path in (config_directory() / "scenarios").glob("*.yaml"))
+    return named("scenario")
 
 
-def load_scenario(name_or_file: str) -> Scenario:
+def load_scenario(name_or_file: str, terrain: str = "", duration: float = 0.0) -> Scenario:
     """A scenario by its name in ``config/scenarios``, or from a file of the user's own.
 
+    Another ``terrain`` than its own, and a ``duration``, s, to which it is cut or repeated, may be given.
+
     Raises:
-        InputError: there is no such scenario, or its file is refused.
+        InputError: there is no such scenario or terrain, or its file or the duration is refused.
     """
-    named = config_directory() / "scenarios" / f"{name_or_file}.yaml"
-    for path in (named, Path(name_or_file)):
-        if path.is_file():
-            tree = read_yaml(path)
-            try:
-                return parse_scenario(tree)
-            except InputError as error:
-                raise InputError(f"{path}: {error}") from error
-    raise InputError(
-        f"scenario: '{name_or_file}' is unknown"
-        f"{suggestion(str(name_or_file), scenario_names(), ', or a YAML file')}"
-    )
+    scenario = load("scenario", name_or_file, scenario_names(), parse_scenario)
+    if terrain:
+        scenario = dataclasses.replace(scenario, terrain=load_terrain(terrain))
+    return scenario.stretched(duration) if duration else scenario
 
 
 def parse_scenario(tree: Mapping[str, Any]) -> Scenario:

@@ -4,13 +4,11 @@
 
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from trackslip_common.config_files import config_directory, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_sim.scenarios.checks import each, number, refuse_unknown, text
+from trackslip_sim.scenarios.checks import each, load, named, number, refuse_unknown, text
 from trackslip_sim.truth.terrain import FLAT, Feature, Hill, Plane, Ramp, Terrain
 
 _LEAST_M, _MOST = 1e-3, 1e6  # of a width; of any number
@@ -18,7 +16,7 @@ _LEAST_M, _MOST = 1e-3, 1e6  # of a width; of any number
 
 def terrain_names() -> list[str]:
     """Names of the terrains in ``config/terrains``, and ``flat``."""
-    return [FLAT.name, *sorted(path.stem for path in (config_directory() / "terrains").glob("*.yaml"))]
+    return [FLAT.name, *named("terrain")]
 
 
 def load_terrain(name_or_file: str) -> Terrain:
@@ -29,17 +27,7 @@ def load_terrain(name_or_file: str) -> Terrain:
     """
     if name_or_file == FLAT.name:
         return FLAT
-    named = config_directory() / "terrains" / f"{name_or_file}.yaml"
-    for path in (named, Path(name_or_file)):
-        if path.is_file():
-            tree = read_yaml(path)
-            try:
-                return parse_terrain(tree)
-            except InputError as error:
-                raise InputError(f"{path}: {error}") from error
-    raise InputError(
-        f"terrain: '{name_or_file}' is unknown; accepted: {', '.join(terrain_names())}, or a YAML file"
-    )
+    return load("terrain", name_or_file, terrain_names(), parse_terrain)
 
 
 def parse_terrain(tree: Mapping[str, Any]) -> Terrain:

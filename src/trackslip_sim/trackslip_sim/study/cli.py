@@ -20,8 +20,7 @@ from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli import machine_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import PNG, refuse_foreign, require_writable
+from trackslip_tools.cli.outputs import PNG, refuse_foreign, require_writable, write_json
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.terminal_text import for_terminal
 

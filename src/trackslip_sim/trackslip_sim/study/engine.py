@@ -5,11 +5,12 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeVar
 
+from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.whole_file import write_whole
 from trackslip_sim.study.cache import Cache, key_of
 from trackslip_tools.workers import Map
@@ -17,10 +18,27 @@ from trackslip_tools.workers import workers as workers_of
 
 BEGINNING = "<!-- Written by trackslip study. -->\n"  # of a file of tables
 Workers = Callable[[Any], AbstractContextManager[Map]]
-"""Opens workers for what all pieces share."""
-
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
+NOTHING = "–"  # there was no such thing
+Columns = Mapping[str, Callable[[Any], str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridParameters(Parameters):
+    """The part of the grid and of the sensors that all studies have."""
+
+    soils: tuple[str, ...] = parameter("names in config/soils.yaml")
+    terrains: tuple[str, ...] = parameter("names in config/terrains, or files; empty: the scenario's own")
+    sigma_xy: tuple[float, ...] = parameter("noise of the fixes, x and y", unit="m", gt=0.0, le=100.0)
+    sigma_heading: float = parameter("noise of the fixes' heading", unit="rad", gt=0.0, le=3.0)
+    seeds: int = parameter("runs of each cell", ge=1, le=100_000)
+    sprocket_rate: float = parameter("sprocket samples", unit="Hz", ge=1.0, le=1000.0)
+    gyro_rate: float = parameter("yaw rates", unit="Hz", ge=1.0, le=1000.0)
+    fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
+
+
+"""Opens workers for what all pieces share."""
 
 
 def alone(shared: Any) -> AbstractContextManager[Map]:
@@ -111,3 +129,26 @@ class Study(ABC, Generic[Piece, Result]):
 
     def _key(self, piece: Any) -> str:
         return key_of({"piece": asdict(piece), **self.rests_on(piece)}, *self.SOURCES)
+
+
+"""Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
+
+
+def table(columns: Columns, rows: Sequence[Any], text_columns: int) -> list[str]:
+    """The lines; text stands left in its columns, which are the first ones, numbers right."""
+    lines = [[head.rstrip() for head in columns], *([show(row) for show in columns.values()] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    rule = ["-" * w if k < text_columns else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
+    first, *others = (
+        [
+            text.ljust(width) if k < text_columns else text.rjust(width)
+            for k, (text, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        for line in lines
+    )
+    return ["| " + " | ".join(line) + " |" for line in (first, rule, *others)]
+
+
+def words(name: str) -> str:
+    """A name of the configuration as text."""
+    return name.replace("_", " ")

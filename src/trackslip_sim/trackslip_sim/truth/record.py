@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+KEPT = 20.0  # s behind that time which can still be looked at
+_AHEAD = 3  # samples: derivatives at the two about a time need one more
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -105,3 +107,32 @@ def joined(pieces: Sequence[Truth]) -> Truth:
     columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in COLUMNS}
     soil_index = np.concatenate([piece.soil_index for piece in pieces])
     return Truth(**columns, soil_index=soil_index, soil_names=pieces[0].soil_names)
+
+
+class TruthWindow:
+    """Pieces of one drive; each is computed when its time comes, and forgotten ``KEPT`` s later.
+
+    Attributes:
+        truth: the stretch at hand.
+        duration: of the whole drive, s.
+    """
+
+    def __init__(self, pieces: Iterable[Truth], duration: float) -> None:
+        self._pieces = iter(pieces)
+        self.duration = duration
+        self._begin(next(self._pieces))
+
+    def advance(self, t: float) -> bool:
+        """Go on to time ``t``, s; whether there is a new stretch."""
+        advanced = False
+        while t > self._until:
+            piece = next(self._pieces, None)
+            if piece is None:
+                break
+            self._begin(joined([self.truth.since(t - KEPT), piece]))
+            advanced = True
+        return advanced
+
+    def _begin(self, truth: Truth) -> None:
+        self.truth = truth
+        self._until = float(truth.t[max(-_AHEAD, -len(truth))])

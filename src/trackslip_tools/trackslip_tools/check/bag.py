@@ -1,18 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check of a bag: of its own pass over it, or of the measurements that a replay reads anyway."""
+"""The setup check of a bag, in a pass of its own or by what a replay reads anyway; its result as text."""
 
+import re
 from collections.abc import Callable
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
-from trackslip_estimation.setup_check.finding import Result, Undetermined
+from trackslip_estimation.setup_check.finding import Result, Undetermined, odds_text
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.inputs import InputStream
+from trackslip_tools.terminal_text import table, wrapped
 
 NO_SPROCKETS = Undetermined("everything: there are no sprockets", "record the topic sprockets")
+_SETTING = re.compile(r"\bslip_estimator\.[\w.]+=[^\s,;]+")
 
 
 def check_bag(
@@ -39,3 +42,37 @@ def result_of(collector: Collector) -> Result:
     """Of all that was collected."""
     log = collector.log()
     return Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
+
+
+def settings(result: Result) -> list[str]:
+    """What the remedies set, as ``--set`` takes it; empty where a cause has another remedy."""
+    found = [_SETTING.findall(cause.remedy) for cause in result.causes]
+    return [one for settings in found for one in settings] if all(found) else []
+
+
+def finding(result: Result) -> str:
+    """What a command prints before its own results: one line for each cause, or that there is none."""
+    if result.is_plausible:
+        open_questions = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
+        return "\n".join(open_questions) or "setup plausible"
+    lines = []
+    for cause in result.causes:
+        lines += [f"setup: {cause.cause} ({cause.source}): {cause.evidence}", f"  {cause.remedy}"]
+    return "\n".join(map(wrapped, lines))
+
+
+def whole(result: Result) -> str:
+    """What ``trackslip check`` prints: facts, causes with odds and remedies, and what cannot be decided."""
+    parts = ["\n".join(map(wrapped, result.facts))] if result.facts else []
+    if result.causes:
+        rows = [(c.cause, c.source, odds_text(c.odds)) for c in result.causes]
+        parts.append(table(("cause", "source", "odds"), rows, (False, False, True)))
+        parts += [
+            "\n".join(map(wrapped, (f"{c.cause}: {c.evidence}", f"  {c.remedy}"))) for c in result.causes
+        ]
+    else:
+        parts.append(finding(result))
+    if result.undetermined:
+        lines = [f"  {one.what}: {one.needed}" for one in result.undetermined]
+        parts.append("\n".join(["not decided by this drive", *map(wrapped, lines)]))
+    return "\n\n".join(parts)

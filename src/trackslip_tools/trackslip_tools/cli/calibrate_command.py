@@ -13,11 +13,9 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import BEGINNING, summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
-from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import finding
+from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import machine_options, replay_options
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import refuse_foreign, require_writable
+from trackslip_tools.cli.outputs import refuse_foreign, require_writable, write_json
 from trackslip_tools.cli.progress import counted, in_shares
 
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"

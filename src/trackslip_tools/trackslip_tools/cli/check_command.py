@@ -9,11 +9,9 @@ from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import settings, whole
+from trackslip_tools.check.bag import check_bag, settings, whole
 from trackslip_tools.cli import machine_options, replay_options
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted
 
 EXAMPLE = "trackslip check out/demo/bag --json check.json"

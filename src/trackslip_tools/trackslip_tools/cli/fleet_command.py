@@ -10,8 +10,7 @@ from pathlib import Path
 from trackslip_common.errors import InputError, show
 from trackslip_tools.cli import worker_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.fleet.entry import Entry, exit_code
 from trackslip_tools.fleet.find import find_bags, is_folder

@@ -20,8 +20,7 @@ from trackslip_common.vehicle_files import load_vehicle
 from trackslip_common.whole_file import write_whole
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE
-from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import finding
+from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import machine_options, replay_options
 from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted

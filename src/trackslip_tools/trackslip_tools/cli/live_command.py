@@ -17,8 +17,7 @@ from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, collected, show
 from trackslip_estimation.setup_check.finding import Result
-from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import finding
+from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import machine_options, publish, replay_options
 from trackslip_tools.cli.nodes import node_module
 from trackslip_tools.cli.progress import counted, following

@@ -3,16 +3,21 @@
 """``trackslip replay --publish``: a bag drives a live graph."""
 
 import argparse
+import os
+import select
 import sys
+import termios
+import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from types import TracebackType
+from typing import Any
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.playback import Playback, played, played_topics
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.errors import InputError, show, suggestion
-from trackslip_tools.cli.keyboard import Keyboard
 from trackslip_tools.cli.nodes import node_module, shorten_logs
 
 _RATES = (0.01, 100.0)
@@ -115,3 +120,44 @@ def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
             bar.update(task, completed=reached, description="paused " if playback.paused else "playing")
 
         yield show
+
+
+class Keyboard:
+    """Gives what is typed key by key while it is open; nothing in a pipe or in the background."""
+
+    def __init__(self) -> None:
+        self._saved: list[Any] | None = None
+
+    def __enter__(self) -> "Keyboard":
+        if sys.stdin.isatty() and _is_in_front(sys.stdin.fileno()):
+            self._saved = termios.tcgetattr(sys.stdin.fileno())
+            tty.setcbreak(sys.stdin.fileno())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._saved is not None:
+            termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, self._saved)
+            self._saved = None
+
+    def typed(self) -> str:
+        """What was typed since this was last asked."""
+        text = ""
+        while self._saved is not None and select.select([sys.stdin], [], [], 0.0)[0]:
+            key = os.read(sys.stdin.fileno(), 64)
+            if not key:  # the terminal is gone
+                break
+            text += key.decode(errors="replace")
+        return text
+
+
+def _is_in_front(terminal: int) -> bool:
+    """Whether we are the terminal's foreground job: any other is stopped if it touches the settings."""
+    try:
+        return os.tcgetpgrp(terminal) == os.getpgrp()
+    except OSError:  # a terminal, but not that of our session
+        return False

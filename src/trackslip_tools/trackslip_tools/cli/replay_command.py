@@ -14,15 +14,13 @@ from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import fleet_command, machine_options, publish, replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.fleet.entry import Entry, entry_of
 from trackslip_tools.replay.output import EstimateWriter, summary, text
 from trackslip_tools.replay.parts import Part, Watch
 from trackslip_tools.replay.result import Replay
-from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.start import learned_before
+from trackslip_tools.replay.run import learned_before, replay
 
 EXAMPLE = (
     "trackslip replay out/demo/bag --withhold box_pose:10:40 --set slip_estimator.sources.box_pose.timeout=3"

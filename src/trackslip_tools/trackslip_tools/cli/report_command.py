@@ -14,7 +14,7 @@ from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_common.whole_file import write_whole
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
-from trackslip_tools.check.text import finding
+from trackslip_tools.check.bag import finding
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
 from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable
 from trackslip_tools.cli.progress import counted, following, in_shares

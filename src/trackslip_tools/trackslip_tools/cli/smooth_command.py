@@ -13,8 +13,7 @@ from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.cli import replay_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import require_writable
+from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted
 from trackslip_tools.smoothing.smooth_bag import SmoothedWriter, smooth_bag
 from trackslip_tools.smoothing.smoothing import Smoothed

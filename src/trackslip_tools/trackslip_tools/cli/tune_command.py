@@ -11,12 +11,10 @@ from pathlib import Path
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.check.bag import check_bag
-from trackslip_tools.check.text import finding
+from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import replay_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.json_file import write_json
-from trackslip_tools.cli.outputs import refuse_foreign
+from trackslip_tools.cli.outputs import refuse_foreign, write_json
 from trackslip_tools.cli.progress import counted, shown
 from trackslip_tools.fleet.find import find_bags
 from trackslip_tools.terminal_text import for_terminal
@@ -31,8 +29,7 @@ from trackslip_tools.tuning.evidence import (
 )
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import LIKELIHOOD, read_plan
-from trackslip_tools.tuning.reading import read_task
-from trackslip_tools.tuning.task import Task, score_of
+from trackslip_tools.tuning.task import Task, read_task, score_of
 from trackslip_tools.tuning.tuner import Tuner
 
 EXAMPLE = "trackslip tune bags/slalom_sand bags/outage_sandy_loam --plan tune.yaml --output out/tuned"

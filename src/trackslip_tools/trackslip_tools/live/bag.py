@@ -11,7 +11,7 @@ from trackslip_bags.playback import Playback, Played, played
 from trackslip_bags.reader import Bag, absolute
 from trackslip_estimation.slip.measurements import POSE_SET, SET_POSE
 from trackslip_tools.live import inputs
-from trackslip_tools.live.clock import shown_ms
+from trackslip_tools.live.encoding import shown_ms
 from trackslip_tools.live.fixes import timeouts_of
 from trackslip_tools.live.state import LiveState
 

@@ -7,20 +7,20 @@ from importlib import resources
 from typing import NamedTuple
 
 from bokeh.document import Document
-from bokeh.models import DatetimeTicker, DatetimeTickFormatter, Range1d
+from bokeh.models import ColumnDataSource, DatetimeTicker, DatetimeTickFormatter, Range1d
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader
 
-from trackslip_tools.live.path_figure import path_figure
 from trackslip_tools.live.strips import LINES, SHOWN, Line, Strips
-from trackslip_tools.report.panel import DARK, Panel
-from trackslip_tools.report.plots import time_plot
+from trackslip_tools.report.panel import BLUE, DARK, GREEN, ORANGE, PURPLE, Panel
+from trackslip_tools.report.plots import dress, time_plot
 from trackslip_tools.report.quantities import Quantity, Shown
 
 _STRIP_HEIGHT, _STRIP_BORDER = 190, 78  # pixels
 _CLOCK = dict.fromkeys(("seconds", "minsec", "minutes", "hourmin", "hours", "days"), "%H:%M:%S")
 _SLIPS, _RESERVES = (-0.2, 1.0), (0.0, 1.0)  # ranges of gauges
+_HEIGHT = 480
 
 
 class File(NamedTuple):
@@ -137,3 +137,37 @@ def _gauge_of(of: Shown, line: Line, number: int, unit: str) -> Gauge | None:
 def _text(room: str, name: str) -> str:
     folder = resources.files(f"trackslip_tools.{room}").joinpath("templates")
     return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def path_figure() -> figure:
+    """Sources ``trail`` and ``fixes`` (x, y), and one of each of ``live.outlines.NAMES``."""
+    plot = figure(
+        height=_HEIGHT,
+        sizing_mode="stretch_width",
+        tools=[],
+        toolbar_location=None,
+        x_range=Range1d(-5.0, 5.0),
+        y_range=Range1d(-5.0, 5.0),
+        x_axis_label="x, m",
+        y_axis_label="y, m",
+        min_border_left=60,
+        min_border_right=12,
+    )
+    fixes = {"marker": "cross", "size": 7, "color": PURPLE, "alpha": 0.8}
+    plot.scatter("x", "y", source=_source("fixes"), **fixes)
+    box = {"color": GREEN, "line_width": 2.5}
+    plot.line("x", "y", source=_source("box"), **box)
+    plot.line("x", "y", source=_source("trail"), color=BLUE, line_width=2.5)
+    ellipse = {"fill_color": BLUE, "fill_alpha": 0.3, "line_color": BLUE}
+    plot.patch("x", "y", source=_source("ellipse"), **ellipse)
+    machine = {"fill_color": BLUE, "fill_alpha": 0.15, "line_color": BLUE, "line_width": 2.5}
+    plot.patch("x", "y", source=_source("machine"), **machine)
+    plot.line("x", "y", source=_source("nose"), color=BLUE, line_width=3)
+    upper = {"color": ORANGE, "line_width": 3}
+    plot.line("x", "y", source=_source("upper"), **upper)
+    dress(plot)
+    return plot
+
+
+def _source(name: str) -> ColumnDataSource:
+    return ColumnDataSource({"x": [], "y": []}, name=name)

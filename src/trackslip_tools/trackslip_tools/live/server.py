@@ -10,10 +10,13 @@ other origins).
 
 import asyncio
 import json
+import logging
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from traceback import format_exception_only
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -25,8 +28,9 @@ from trackslip_common.errors import show
 from trackslip_tools.live.connections import BoundedServer
 from trackslip_tools.live.page import File
 from trackslip_tools.live.parameters import LiveParameters, bound
-from trackslip_tools.live.server_log import ServerLog
 
+_SOURCES = ("tornado", "asyncio")  # loggers
+_PAUSE_S = 1.0
 MOST_PAGES = 24  # that are served at the same time
 _PING = 10  # s after which a page that does not answer is given up
 _MOST_WAITING = 40  # frames, five seconds: what a phone may fall behind
@@ -37,6 +41,40 @@ _RULES = (  # for the browser: nothing from elsewhere, no script in the page, no
     "default-src 'none'; script-src 'self'; connect-src 'self' ws://{host}; img-src data:; "
     "style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+
+
+class ServerLog(logging.Handler):
+    """Gives ``log`` one line a second; ``count`` is of all warnings and errors.
+
+    Strangers cause what is logged, thousands of times a second where they want to.
+    """
+
+    def __init__(self, log: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(logging.WARNING)
+        self.count = 0
+        self._log, self._clock = log, clock
+        self._next_s = -float("inf")
+
+    def attach(self) -> None:
+        """Take what is logged from now on."""
+        for name in _SOURCES:
+            logging.getLogger(name).addHandler(self)
+
+    def detach(self) -> None:
+        """Take no more."""
+        for name in _SOURCES:
+            logging.getLogger(name).removeHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count a record, and log its first line and its cause."""
+        self.count += 1
+        if self._clock() < self._next_s:
+            return
+        self._next_s = self._clock() + _PAUSE_S
+        lines = record.getMessage().splitlines()[:1]
+        if record.exc_info is not None and record.exc_info[0] is not None:
+            lines += format_exception_only(record.exc_info[0], record.exc_info[1])[-1:]
+        self._log(f"live page: {': '.join(line.strip() for line in lines)} ({self.count} such lines so far)")
 
 
 class PageServer:

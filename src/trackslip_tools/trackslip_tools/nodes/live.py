@@ -24,7 +24,7 @@ from trackslip_common.nodes.run import run
 from trackslip_common.topics import DIAGNOSTICS
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_tools.live import inputs
-from trackslip_tools.live.clock import shown_ms
+from trackslip_tools.live.encoding import shown_ms
 from trackslip_tools.live.page import files
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 from trackslip_tools.live.server import PageServer

@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ _SLIPS = ("left_slip", "right_slip", "slip_angle", "covariance")
 TILT = "tilt"  # of odometry, with its height
 _COLUMNS = {ODOMETRY: _ODOMETRY, LOCAL_ODOMETRY: _ODOMETRY, TRACK_SLIP: _SLIPS, TILT: _TILT}
 _SHAPES = {"covariance": (3, 3), "twist_covariance": (3, 3)}
+_MOST_NAMED = 3  # parts in a line
 
 
 @dataclass(frozen=True)
@@ -289,3 +290,35 @@ def _difference(a: Rows, b: Rows) -> _Difference:
         apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)
         largest = max(largest, _Difference(float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)), name))
     return largest
+
+
+def compared_parts(live: LiveComparison, start_ns: int) -> dict[str, Any]:
+    """For JSON: seconds from the bag's first message at ``start_ns``, as ``--start`` counts them."""
+
+    def seconds(log_time_ns: int) -> float:
+        return (log_time_ns - start_ns) * 1e-9
+
+    found = live.comparability
+    return {
+        "estimates": live.compared,
+        "parts": [{"start": seconds(p.begin_log_ns), "stop": seconds(p.end_log_ns)} for p in found.parts],
+        "breaks": [{"time": seconds(one.log_time_ns), "reason": one.why} for one in found.breaks],
+    }
+
+
+def compared_lines(live: LiveComparison, start_ns: int) -> list[str]:
+    """For a terminal: a line where not all was compared that follows the estimator's start."""
+    found = live.comparability
+    if not found.breaks or not found.parts:
+        return []
+    parts = [
+        f"from {(p.begin_log_ns - start_ns) * 1e-9:.2f} to {(p.end_log_ns - start_ns) * 1e-9:.2f} s"
+        for p in found.parts[:_MOST_NAMED]
+    ]
+    more = len(found.parts) - len(parts)
+    parts += [f"and {more} more parts"] if more else []
+    first = found.breaks[0]
+    others = len(found.breaks) - 1
+    further = f" ({others} more such places)" if others else ""
+    at_s = (first.log_time_ns - start_ns) * 1e-9
+    return [f"  compared {', '.join(parts)}; not from {at_s:.2f} s, where {first.why}{further}"]

@@ -31,8 +31,8 @@ from trackslip_estimation.slip.learned_text import lines_of, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.check.text import finding
-from trackslip_tools.replay.compared import compared_lines, compared_parts
+from trackslip_tools.check.bag import finding
+from trackslip_tools.replay.comparison import compared_lines, compared_parts
 from trackslip_tools.replay.inputs import REPORTS
 from trackslip_tools.replay.parts import Begin, Part
 from trackslip_tools.replay.result import Replay

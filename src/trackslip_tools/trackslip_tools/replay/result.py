@@ -43,8 +43,7 @@ from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.scoring import Score, in_order, path_of, path_of_series
 from trackslip_tools.replay.series import Series, SeriesCollector, reduced
 from trackslip_tools.replay.soil import SoilReplay
-from trackslip_tools.replay.swing import SwingErrors
-from trackslip_tools.replay.tilt import TiltErrors
+from trackslip_tools.replay.tilt import SwingErrors, TiltErrors
 from trackslip_tools.replay.troubles import FixGaps
 from trackslip_tools.replay.withheld import Withheld, WithheldErrors
 

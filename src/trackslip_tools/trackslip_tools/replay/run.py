@@ -8,10 +8,13 @@ Batch by batch, in bounded memory: what is kept of the estimates is what the sco
 import time
 
 from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.parameters import bag_learned
 from trackslip_bags.reader import Bag
+from trackslip_common.errors import InputError
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY
 from trackslip_estimation.setup_check.collect import Collector as SetupCollector
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.learned import Learned, from_tree, meaning
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
@@ -21,7 +24,6 @@ from trackslip_tools.replay.no_estimate import why_no_estimate
 from trackslip_tools.replay.parts import Watch, run_estimator
 from trackslip_tools.replay.result import Collector, Replay, scored_topics
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilRun
-from trackslip_tools.replay.start import learned_before
 from trackslip_tools.replay.withheld import WithheldErrors
 
 REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
@@ -78,3 +80,18 @@ def replay(
 def own_reference(bag: Bag) -> str | None:
     """The topic to score against where none is named, if the bag has one."""
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
+
+
+def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None, str]:
+    """It, or None where the bag has nothing of the kind for these parameters; a line for the user.
+
+    Raises:
+        InputError: the topic of the parameters holds something else.
+    """
+    tree = bag_learned(bag)
+    if tree is None:
+        return None, ""
+    try:
+        return from_tree(tree, meaning(p)), "starts from what was learned before the bag begins"
+    except InputError as error:
+        return None, f"what was learned before the bag begins is not used: {error}"

@@ -20,11 +20,10 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.report.decimate import extremes
 from trackslip_tools.report.outlines import boxes, ellipses, fixes_of
 from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, colour_in, name_in
 from trackslip_tools.report.plan_shapes import machine_size
-from trackslip_tools.report.plots import dress
+from trackslip_tools.report.plots import dress, extremes
 from trackslip_tools.report.run import Run, recordings
 
 FloatArray = NDArray[np.float64]

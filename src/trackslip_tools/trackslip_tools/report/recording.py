@@ -17,8 +17,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
 from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodeParameters
-from trackslip_tools.report.events import Event
-from trackslip_tools.report.light_log import LightLog
+from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
 from trackslip_tools.report.spells import Spell
 

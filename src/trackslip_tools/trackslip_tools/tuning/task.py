@@ -19,6 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.reader import Bag
+from trackslip_common.errors import InputError
+from trackslip_common.topics import TRUE_ODOMETRY
 from trackslip_estimation.slip.log import Log, make_log, run_log
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import POSE
@@ -26,7 +30,9 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import SPROCKETS
 from trackslip_estimation.slip.window import Records
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.scoring import nees_of_each, score
+from trackslip_tools.replay.run import own_reference
+from trackslip_tools.replay.scoring import nees_of_each, path_of_series, score
+from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.tuning.plan import changed
 
 FloatArray = NDArray[np.float64]
@@ -177,3 +183,27 @@ class _Innovations:
         mean_nis = {self._names[k]: float(self._nis[k] / max(self._dof[k], 1.0)) for k in seen}
         rejected = {self._names[k]: int(self._refused[k]) for k in seen}
         return self._likelihood / self._count if self._count else -math.inf, mean_nis, rejected
+
+
+def read_task(
+    bag: Bag,
+    p: SlipEstimatorParameters,
+    filters: InputFilters,
+    reference: str | None,
+    *,
+    needs_reference: bool,
+) -> Task:
+    """A bag's measurements and its reference, where it has one.
+
+    What was asked of the estimator while it ran, but for its pose, is left out.
+
+    Raises:
+        InputError: the bag lacks what is needed.
+    """
+    reference = reference or own_reference(bag)
+    wanted = (reference,) if reference else ()
+    measurements, found = read_settled(bag, p, filters, wanted, frozenset(wanted) - {TRUE_ODOMETRY})
+    series = found.get(reference or "")
+    if series is None and needs_reference:
+        raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")
+    return make_task(str(bag.path), measurements, p, None if series is None else path_of_series(series))

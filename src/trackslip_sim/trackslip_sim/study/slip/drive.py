@@ -6,7 +6,7 @@ Runs differ in their noise. The rounding of the encoders belongs to the drive: i
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from trackslip_sim.machine.placement import upper_poses
 from trackslip_sim.machine.sensors import SensorNoise, mounting_of
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.slip.kernels import RecordArray, Rows, lie
 from trackslip_sim.study.slip.parameters import NODE, Cell, StudyParameters
 from trackslip_sim.truth.record import Truth
@@ -130,9 +129,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
 
 
 def _simulated(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str, terrain: str) -> Truth:
-    scenario = load_scenario(p.scenario).stretched(p.duration)
-    if terrain:
-        scenario = replace(scenario, terrain=load_terrain(terrain))
+    scenario = load_scenario(p.scenario, terrain, p.duration)
     whole, upper = estimator.vehicle.whole(), estimator.vehicle.upper_structure
     return simulate(scenario, soil=soil, vehicle=whole, upper=upper)
 

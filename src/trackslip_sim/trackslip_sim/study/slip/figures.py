@@ -15,11 +15,11 @@ from matplotlib.ticker import NullLocator
 
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_sim.demo.plots import BAND, COLOURS, STYLE, save
+from trackslip_sim.study.engine import words
 from trackslip_sim.study.slip.drive import FloatArray, make_drive
 from trackslip_sim.study.slip.evaluate import Trace, make_setting, trace
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.table import words
 
 # name → filter, σ_xy m, σ_ω rad/s, and which figures of the thesis have these
 CONDITIONS: Mapping[str, tuple[str, float, float, str]] = MappingProxyType(

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
-from trackslip_common.config_files import node_defaults
+from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import from_flat, parameter
-from trackslip_sim.study.parameters import GridParameters
+from trackslip_common.parameters import parameter
+from trackslip_sim.study.engine import GridParameters
 
 NODE = "study"
 SHEAR, MATCHED, DRAWN = "shear", "matched", "drawn"
@@ -64,7 +64,7 @@ def load_study_parameters(given: dict[str, object]) -> StudyParameters:
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return from_flat(StudyParameters, node_defaults(NODE, "study.yaml") | given, NODE)
+    return load_parameters(StudyParameters, NODE, ("study.yaml",), given)
 
 
 def cells(p: StudyParameters) -> Iterator[Cell]:

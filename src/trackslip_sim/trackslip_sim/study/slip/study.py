@@ -18,7 +18,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 from trackslip_sim import machine
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.engine import Study, Workers, spread
+from trackslip_sim.study.engine import NOTHING, Columns, Study, Workers, spread, table, words
 from trackslip_sim.study.slip import kernels
 from trackslip_sim.study.slip.drive import Drive, make_drive
 from trackslip_sim.study.slip.evaluate import evaluate, of_drawn
@@ -31,7 +31,6 @@ from trackslip_sim.study.slip.parameters import (
     load_study_parameters,
 )
 from trackslip_sim.study.slip.results import Row
-from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_set

@@ -25,6 +25,7 @@ from trackslip_sim.machine.drawn import (
     MotionErrors,
     draw_machine,
     integrated,
+    interpolated,
     uniform_variance,
 )
 from trackslip_sim.machine.sensors import tilt_readings
@@ -165,7 +166,7 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
     )
     poses = np.concatenate((np.zeros((1, 3)), integrated(twists[1:], period, np.zeros(3))))
     delay = machine.fix_delay
-    at_rows, moving = _interpolate(at.t, whole.t, poses), _interpolate(at.t, whole.t, twists)
+    at_rows, moving = interpolated(at.t, whole.t, poses), interpolated(at.t, whole.t, twists)
     deviations = fix_deviations(setting.cell, setting.sigma_heading) * np.sqrt(machine.fix_variance)
     start = _start(setting, deviations * random.standard_normal(3))
     mean, covariance = prior = _start(setting, np.zeros(3))
@@ -178,7 +179,7 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
         mean[ASYMMETRY] = machine.asymmetry
         spread[ASYMMETRY, ASYMMETRY] = uniform_variance(drawn.ASYMMETRY)
     values, of_fixes = np.zeros((len(at_rows), 3)), at.t[fixes] - delay
-    values[fixes] = _interpolate(of_fixes, whole.t, poses)
+    values[fixes] = interpolated(of_fixes, whole.t, poses)
     values[fixes] += deviations * random.standard_normal((len(of_fixes), 3))
     noise = machine.gyro_noise * setting.cell.sigma_omega * random.standard_normal(np.count_nonzero(rates))
     values[rates, 0] = machine.gyro_scale * moving[rates, 2] + mean[GYRO_BIAS] + noise
@@ -198,10 +199,6 @@ def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple
     for name in ("straight", "turning", "changing"):
         true["velocity_errors"][name] *= machine.velocity_errors
     return rows._replace(measurements=measurements), true
-
-
-def _interpolate(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
-    return np.stack([np.interp(times, t, column) for column in columns.T], axis=1)
 
 
 def _start(setting: Setting, pose: FloatArray, swing_error: float = 0.0) -> tuple[FloatArray, FloatArray]:

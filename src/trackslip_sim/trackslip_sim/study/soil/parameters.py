@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat, parameter
+from trackslip_common.config_files import load_parameters
+from trackslip_common.parameters import parameter
 from trackslip_common.soils import load_soils, soil
 from trackslip_sim.scenarios.scenario import Scenario, load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.parameters import GridParameters
+from trackslip_sim.study.engine import GridParameters
 from trackslip_sim.truth.ground import build_ground
 
 NODE = "soil_study"
@@ -47,7 +47,7 @@ def load_soil_study_parameters(given: dict[str, object]) -> SoilStudyParameters:
     Raises:
         InputError: a name is unknown or a value refused.
     """
-    return from_flat(SoilStudyParameters, node_defaults(NODE, "study.yaml") | given, NODE)
+    return load_parameters(SoilStudyParameters, NODE, ("study.yaml",), given)
 
 
 def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:

@@ -18,13 +18,12 @@ from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_sim.machine import sensors
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.scenarios.terrains import load_terrain
-from trackslip_sim.study.engine import Study, Workers, spread
+from trackslip_sim.study.engine import NOTHING, Columns, Study, Workers, spread, table, words
 from trackslip_sim.study.soil import score
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
 from trackslip_sim.study.soil.results import AnyRow, ChangeRow, SoilRow, summary
 from trackslip_sim.study.soil.score import RECOGNISED, Result, run
 from trackslip_sim.study.soil.trial import Setting, Trial, load_setting
-from trackslip_sim.study.table import NOTHING, Columns, table, words
 from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_settings

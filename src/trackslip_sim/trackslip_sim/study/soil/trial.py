@@ -26,7 +26,6 @@ from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, l
 from trackslip_sim.machine.sensors import SensorNoise, tilt_readings
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import Scenario, Segment, load_scenario
-from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.study.soil.parameters import SoilStudyParameters, load_soil_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_settings
@@ -102,11 +101,7 @@ def drive(trial: Trial, scenario: Scenario | None = None, setting: Setting | Non
 
 
 def _scenario_of(trial: Trial) -> Scenario:
-    scenario = load_scenario(trial.scenario)
-    if trial.duration > 0.0:
-        scenario = scenario.stretched(trial.duration)
-    if trial.terrain:
-        scenario = dataclasses.replace(scenario, terrain=load_terrain(trial.terrain))
+    scenario = load_scenario(trial.scenario, trial.terrain, trial.duration)
     standing = (Segment(trial.stand, 0.0, 0.0),) if trial.stand > 0.0 else ()
     return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
 
