@@ -8,8 +8,7 @@ from typing import Any
 
 import numba
 import pytest
-import rclpy
-from rclpy.signals import SignalHandlerOptions
+from fixtures.own_node import own_node
 
 from trackslip_common.compiling import TEXT
 from trackslip_common.nodes.base import TrackslipNode
@@ -40,12 +39,8 @@ class Compiling(TrackslipNode[NoParameters]):
 
 @pytest.fixture
 def node(domain: int) -> Any:
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    made = Compiling()
-    yield made
-    made.end()
-    made.destroy_node()
-    rclpy.try_shutdown()
+    with own_node(Compiling, domain) as made:
+        yield made
 
 
 def test_a_node_that_compiles_reports_it_until_it_is_done(node: Compiling) -> None:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 import pytest
-import rclpy
+from fixtures.own_node import started
 from fixtures.patience import wait_for
-from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.parameters import Parameters
@@ -63,13 +62,8 @@ class FragileDriver(DriverNode[NoParameters]):
 
 @pytest.fixture
 def driver(domain: int) -> Iterator[FragileDriver]:
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = FragileDriver()
-    node.start()
-    yield node
-    node.end()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with started(FragileDriver, domain) as node:
+        yield node
 
 
 def test_exception_while_data_are_decoded_is_reported_and_the_driver_goes_on(driver):
@@ -99,14 +93,9 @@ def test_a_silent_port_is_reported_as_silent_after_it_was_reopened(domain, monke
     monkeypatch.setattr("trackslip_drivers.nodes.driver._OPENING", 0.1)
     monkeypatch.setattr(FragileDriver, "period", 0.02)
     monkeypatch.setattr(FragileDriver, "silence", 0.4)
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = FragileDriver()
-    node.start()
-    found, where = messages(node, 1.5), node.where()
-    assert node._link.state().openings > 1
-    node.end()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with started(FragileDriver, domain) as node:
+        found, where = messages(node, 1.5), node.where()
+        assert node._link.state().openings > 1
     assert found[-1] == f"{where}: no bytes; check power and port"
     assert sum("nothing yet" in text for text in found) == 1
 

@@ -7,11 +7,9 @@ import math
 import time
 
 import pytest
-import rclpy
 from fixtures.excavator_bus import CYCLE_NS, FRAMES
-from fixtures.node_arguments import ros_arguments
+from fixtures.own_node import started
 from fixtures.patience import wait_for
-from rclpy.signals import SignalHandlerOptions
 
 from trackslip_drivers.nodes.can_driver import CanDriverNode
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
@@ -48,15 +46,8 @@ class HeldDriver(CanDriverNode):
 @pytest.fixture
 def driver(real_time, domain, udp_port):
     options = {"can_interface": "udp_multicast", "can_channel": GROUP, "can_port": udp_port}
-    rclpy.init(
-        args=ros_arguments(**options), domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
-    )
-    node = HeldDriver()
-    node.start()
-    yield node
-    node.end()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with started(HeldDriver, domain, **options) as node:
+        yield node
 
 
 def drive(driver, udp_port):

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 import rclpy
+from fixtures.own_node import started
 from fixtures.patience import wait_for
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.flood import BURST
 from trackslip_common.nodes.health import ERROR
@@ -22,14 +22,8 @@ from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 
 @pytest.fixture
 def estimator(domain: int) -> Iterator[SlipEstimatorNode]:
-    arguments = ["--ros-args", "-p", "sources.box_pose.frame_id:=map"]
-    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = SlipEstimatorNode()
-    node.start()
-    yield node
-    node.end()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with started(SlipEstimatorNode, domain, sources__box_pose__frame_id="map") as node:
+        yield node
 
 
 @pytest.fixture
@@ -90,14 +84,7 @@ def test_a_flood_of_messages_is_dropped_and_its_publisher_named(
 
 def test_a_nodes_own_counters_do_not_hide_its_inputs(domain: int) -> None:
     """The soil estimator had a counter of the name that the base has for the topics."""
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = SoilEstimatorNode()
-    try:
-        node.start()
+    with started(SoilEstimatorNode, domain) as node:
         node.publish_health()
         assert node.inputs.health() == []
         assert node.callback_failures.last == ""
-    finally:
-        node.end()
-        node.destroy_node()
-        rclpy.try_shutdown()

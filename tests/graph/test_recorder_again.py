@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-from rclpy.signals import SignalHandlerOptions
+from fixtures.own_node import started
 
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_bags.reader import open_bag
@@ -17,14 +16,8 @@ from trackslip_common.nodes.health import OK, WARN
 
 @pytest.fixture
 def recorder(domain: int, tmp_path: Path) -> Iterator[RecordNode]:
-    arguments = ["--ros-args", "-p", f"output:={tmp_path / 'bag'}"]
-    rclpy.init(args=arguments, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = RecordNode()
-    node.start()
-    yield node
-    node.end()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with started(RecordNode, domain, output=str(tmp_path / "bag")) as node:
+        yield node
 
 
 def again(node: RecordNode) -> None:

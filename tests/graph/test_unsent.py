@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
+from fixtures.own_node import started
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import topic_class
@@ -56,13 +55,8 @@ def stalled(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
 @pytest.fixture
 def speaker(domain: int, stalled: set[str]) -> Iterator[Speaker]:
-    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    node = Speaker()
-    node.start()
-    yield node
-    node.end()
-    node.destroy_node()
-    rclpy.try_shutdown()
+    with started(Speaker, domain) as node:
+        yield node
 
 
 def test_what_is_not_sent_is_counted_and_reported_and_the_node_lives_on(speaker, stalled, observer):
