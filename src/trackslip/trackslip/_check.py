@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trackslip._options import parameters_of
+from trackslip._options import setting_texts
 from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
 from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined
 from trackslip_tools.check.bag import check_bag, whole
+from trackslip_tools.cli import replay_options
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,8 @@ def check(
         InputError: the bag, a parameter or an option cannot be used.
     """
     with compilation_announced(), collected(), open_bag(bag, namespace) as opened:
-        return of_result(check_bag(opened, parameters_of(opened, params, settings, vehicle)))
+        p = replay_options.parameters_of(opened, params, setting_texts(settings), vehicle)
+        return of_result(check_bag(opened, p))
 
 
 def of_result(result: Result) -> SetupCheck:

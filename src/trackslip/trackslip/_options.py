@@ -3,24 +3,10 @@
 """Arguments of functions as the commands have them, so that both are checked by the same code."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from trackslip_bags.reader import Bag
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.cli import replay_options
-
-
-def parameters_of(
-    bag: Bag, params: Sequence[str], settings: Mapping[str, Any] | None, vehicle: str | None
-) -> SlipEstimatorParameters:
-    """Defaults, the bag's, the vehicle, files, settings: the last one counts.
-
-    Raises:
-        InputError: a file, a name or a value is refused.
-    """
-    return replay_options.parameters_of(bag, params, setting_texts(settings), vehicle)
 
 
 def setting_texts(settings: Mapping[str, Any] | None) -> list[str]:

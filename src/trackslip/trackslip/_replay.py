@@ -9,7 +9,7 @@ from typing import Any
 
 from trackslip._check import SetupCheck, of_result
 from trackslip._estimates import Estimates, of_rows
-from trackslip._options import parameters_of, setting_texts
+from trackslip._options import setting_texts
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
@@ -84,11 +84,10 @@ def replayed(
     datum: Datum | None = None,
 ) -> Result:
     """Of an open bag; ``parameters``: vehicle, files and settings; ``notes`` gather meanwhile."""
-    filters, reference = options.filters(), options.scored_against
     vehicle, params, settings = parameters
-    p = parameters_of(bag, params, settings, vehicle)
-    replay_options.require_named(bag, p, filters, reference)
-    of_soil = replay_options.soil_parameters_of(bag, p, params, setting_texts(settings))
+    given = params, setting_texts(settings)
+    p, filters, reference = replay_options.setting_of(bag, options, *given, vehicle)
+    of_soil = replay_options.soil_parameters_of(bag, p, *given)
     rows = GrowingRows(ESTIMATE)
     found = run.replay(bag, p, filters, reference, of_soil, lambda part: rows.add(part.estimates))
     said = (*([bag.damage] if bag.damage else []), *notes)

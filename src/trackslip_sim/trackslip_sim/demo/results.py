@@ -30,7 +30,7 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.demo.graph import SENSOR_TOPICS
 from trackslip_tools.replay.comparison import LiveComparison
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.parts import Part, Watch, together
 from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.scoring import Score, moving_slips, path_of_series, score, slip_rmse
 from trackslip_tools.replay.series import Series, SeriesCollector
@@ -212,11 +212,10 @@ def evaluate(
     collector = SeriesCollector(_LIVE)
 
     def collect(part: Part) -> None:
-        watch(part)
         for topic in _LIVE & part.tables.keys():
             collector.add(topic, part.tables[topic].rows)
 
-    result = replay(bag, p, InputFilters(), TRUE_ODOMETRY, of_soil, collect)
+    result = replay(bag, p, InputFilters(), TRUE_ODOMETRY, of_soil, together(watch, collect))
     series = result.series | collector.series()
     if result.live is None or any(name not in series for name in (TRUE_ODOMETRY, TRUE_SLIP, TRACK_SLIP)):
         return None

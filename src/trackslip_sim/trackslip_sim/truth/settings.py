@@ -4,9 +4,9 @@
 
 from dataclasses import dataclass
 
-from trackslip_common.config_files import config_file, read_yaml
+from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import Parameters, flatten, from_flat, parameter
+from trackslip_common.parameters import Parameters, from_flat, parameter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,15 +41,10 @@ class TruthSettings(Parameters):
         return round(self.sample_period / self.step)
 
 
-def load_settings(file: str = "truth.yaml") -> TruthSettings:
-    """The settings in a file of ``config/`` or of the user's own.
+def load_settings() -> TruthSettings:
+    """Those of ``config/truth.yaml``.
 
     Raises:
         InputError: the file or a value in it is refused.
     """
-    tree = read_yaml(config_file(file))
-    for level in ("/**", "ros__parameters", "truth"):
-        tree = tree.get(level, {})
-        if not isinstance(tree, dict):
-            raise InputError(f"{file}: '{level}' holds {tree!r}; accepted: names and values")
-    return from_flat(TruthSettings, flatten(tree), file)
+    return from_flat(TruthSettings, node_defaults("", "truth.yaml"), "truth.yaml", "truth.")

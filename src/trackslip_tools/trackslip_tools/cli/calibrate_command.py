@@ -67,8 +67,7 @@ def run(args: argparse.Namespace) -> int:
     with counted(len(args.bags), "reading") as advance:
         for path in args.bags:
             with open_bag(path, args.namespace) as bag:
-                if bag.damage:
-                    show(f"note: {bag.damage}", file=sys.stderr)
+                replay_options.note_damage(bag)
                 require_topics(bag, filter(None, (args.gyro, args.poses)))
                 moved_on = in_shares(advance, bag.duration_s)
                 recordings.append(read_recording(bag, gyro, poses, p.motion, compass, moved_on))

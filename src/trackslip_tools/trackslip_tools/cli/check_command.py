@@ -4,7 +4,6 @@
 
 import argparse
 import shlex
-import sys
 from pathlib import Path
 
 from trackslip_bags.reader import open_bag
@@ -38,8 +37,7 @@ def run(args: argparse.Namespace) -> int:
     """
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
-        if bag.damage:
-            show(f"note: {bag.damage}", file=sys.stderr)
+        replay_options.note_damage(bag)
         p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
         with counted(bag.duration_s, "checking") as advance:
             result = check_bag(bag, p, advance=advance)

@@ -118,7 +118,7 @@ def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
         yield bag
         return
     from trackslip_tools.replay.output import EstimateWriter
-    from trackslip_tools.replay.parts import Part
+    from trackslip_tools.replay.parts import together
     from trackslip_tools.replay.run import replay
 
     show("the bag has no estimates: replaying it first", file=sys.stderr)
@@ -127,12 +127,7 @@ def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
     with TemporaryDirectory(prefix="trackslip_live_") as folder:
         path = Path(folder) / "estimates"
         with EstimateWriter(path, p) as writer, counted(bag.duration_s, "replaying") as advance:
-            moved_on = following(bag, advance)
-
-            def watch(part: Part) -> None:
-                moved_on(part)
-                writer.add(part)
-
+            watch = together(following(bag, advance), writer.add)
             result = replay(bag, p, InputFilters(), None, of_soil, watch)
             if result.soil is not None:
                 writer.add_soil(result.soil)

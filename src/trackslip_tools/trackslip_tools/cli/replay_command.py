@@ -4,8 +4,7 @@
 
 import argparse
 import shlex
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.fleet.entry import Entry, entry_of
 from trackslip_tools.replay.output import EstimateWriter, summary, text
-from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.parts import Watch, together
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import learned_before, replay
 
@@ -61,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     require_writable(json=args.json)
     with open_bag(args.bags[0], args.namespace) as bag:
         if args.publish:
-            _show_damage(bag)
+            replay_options.note_damage(bag)
             return publish.publish(bag, filters, args)
         publish.refuse_without_publish(args)
         with counted(bag.duration_s, "replaying") as advance:
@@ -89,16 +88,16 @@ def _next(args: argparse.Namespace, *, has_failed: bool) -> str:
 
 def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
     """By the options, into the bag of ``--output`` where one is wanted."""
-    _show_damage(bag)
-    options = replay_options.options_of(args)
-    filters, reference = options.filters(), options.scored_against
-    p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
-    replay_options.require_named(bag, p, filters, reference)
-    of_soil = replay_options.soil_parameters_of(bag, p, args.params, args.set)
+    replay_options.note_damage(bag)
+    given = args.params, args.set
+    p, filters, reference = replay_options.setting_of(
+        bag, replay_options.options_of(args), *given, args.vehicle
+    )
+    of_soil = replay_options.soil_parameters_of(bag, p, *given)
     learned, _ = learned_before(bag, p)
     with EstimateWriter(args.output, p, learned) if args.output else nullcontext() as writer:
-        all_ = [*watches, *([writer.add] if writer else [])]
-        result = replay(bag, p, filters, reference, of_soil, lambda part: _all(all_, part))
+        watch = together(*watches, *([writer.add] if writer else []))
+        result = replay(bag, p, filters, reference, of_soil, watch)
         if writer and result.soil is not None:
             writer.add_soil(result.soil)
     return result
@@ -112,13 +111,3 @@ def _entry(args: argparse.Namespace, path: Path) -> Entry:
             return _replayed(bag, args, [watch]), ""
 
     return entry_of(path, replayed, force=args.force)
-
-
-def _show_damage(bag: Bag) -> None:
-    if bag.damage:
-        show(f"note: {bag.damage}", file=sys.stderr)
-
-
-def _all(watches: Iterable[Watch], part: Part) -> None:
-    for watch in watches:
-        watch(part)

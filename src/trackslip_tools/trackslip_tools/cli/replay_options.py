@@ -228,6 +228,30 @@ def _known(node: str, values: Mapping[str, Any], where: str) -> set[str]:
     }
 
 
+def setting_of(
+    bag: Bag,
+    options: ReplayOptions,
+    files: Iterable[str],
+    settings: Iterable[str],
+    vehicle: str | None = None,
+) -> tuple[SlipEstimatorParameters, InputFilters, str | None]:
+    """Parameters, what is changed in the bag, and the topic to score against.
+
+    Raises:
+        InputError: a file, a name or a value is refused, or nobody knows a topic that an option names.
+    """
+    filters, reference = options.filters(), options.scored_against
+    p = parameters_of(bag, files, settings, vehicle)
+    require_named(bag, p, filters, reference)
+    return p, filters, reference
+
+
+def note_damage(bag: Bag) -> None:
+    """Print what of a bag is damaged."""
+    if bag.damage:
+        show(f"note: {bag.damage}", file=sys.stderr)
+
+
 def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> None:
     """A topic that an option names and nobody knows is a slip of the pen.
 

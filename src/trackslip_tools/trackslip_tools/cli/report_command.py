@@ -23,7 +23,7 @@ from trackslip_tools.fleet.find import is_folder
 from trackslip_tools.fleet.pages import INDEX, make_folder, write_pages
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
-from trackslip_tools.replay.parts import Part, Watch
+from trackslip_tools.replay.parts import Watch, together
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import replay
 from trackslip_tools.report.details import Details
@@ -104,20 +104,12 @@ def _run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
     """A bag with a parameter file; ``recording``: what the bag holds, where that is known."""
-    options = replay_options.options_of(args)
-    filters, reference = options.filters(), options.scored_against
-    given = ([] if name == _OWN else [name], args.set)
-    p = replay_options.parameters_of(bag, *given, args.vehicle)
+    options, given = replay_options.options_of(args), ([] if name == _OWN else [name], args.set)
+    p, filters, reference = replay_options.setting_of(bag, options, *given, args.vehicle)
     of_soil = replay_options.soil_parameters_of(bag, p, *given)
-    replay_options.require_named(bag, p, filters, reference)
     recording = recording or read_recording(bag, filters, args.namespace)
     details = Details()
-
-    def watch(part: Part) -> None:
-        details.add(part)
-        further(part)
-
-    result = replay(bag, p, filters, reference, of_soil, watch)
+    result = replay(bag, p, filters, reference, of_soil, together(details.add, further))
     smoothed = _smoothed(bag, p, filters) if args.smooth else None
     return Run(label, recording, p, filters, result, details, smoothed)
 

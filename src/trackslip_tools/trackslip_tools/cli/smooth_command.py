@@ -3,7 +3,6 @@
 """``trackslip smooth``: the best estimate of each moment of a bag, from what came before and after it."""
 
 import argparse
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -38,14 +37,13 @@ def run(args: argparse.Namespace) -> int:
         InputError: the bag, a parameter or an option cannot be used.
     """
     options = replay_options.options_of(args)
-    filters, reference = options.filters(), options.scored_against
+    options.filters()  # refused before the work
     refuse_existing(args.output)
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
-        if bag.damage:
-            show(f"note: {bag.damage}", file=sys.stderr)
-        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
-        replay_options.require_named(bag, p, filters, reference)
+        replay_options.note_damage(bag)
+        given = args.params, args.set, args.vehicle
+        p, filters, reference = replay_options.setting_of(bag, options, *given)
         written = SmoothedWriter(args.output, p) if args.output else nullcontext()
         with written as writer, counted(bag.duration_s, "smoothing") as advance:
             result = smooth_bag(bag, p, filters, reference, _watch(writer, advance))

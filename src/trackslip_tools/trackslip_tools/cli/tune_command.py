@@ -90,13 +90,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(path: Path, args: argparse.Namespace, *, needs_reference: bool) -> Task:
-    options = replay_options.options_of(args)
-    filters, reference = options.filters(), options.scored_against
     with open_bag(path, args.namespace) as bag:
-        if bag.damage:
-            show(f"note: {bag.damage}", file=sys.stderr)
-        p = replay_options.parameters_of(bag, args.params, args.set, args.vehicle)
-        replay_options.require_named(bag, p, filters, reference)
+        replay_options.note_damage(bag)
+        given = args.params, args.set, args.vehicle
+        p, filters, reference = replay_options.setting_of(bag, replay_options.options_of(args), *given)
         setup = check_bag(bag, p, filters)
         show(finding(setup) if setup.is_plausible else f"{path}: {finding(setup)}", file=sys.stderr)
         return read_task(bag, p, filters, reference, needs_reference=needs_reference)

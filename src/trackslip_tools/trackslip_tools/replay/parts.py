@@ -58,6 +58,16 @@ class Part(NamedTuple):
 Watch = Callable[[Part], None]
 
 
+def together(*watches: Watch) -> Watch:
+    """Each of them sees a part, one after the other."""
+
+    def watch(part: Part) -> None:
+        for one in watches:
+            one(part)
+
+    return watch
+
+
 def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Part]:
     """Part by part of a bag; commands, changes of parameters and starts act where they came."""
     p = estimator.parameters
