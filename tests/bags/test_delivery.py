@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log times of messages that were sent again."""
 
-from trackslip_bags.delivery import DeliveryOrder
+from trackslip_bags.recording import DeliveryOrder
 
 S = 1_000_000_000
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lost messages are seen by the gaps in their publishers' numbers."""
 
-from trackslip_bags.losses import Losses
+from trackslip_bags.recording import Losses
 
 
 def test_gaps_are_counted_for_each_publisher_of_a_topic() -> None:

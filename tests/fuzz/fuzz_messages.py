@@ -23,7 +23,7 @@ from trackslip_common.nodes.messages import make, message_class, packed_topic
 from trackslip_common.packed import PackedMessage
 from trackslip_common.topics import LEFT_SPROCKET, MACHINE_STATE, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_estimation.nodes.estimator_health import estimator_health
-from trackslip_estimation.nodes.soil_health import soil_health
+from trackslip_estimation.nodes.soil_estimator import soil_health
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry

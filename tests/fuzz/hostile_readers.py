@@ -35,7 +35,7 @@ from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
 from trackslip_tools.replay.whole_inputs import read_inputs
-from trackslip_tools.report.limits import load_limits
+from trackslip_tools.report.verdict import load_limits
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import changed, read_plan
 from trackslip_tools.tuning.task import Score

@@ -10,10 +10,10 @@ import pytest
 from fixtures.patience import wait_for
 
 from trackslip_common.errors import InputError
-from trackslip_sim.demo.domain import claimed_domain
 from trackslip_sim.demo.graph import LIVE, DemoOptions, NodeSpec, demo_nodes
 from trackslip_sim.demo.output import DEMO, LOGS, Results, claim
 from trackslip_sim.demo.processes import Processes
+from trackslip_sim.demo.run import claimed_domain
 from trackslip_sim.demo.show import status
 
 

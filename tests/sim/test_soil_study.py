@@ -12,11 +12,10 @@ from trackslip_estimation.slip.measurements import PoseFix, Sprockets
 from trackslip_estimation.soil.soil_estimator import SoilState
 from trackslip_estimation.soil.strength_summary import StrengthSummary
 from trackslip_sim.scenarios.scenario import Scenario, Segment
-from trackslip_sim.study.soil import Trial, drive, estimates, run
 from trackslip_sim.study.soil.parameters import SoilCell, load_soil_study_parameters, soil_cells
 from trackslip_sim.study.soil.results import ChangeRow, SoilRow, summary
-from trackslip_sim.study.soil.score import Result, change_of, steady_turns
-from trackslip_sim.study.soil.trial import START_NS, Setting, load_setting, read
+from trackslip_sim.study.soil.score import Result, change_of, run, steady_turns
+from trackslip_sim.study.soil.trial import START_NS, Setting, Trial, drive, estimates, load_setting, read
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import Truth
 

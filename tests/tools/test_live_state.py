@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from trackslip_bags.messages import make
 from trackslip_common.config_files import parameters_text
 from trackslip_common.vehicle_files import load_vehicle, vehicle_text
-from trackslip_tools.live import strips, trail
-from trackslip_tools.live.state import PERIOD, LiveState
+from trackslip_tools.live import strips
+from trackslip_tools.live.state import MOST_POINTS, PERIOD, LiveState, Trail
 from trackslip_tools.live.strips import LINES, SHOWN, Strips
-from trackslip_tools.live.trail import Trail
 
 LEFT_SLIP = next(k for k, line in enumerate(LINES) if SHOWN[line.panel].title == "Slip of the left track")
 PERCENT = SHOWN[LINES[LEFT_SLIP].panel].scale
@@ -221,7 +220,7 @@ def test_an_hour_takes_no_more_memory_than_the_first_minutes(state: LiveState) -
     assert len(json.dumps(state.whole())) < 1.1 * early
 
 
-@pytest.mark.parametrize("most", [10, trail.MOST])
+@pytest.mark.parametrize("most", [10, MOST_POINTS])
 def test_a_path_keeps_its_shape_when_points_are_dropped(most: int) -> None:
     kept = Trail(most, 0.1)
     for k in range(20 * most):

@@ -17,16 +17,15 @@ from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import FORCES, SOIL, TRUE_SOIL
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
-from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
 from trackslip_tools.report.numbers import numbers_of
-from trackslip_tools.report.outlines import boxes, ellipses
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
-from trackslip_tools.report.path_plot import path_plot
+from trackslip_tools.report.path_plot import boxes, ellipses, path_plot
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import differing, parameter_rows, topic_rows
+from trackslip_tools.report.verdict import load_limits
 
 MS = 1_000_000
 MOST_BYTES = 6_000_000

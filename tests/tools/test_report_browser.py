@@ -14,11 +14,11 @@ from PIL import Image
 
 from trackslip_tools.report.events import Event
 from trackslip_tools.report.lights import Level
-from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.page import render
 from trackslip_tools.report.recording import Recording
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.spells import Spell
+from trackslip_tools.report.verdict import load_limits
 
 DRAWN = "document.documentElement.dataset.drawn === 'all' && Bokeh.documents[0].is_idle"
 CURSORS = "[...Bokeh.documents[0].all_models].filter(m => m.dimension == 'height')"

@@ -24,14 +24,13 @@ from trackslip_tools.report.details import Details
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.headline import Fact, facts_of, travel_of
 from trackslip_tools.report.lights import SILENT_S, Level
-from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.motion_panels import motion_panels
 from trackslip_tools.report.plots import plot_text
 from trackslip_tools.report.recording import Timing, read_recording
 from trackslip_tools.report.run import Run, aligned
 from trackslip_tools.report.spells import Spell, spells, total_duration
 from trackslip_tools.report.story import events_of, message_strips, silence_limits, strips
-from trackslip_tools.report.verdict import State, verdicts
+from trackslip_tools.report.verdict import State, load_limits, verdicts
 
 SECOND_NS = 1_000_000_000
 

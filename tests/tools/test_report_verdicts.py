@@ -26,12 +26,11 @@ from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.withheld import Withheld
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.innovations import innovation_panels, innovations_of, whitened_fixes
-from trackslip_tools.report.limits import load_limits
 from trackslip_tools.report.panel import GREEN, Form
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.tables import rejection_rows
-from trackslip_tools.report.verdict import State, verdicts
+from trackslip_tools.report.verdict import State, load_limits, verdicts
 
 MS = 1_000_000
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trackslip._check import SetupCheck, of_result
+from trackslip._check import SetupCheck, of_result, setting_texts
 from trackslip._estimates import Estimates, of_rows
-from trackslip._options import setting_texts
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected

@@ -88,33 +88,33 @@ def mounting_names(values: Mapping[str, Any]) -> set[str]:
     return {f"{source}.mounting_{axis}" for source in by_tf for axis in ("roll", "pitch", "yaw")}
 
 
-def bag_learned(bag: Bag, node: str = _NODE) -> Any:
+def bag_learned(bag: Bag) -> Any:
     """What the estimator had learned before the bag begins, as it stands beside the parameters; else None.
 
     Raises:
         InputError: what is on the topic is no parameter file.
     """
-    for message in bag.messages([f"{node}/parameters"]):
-        return read_learned(bag, bag.deserialize(message.raw, message.type_name), node)
+    for message in bag.messages([f"{_NODE}/parameters"]):
+        return read_learned(bag, bag.deserialize(message.raw, message.type_name))
     return None
 
 
-def read_parameters(bag: Bag, content: Any, node: str = _NODE) -> dict[str, Any]:
+def read_parameters(bag: Bag, content: Any) -> dict[str, Any]:
     """Dotted name → value of one such message (std_msgs/String).
 
     Raises:
         InputError: it is no parameter file.
     """
-    return current_names(flatten(_read(bag, content, node)["ros__parameters"]))
+    return current_names(flatten(_read(bag, content, _NODE)["ros__parameters"]))
 
 
-def read_learned(bag: Bag, content: Any, node: str = _NODE) -> Any:
+def read_learned(bag: Bag, content: Any) -> Any:
     """What an estimator had learned before its run, by one such message; None where it states nothing.
 
     Raises:
         InputError: it is no parameter file.
     """
-    return _read(bag, content, node).get("learned")
+    return _read(bag, content, _NODE).get("learned")
 
 
 def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:

@@ -5,6 +5,7 @@
 import math
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from trackslip_bags.delivery import DeliveryOrder
 from trackslip_bags.disk import (
     LIBRARY,
     DiskWatch,
@@ -22,13 +22,62 @@ from trackslip_bags.disk import (
     sync_file,
     too_many,
 )
-from trackslip_bags.losses import Losses
 from trackslip_bags.progress import RecordProgress
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 
+_LONGEST_REPAIR_NS = 5_000_000_000  # a heartbeat asks every 3 s what is missing; more is a clock that was set
 _TRIM_PERIOD = 5.0  # s
+
+
+class DeliveryOrder:
+    """Log times that, topic by topic, do not run back over a repair.
+
+    A reliable publisher sends again what was lost on the way. It comes late, and what was sent after it waits
+    for it: messages are delivered in order, while their times of reception are not.
+    """
+
+    def __init__(self) -> None:
+        self._newest_ns: dict[str, int] = {}
+
+    def after_all_before(self, topic: str, came_ns: int) -> int:
+        """Log time of a message that is delivered now and was received at ``came_ns``."""
+        newest_ns = self._newest_ns.get(topic, came_ns)
+        if 0 < newest_ns - came_ns < _LONGEST_REPAIR_NS:
+            return newest_ns
+        self._newest_ns[topic] = came_ns
+        return came_ns
+
+
+class Losses:
+    """Lost messages of each topic, by the gaps in their publishers' numbers.
+
+    A publisher's first message may have any number: it is older than we.
+    """
+
+    def __init__(self) -> None:
+        self.total: Counter[str] = Counter()
+        self._next: dict[tuple[str, bytes], int] = {}
+        self._new: Counter[str] = Counter()
+
+    def see(self, topic: str, publisher: bytes, number: int) -> None:
+        """A message came, with the running number that its publisher gave it."""
+        gap = number - self._next.get((topic, publisher), number)
+        self._next[topic, publisher] = number + 1
+        self.add(topic, gap)
+
+    def add(self, topic: str, count: int) -> None:
+        """So many are lost; a publisher may also send again what it keeps for late comers."""
+        if count > 0:
+            self.total[topic] += count
+            self._new[topic] += count
+
+    def news(self) -> str:
+        """What was lost since this was last asked, in words; empty where nothing was."""
+        text = ", ".join(f"{count} messages of {topic}" for topic, count in sorted(self._new.items()))
+        self._new.clear()
+        return text
 
 
 @dataclass(frozen=True, kw_only=True)

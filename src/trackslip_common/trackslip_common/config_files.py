@@ -92,6 +92,18 @@ def load_parameters(cls: type[P], node: str, files: Sequence[str], *layers: Mapp
     return from_flat(cls, values, node)
 
 
+def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted names as groups, in the form of a parameter file."""
+    tree: dict[str, Any] = {}
+    for name, value in flat.items():
+        *groups, last = name.split(".")
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = value
+    return tree
+
+
 def parameters_text(parameters: Mapping[str, Any], node: str, **beside: Any) -> str:
     """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them.
 

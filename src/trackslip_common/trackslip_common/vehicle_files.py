@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import yaml
 
-from trackslip_common.config_files import config_directory, read_yaml
+from trackslip_common.config_files import config_directory, nested, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
 from trackslip_common.vehicle import VehicleParameters
@@ -93,14 +93,7 @@ def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehiclePara
 
 def vehicle_text(vehicle: VehicleParameters) -> str:
     """What a file of the vehicle would hold, without comments."""
-    tree: dict[str, Any] = {}
-    for name, value in to_flat(vehicle).items():
-        *groups, last = name.split(".")
-        branch = tree
-        for group in groups:
-            branch = branch.setdefault(group, {})
-        branch[last] = value
-    text: str = yaml.safe_dump(tree, sort_keys=False)
+    text: str = yaml.safe_dump(nested(to_flat(vehicle)), sort_keys=False)
     return text
 
 

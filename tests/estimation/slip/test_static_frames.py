@@ -19,7 +19,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
-from trackslip_estimation.nodes.static_mountings import StaticMountings
+from trackslip_estimation.nodes.measurement_sources import StaticMountings
 from trackslip_estimation.slip.learned import meaning
 from trackslip_estimation.slip.mounting import quaternion_of, rotation
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -66,7 +66,7 @@ def tf(parent: str, child: str, roll: float, pitch: float, yaw: float) -> Any:
 
 
 def test_an_imu_waits_for_its_mounting_and_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("trackslip_estimation.nodes.static_mountings.topic_class", lambda _: object)
+    monkeypatch.setattr("trackslip_estimation.nodes.measurement_sources.topic_class", lambda _: object)
     p = load_slip_parameters({"sources.imu_data_raw.mounting_from_tf": True})
     asked = []
     node = SimpleNamespace(create_subscription=lambda *given: asked.append(given[1]))

@@ -120,8 +120,8 @@ class CallbackFailures:
 class SendFailures:
     """Counts what could not be sent, messages and answers: one stalled subscriber is no reason to end."""
 
-    def __init__(self, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
-        self._log, self._clock = log, clock
+    def __init__(self, log: Log) -> None:
+        self._log = log
         self._reported = 0
         self._logged_s = -LOG_PERIOD_S
         self.counts: Counter[str] = Counter()  # by topic; all answers together
@@ -166,6 +166,6 @@ class SendFailures:
 
     def _add(self, name: str, reason: object) -> None:
         self.counts[name] += 1
-        if (now_s := self._clock()) - self._logged_s >= LOG_PERIOD_S:
+        if (now_s := time.monotonic()) - self._logged_s >= LOG_PERIOD_S:
             self._logged_s = now_s
             self._log(f"{name}: not sent: {' '.join(str(reason).split())}")

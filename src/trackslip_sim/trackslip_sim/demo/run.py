@@ -9,8 +9,8 @@ import shutil
 import socket
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from trackslip_common.errors import ExitCode, InputError, printable, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle
-from trackslip_sim.demo.domain import claimed_domain
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
 from trackslip_sim.demo.picture import draw
@@ -37,6 +36,7 @@ from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
 _LONGEST = 3600.0  # s
+_FIRST, _COUNT = 1, 100  # up to 101 the ports of a domain are no client's
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -177,3 +177,38 @@ def _free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         return int(probe.getsockname()[1])
+
+
+@contextmanager
+def claimed_domain() -> Iterator[int]:
+    """A ROS domain that no other demo of this host uses: two in one would drive each other's machine.
+
+    The one of ``ROS_DOMAIN_ID``, or a free one; until the exit.
+
+    Raises:
+        InputError: another demo runs in it, or it is no number.
+    """
+    stated = os.environ.get("ROS_DOMAIN_ID")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as claim:
+        domain = next((domain for domain in _candidates(stated) if _is_bound(claim, domain)), None)
+        if domain is None:
+            where = f"in domain {stated}" if stated else "in each domain"
+            raise InputError(f"ROS_DOMAIN_ID: another demo runs {where}; accepted: another one, or none set")
+        yield domain
+
+
+def _candidates(stated: str | None) -> list[int]:
+    if stated:
+        if not stated.isascii() or not stated.isdigit():
+            raise InputError(f"ROS_DOMAIN_ID: '{stated}' is no domain; accepted: 0 to 101")
+        return [int(stated)]
+    return [_FIRST + (os.getpid() + k) % _COUNT for k in range(_COUNT)]
+
+
+def _is_bound(claim: socket.socket, domain: int) -> bool:
+    """Whether the name of that domain is ours now: such a name is in no file, and ends with its owner."""
+    try:
+        claim.bind(f"\0trackslip-demo-domain-{domain}")
+    except OSError:
+        return False
+    return True

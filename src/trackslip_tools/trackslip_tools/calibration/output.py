@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A calibration as a table for people, and as a parameter file for the nodes with its evidence in it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from trackslip_common.config_files import nested
 from trackslip_common.errors import InputError
 from trackslip_common.whole_file import write_whole
 from trackslip_tools.calibration.calibrate import Calibration
@@ -45,7 +46,7 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
         InputError: the file cannot be written.
     """
     evidence = text(calibration).splitlines()
-    content = {node: {"ros__parameters": _nested(v)} for node, v in calibration.parameters.items()}
+    content = {node: {"ros__parameters": nested(v)} for node, v in calibration.parameters.items()}
     heads = [*(f"{BEGINNING}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
     lines = [*heads, yaml.safe_dump(content, sort_keys=False)]
     try:
@@ -65,15 +66,3 @@ def _lines(name: str, finding: Finding) -> list[str]:
     line = f"{name:<25}{value:>11} {unit:<6}[{low}, {high}]"
     whole = f"{line:<69}{finding.basis}"
     return [whole] if len(whole) <= WIDTH else [line, f"  {finding.basis}"]
-
-
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted names as groups, in the form of a parameter file."""
-    tree: dict[str, Any] = {}
-    for name, value in values.items():
-        *groups, last = name.split(".")
-        branch = tree
-        for group in groups:
-            branch = branch.setdefault(group, {})
-        branch[last] = value
-    return tree

@@ -27,10 +27,10 @@ from trackslip_tools.replay.parts import Watch, together
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import replay
 from trackslip_tools.report.details import Details
-from trackslip_tools.report.limits import VerdictLimits, load_limits
 from trackslip_tools.report.panel import MOST_RUNS
 from trackslip_tools.report.recording import Recording, read_recording
 from trackslip_tools.report.run import Run
+from trackslip_tools.report.verdict import VerdictLimits, load_limits
 from trackslip_tools.smoothing.smooth_bag import smooth_bag
 
 EXAMPLE = "trackslip report out/demo/bag --params own --params tuned.yaml --output report.html"

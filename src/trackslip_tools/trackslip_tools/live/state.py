@@ -6,9 +6,10 @@ A frame is what has changed since the one before it, as values that JSON knows; 
 needs which has just come. Memory is bounded, whatever comes for however long.
 """
 
+import math
 import threading
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,17 +25,50 @@ from trackslip_tools.live.fixes import Fixes, timeouts_of_text
 from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.live.strips import Strips, row_of
-from trackslip_tools.live.trail import Trail
 from trackslip_tools.report.events import SURE, Event, Events
 from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
+MOST_POINTS = 3000  # of the path
+_CLOSEST = 0.02  # m between two points
 PERIOD = 0.125  # s between frames
 _CLASSES = 3  # of soil that are shown
 _LONGEST_SETUP = 900  # characters
 _JUDGE = "slip_estimator"  # name of its light
 _SETUP = f"{_JUDGE}: setup"  # of the setup check's
 _VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
+
+
+class Trail:
+    """The path of a day in bounded memory: points a little apart, twice as far where there are too many.
+
+    ``thinned`` counts how often half of the points were dropped.
+    """
+
+    def __init__(self, most: int = MOST_POINTS, closest: float = _CLOSEST) -> None:
+        self._most, self._apart = most, closest
+        self.points: list[tuple[float, float]] = []  # m
+        self.thinned = 0
+
+    def add(self, x: float, y: float) -> bool:
+        """A place; whether it is far enough from the last one to be kept."""
+        if not (math.isfinite(x) and math.isfinite(y)):
+            return False
+        if self.points and math.dist(self.points[-1], (x, y)) < self._apart:
+            return False
+        self.points.append((round(x, 3), round(y, 3)))
+        if len(self.points) > self._most:
+            self.points = self.points[::2]
+            self._apart *= 2.0
+            self.thinned += 1
+        return True
+
+    def columns(self) -> dict[str, list[float]]:
+        """x and y of all points."""
+        return {name: [point[axis] for point in self.points] for axis, name in enumerate("xy")}
+
+    def __iter__(self) -> Iterator[tuple[float, float]]:
+        return iter(self.points)
 
 
 class LiveState:

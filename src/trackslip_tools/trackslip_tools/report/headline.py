@@ -13,11 +13,10 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.troubles import SIDES
 from trackslip_tools.report.events import SURE, Event
 from trackslip_tools.report.lights import Level
-from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.story import trouble_spells, troubles_text
-from trackslip_tools.report.verdict import State, Verdict
+from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 
 _GAP_S = 1.0  # a longer time between two estimates is nobody's
 _NONE = "–"

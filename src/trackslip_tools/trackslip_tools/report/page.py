@@ -19,7 +19,6 @@ from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.headline import facts_of
 from trackslip_tools.report.innovations import innovation_panels
 from trackslip_tools.report.learned_panels import learned_panels, learned_rows
-from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.motion_panels import error_panels, motion_panels
 from trackslip_tools.report.panel import DARK, GREY
 from trackslip_tools.report.path_plot import PathPlot, path_plot
@@ -34,7 +33,7 @@ from trackslip_tools.report.tables import (
     run_facts,
     topic_rows,
 )
-from trackslip_tools.report.verdict import verdicts
+from trackslip_tools.report.verdict import VerdictLimits, verdicts
 
 _SAMPLES = 4000  # of a curve, in a report of one or two runs; more runs share the same room
 _SHARING = 2

@@ -3,21 +3,53 @@
 """What a run is worth, in plain words: each check is ok, asks for attention, or could not be made."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from trackslip_common.parameters import to_flat
+from trackslip_common.config_files import config_file, load_parameters, node_parameters, read_yaml
+from trackslip_common.errors import InputError
+from trackslip_common.parameters import Parameters, parameter, to_flat
 from trackslip_common.topics import SENSOR_TOPICS, SOIL
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.report.innovations import innovations_of
-from trackslip_tools.report.limits import VerdictLimits
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
 from trackslip_tools.report.story import silence_limits, trouble_spells, troubles_text
 
+SECTION = "report"
+DEFAULT_FILES = ("report.yaml",)
 _WAITING = Outcome.WAITING.name.lower()
 _USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.refused)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictLimits(Parameters):
+    """See ``config/report.yaml``."""
+
+    position: float = parameter("largest RMSE of the position", unit="m", gt=0.0)
+    encoders: float = parameter("largest RMSE of the position, over that of encoders alone", gt=0.0)
+    slip: float = parameter("largest RMSE of the slips", gt=0.0)
+    least_consistency: float = parameter("least ratio of errors to what is claimed of them", ge=0.0, lt=1.0)
+    most_consistency: float = parameter("largest ratio of errors to what is claimed of them", gt=1.0)
+    lost: float = parameter("largest share of messages lost", ge=0.0, lt=1.0)
+    refused: float = parameter("largest share of measurements not used", ge=0.0, lt=1.0)
+    slip_stddev: float = parameter("standard deviation up to which a slip counts as known", gt=0.0)
+
+
+def load_limits(files: Sequence[str] = ()) -> VerdictLimits:
+    """Those of ``config/``, with these files over them.
+
+    Raises:
+        InputError: a file is missing or says nothing of a report, a name is unknown, or a value is refused.
+    """
+    layers = []
+    for name in files:
+        path = config_file(name)
+        layers.append(node_parameters(read_yaml(path), SECTION, str(path)))
+        if not layers[-1]:
+            raise InputError(f"{path}: no limits; accepted: a section '{SECTION}' as in config/report.yaml")
+    return load_parameters(VerdictLimits, SECTION, DEFAULT_FILES, *layers)
 
 
 class State(Enum):

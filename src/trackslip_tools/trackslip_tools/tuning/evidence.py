@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from trackslip_common.config_files import nested
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_common.whole_file import write_whole
@@ -35,15 +36,9 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
         InputError: the folder cannot be written.
     """
     values = to_flat(changed(p, tuning.values))
-    tree: dict[str, Any] = {}
-    for name in (full for tuned in tuning.values for full in expanded(p, tuned)):
-        *groups, last = name.split(".")
-        inner = tree
-        for group in groups:
-            inner = inner.setdefault(group, {})
-        inner[last] = values[name]
+    found = {full: values[full] for tuned in tuning.values for full in expanded(p, tuned)}
     text = f"{BEGINNINGS[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
-    text += yaml.safe_dump({NODE: {"ros__parameters": tree}}, sort_keys=False)
+    text += yaml.safe_dump({NODE: {"ros__parameters": nested(found)}}, sort_keys=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / PARAMETERS, text)

@@ -1,8 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
 """How good the soil estimator is on a known truth: ``trackslip study --estimator soil``."""
-
-from trackslip_sim.study.soil.score import run
-from trackslip_sim.study.soil.trial import Trial, drive, estimates
-
-__all__ = ["Trial", "drive", "estimates", "run"]
