@@ -9,6 +9,7 @@ import yaml
 
 from trackslip_bags.importing.first_mapping import FirstMapping, first_mapping
 from trackslip_bags.importing.mapping import read_mapping
+from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 
 SIDES = ("left_velocity", "right_velocity")
@@ -55,3 +56,9 @@ def test_a_first_mapping_is_one_that_import_accepts(names: str, tmp_path: Path) 
 def test_a_log_without_speeds_is_refused_with_its_columns(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"left_velocity, right_velocity among t, left_pressure, lat"):
         made(tmp_path, "t,left_pressure,lat")
+
+
+def test_positions_are_as_accurate_as_the_localizer_assumes_without_a_covariance(tmp_path: Path) -> None:
+    topics = yaml.safe_load(made(tmp_path, "t,v_left,v_right,lat_deg,lon_deg").text)["topics"]
+    assumed = node_defaults("gnss_localizer", "gnss_localizer.yaml")["assumed_stddev.single"]
+    assert topics["gnss_pose"]["stddev"] == {"x": assumed, "y": assumed}

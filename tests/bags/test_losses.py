@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lost messages are seen by the gaps in their publishers' numbers."""
+"""What a recorder makes of numbers and times: lost messages, and the order of those sent again."""
 
-from trackslip_bags.recording import Losses
+from trackslip_bags.recording import DeliveryOrder, Losses
+
+S = 1_000_000_000
 
 
 def test_gaps_are_counted_for_each_publisher_of_a_topic() -> None:
@@ -30,3 +32,18 @@ def test_news_are_reported_once() -> None:
     losses.add("/a", 4)
     assert losses.news() == "4 messages of /a"
     assert losses.total == {"/a": 5, "/b": 2}
+
+
+def test_what_waited_for_a_repair_is_not_logged_before_it() -> None:
+    """Two and three were received first, delivered after one, which was lost and sent again."""
+    order = DeliveryOrder()
+    came = {0: 10 * S, 1: 13 * S, 2: 11 * S, 3: 12 * S, 4: 14 * S}
+    logged = [order.after_all_before("odometry", came_ns) for came_ns in came.values()]
+    assert logged == [10 * S, 13 * S, 13 * S, 13 * S, 14 * S]
+    assert order.after_all_before("sprockets", 11 * S) == 11 * S
+
+
+def test_a_clock_that_was_set_back_is_followed() -> None:
+    order = DeliveryOrder()
+    came = (100 * S, 40 * S, 41 * S, 140 * S)
+    assert tuple(order.after_all_before("odometry", came_ns) for came_ns in came) == came

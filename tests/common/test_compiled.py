@@ -8,9 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 from trackslip_common import machine_code
+from trackslip_common.compiling import DESK_TEXT, compilation_announced
+from trackslip_common.errors import collected
 
 CALLEE = """
 from trackslip_common.compiled import compiled
@@ -135,3 +138,12 @@ def test_machine_code_is_kept_with_the_user_where_sources_cannot_be_written(
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert machine_code.directory(str(tmp_path / "kernel.py")) == tmp_path / "trackslip"
+
+
+def test_a_compilation_is_announced_at_once_though_lines_are_collected(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with compilation_announced(), collected() as lines:
+        numba.njit(lambda x: x + 1.0)(1.0)
+        assert capsys.readouterr().err == f"{DESK_TEXT}\n"
+    assert lines == []

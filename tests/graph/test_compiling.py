@@ -3,22 +3,15 @@
 """A node that compiles says so: it was silent for the first minute after an installation."""
 
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numba
 import pytest
-from fixtures.own_node import own_node
+from fixtures.own_node import NoParameters, own_node
 
 from trackslip_common.compiling import TEXT
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import WARN
-from trackslip_common.parameters import Parameters
-
-
-@dataclass(frozen=True)
-class NoParameters(Parameters):
-    """Of a node without any."""
 
 
 class Compiling(TrackslipNode[NoParameters]):

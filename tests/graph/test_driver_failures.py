@@ -5,21 +5,14 @@
 import queue
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import Enum
 
 import pytest
-from fixtures.own_node import started
+from fixtures.own_node import NoParameters, started
 from fixtures.patience import wait_for
 
 from trackslip_common.nodes.health import ERROR
-from trackslip_common.parameters import Parameters
 from trackslip_drivers.nodes.driver import DriverNode
-
-
-@dataclass(frozen=True)
-class NoParameters(Parameters):
-    """Of a driver without any."""
 
 
 class QueuePort:

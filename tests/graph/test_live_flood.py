@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from fixtures import flood
-from fixtures.node_arguments import ros_arguments
 from fixtures.patience import PATIENCE
+from fixtures.programs import ros_arguments
 
 STRANGERS, DESCRIPTORS = 2000, 256
 PRINTED = r"http://\S+:(\d+)/"

@@ -9,7 +9,7 @@ import sys
 from typing import Any
 
 import pytest
-from fixtures.node_arguments import ros_arguments
+from fixtures.programs import ros_arguments
 
 from trackslip_bags.nodes.record import RecordNode
 from trackslip_common.errors import ExitCode

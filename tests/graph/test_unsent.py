@@ -4,28 +4,21 @@
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from fixtures.own_node import started
+from fixtures.own_node import NoParameters, started
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import topic_class
-from trackslip_common.parameters import Parameters
 
 DROPPED = "failed to send response (timeout): client will not receive response"  # rclpy's words
 SCAN, STATUS = "/scan", "/diagnostics"
-
-
-@dataclass(frozen=True)
-class NoParameters(Parameters):
-    """Of a node without any."""
 
 
 class Speaker(TrackslipNode[NoParameters]):

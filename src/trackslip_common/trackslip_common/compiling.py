@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from trackslip_common.errors import show
-
 TEXT = "compiling, about a minute: once after an installation"
 DESK_TEXT = "compiling for this processor, once after an installation: about two minutes"
 _PERIOD = 1.0  # s
@@ -17,8 +15,8 @@ _PERIOD = 1.0  # s
 
 @contextmanager
 def compilation_announced() -> Iterator[None]:
-    """One line on stderr where what is done inside compiles."""
-    with compilation_reported(lambda _: show(DESK_TEXT, file=sys.stderr), lambda _: None):
+    """One line on stderr where what is done inside compiles: at once, though other lines are collected."""
+    with compilation_reported(lambda _: print(DESK_TEXT, file=sys.stderr, flush=True), lambda _: None):
         yield
 
 

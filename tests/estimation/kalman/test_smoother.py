@@ -12,6 +12,7 @@ from fixtures.filter_steps import (
     Gaussian,
     Measured,
     config_of,
+    differences,
     filter_step,
     moved,
     start_of,
@@ -191,13 +192,10 @@ def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -
 
 def test_goes_back_by_the_derivative_of_the_very_steps(config: ConfigRecord) -> None:
     """F by differences of the filter's own prediction gives the same."""
-    passed, edge = steps(config, 0.3), 1e-6
+    passed = steps(config, 0.3)
     transitions = [np.eye(passed[0].updated.mean.size)]
     for before in passed[:-1]:
-        mean = before.updated.mean
-        shifts = edge * np.eye(mean.size)
-        ends = [[moved(mean + sign * shift, DRIVE, 0.1, config) for sign in (1.0, -1.0)] for shift in shifts]
-        transitions.append(np.column_stack([(plus - minus) / (2.0 * edge) for plus, minus in ends]))
+        transitions.append(differences(lambda x: moved(x, DRIVE, 0.1, config), before.updated.mean))
     means, covariances = smoothed_means(passed, np.array(transitions))
     expected, expected_covariances = smoothed_means(passed, transitions_of(passed, config))
     np.testing.assert_allclose(means, expected, atol=1e-6)

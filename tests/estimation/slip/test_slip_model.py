@@ -3,7 +3,6 @@
 """Sub-model 1: its Jacobians against differences, its step against fine steps, and results by hand."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from fixtures.filter_steps import (
     Gaussian,
     Measured,
     config_of,
+    differences,
     expected,
     filter_step,
     jacobian,
@@ -57,7 +57,6 @@ CONFIG = config_of(GIVEN)
 ENCODER_ONLY = config_of(GIVEN, noise__slip_steady=0.0, noise__slip_angle_steady=0.0, noise__gyro_bias=0.0)
 C = CONFIG[0]
 STRAIGHT = MotionState(Motion.STRAIGHT, changing=False)
-EDGE = 1e-6  # of the central differences
 NOTHING = np.zeros((SIZE, SIZE))
 SLIPS = slice(LEFT_SLIP, SLIP_ANGLE + 1)
 
@@ -71,19 +70,6 @@ states = st.tuples(
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)
-
-
-def differences(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """Central differences of a function whose third value is an angle."""
-    columns = []
-    for k in range(at.size):
-        step = np.zeros(at.size)
-        step[k] = EDGE
-        change = function(at + step) - function(at - step)
-        if change.size > YAW:
-            change[YAW] = wrap(change[YAW])
-        columns.append(change / (2.0 * EDGE))
-    return np.array(columns).T
 
 
 def state(**values: float) -> FloatArray:

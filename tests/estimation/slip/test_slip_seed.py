@@ -11,6 +11,7 @@ import pytest
 from fixtures.filter_steps import (
     Gaussian,
     config_of,
+    differences,
     expected,
     filter_step,
     jacobian,
@@ -35,7 +36,6 @@ from trackslip_estimation.slip.records import SLIPS, to_records
 FloatArray = NDArray[np.float64]
 
 MODELS = ("free_slips", "turning", "icr")
-EDGE = 1e-6  # of the central differences
 LIMIT = 18.5  # of the gate with two degrees of freedom, while it is no wider than χ² has it
 SOURCE = {"slip_sources": ["slip_seed"]}
 
@@ -56,10 +56,8 @@ def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
     known = Gaussian(x, np.zeros((SIZE, SIZE)))
     slips = outputs_of(config, known, Speeds(left, right, 0.0, differenced=False))["slips"][:2]
     np.testing.assert_allclose(expected(SLIPS, x, 2, speeds, c), slips, rtol=1e-12)
-    steps = EDGE * np.eye(SIZE)
-    ends = [[expected(SLIPS, x + sign * d, 2, speeds, c) for sign in (1.0, -1.0)] for d in steps]
-    differences = np.array([(plus - minus) / (2.0 * EDGE) for plus, minus in ends]).T
-    np.testing.assert_allclose(jacobian(SLIPS, x, 2, speeds, c), differences, atol=1e-7)
+    by_differences = differences(lambda v: expected(SLIPS, v, 2, speeds, c), x)
+    np.testing.assert_allclose(jacobian(SLIPS, x, 2, speeds, c), by_differences, atol=1e-7)
 
 
 def test_slips_know_of_the_rounding_of_the_counts() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.filter_steps import Gaussian, config_of
+from fixtures.filter_steps import Gaussian, config_of, differences
 
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -52,12 +52,7 @@ def sensor_pose(x: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.
 
 def test_the_derivative_of_the_lever_arm_is_that_of_its_formula() -> None:
     start = state()
-    step = 1e-6
-    columns = [
-        (sensor_pose(start.mean + step * unit) - sensor_pose(start.mean - step * unit)) / (2.0 * step)
-        for unit in np.eye(start.mean.size)
-    ]
-    T = np.stack(columns, axis=-1)
+    T = differences(sensor_pose, start.mean)
     moved = at_sensor(start)
     np.testing.assert_allclose(moved.mean, sensor_pose(start.mean), atol=1e-12)
     np.testing.assert_allclose(moved.covariance, T @ start.covariance @ T.T, atol=1e-8)

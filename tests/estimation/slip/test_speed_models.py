@@ -3,7 +3,6 @@
 """Turning and ICR models: Jacobians against differences, slips against kinematics, noise by steps."""
 
 import math
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -13,6 +12,7 @@ from fixtures.filter_steps import (
     Gaussian,
     Measured,
     config_of,
+    differences,
     expected,
     filter_step,
     jacobian,
@@ -28,7 +28,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models import dispatch
 from trackslip_estimation.slip.models.model import (
     BELOW,
@@ -56,7 +55,6 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 FloatArray = NDArray[np.float64]
 
 RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
-EDGE = 1e-6  # of the central differences
 CONFIGS = {name: config_of(model=name) for name in ("turning", "icr")}
 RECORDS = {name: config[0] for name, config in CONFIGS.items()}
 NOTHING = np.zeros((SIZE, SIZE))
@@ -76,19 +74,6 @@ states = st.tuples(
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)
-
-
-def differences(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """Central differences of a function whose third value, if it has more than three, is a heading."""
-    columns = []
-    for k in range(at.size):
-        step = np.zeros(at.size)
-        step[k] = EDGE
-        change = function(at + step) - function(at - step)
-        if change.size > YAW + 1:
-            change[YAW] = wrap(change[YAW])
-        columns.append(change / (2.0 * EDGE))
-    return np.array(columns).T
 
 
 @both

@@ -3,11 +3,10 @@
 """The state in the coordinates of what sits on a cab, and how it swings: against differences."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.filter_steps import Drive, Gaussian, config_of, moved, state_of, transition
+from fixtures.filter_steps import Drive, Gaussian, config_of, differences, moved, state_of, transition
 from fixtures.swinging_cab import CAB, upper_pose
 from numpy.typing import NDArray
 
@@ -31,11 +30,6 @@ def random_state(seed: int = 1) -> Gaussian:
     return Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
 
 
-def derivative(function: Any, x: FloatArray, step: float = 1e-6) -> FloatArray:
-    columns = [(function(x + step * u) - function(x - step * u)) / (2.0 * step) for u in np.eye(x.size)]
-    return np.stack(columns, axis=-1)
-
-
 @pytest.mark.parametrize("tilted", [False, True])
 def test_a_lever_above_turns_with_the_cab_and_back(tilted: bool) -> None:
     """The pose of the antenna on the cab, its derivative, and the way back from another state."""
@@ -55,7 +49,7 @@ def test_a_lever_above_turns_with_the_cab_and_back(tilted: bool) -> None:
 
     x, P = known.mean.copy(), known.covariance.copy()
     to_sensor(x, P, level, 0, 1.0, c)
-    T = derivative(at_sensor, known.mean)
+    T = differences(at_sensor, known.mean)
     np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=2e-2 if tilted else 1e-8)
     to_sensor(x, P, level, 0, -1.0, c)
     np.testing.assert_allclose(x, known.mean, atol=1e-12)
@@ -97,7 +91,7 @@ def test_transition_of_the_swing(motion: Motion, rate: float) -> None:
     config, x = config_of(WITH), random_state(3).mean
     x[SWING_RATE] = rate
     drive = Drive(1.0, 1.2, motion)
-    F = derivative(lambda at: moved(at, drive, 0.05, config), x)
+    F = differences(lambda at: moved(at, drive, 0.05, config), x)
     rows = (SWING, SWING_RATE, 9)
     found = transition(x, drive, 0.05, config)
     np.testing.assert_allclose(found[rows, :], F[rows, :], atol=2e-3 if motion is Motion.STRAIGHT else 1e-7)
