@@ -3,30 +3,35 @@
 """What a user should know of a run besides estimates: tracks in trouble, longest time without fixes."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import POSE
 from trackslip_estimation.soil.stall import Trouble
 from trackslip_tools.replay.arrivals import Rows
-from trackslip_tools.report.spells import spells
+from trackslip_tools.report.spells import Spell, spells
 
 SIDES = ("left", "right")
 WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
 _LEAST_S = 0.5  # s of a trouble that is worth a line
 
 
+def trouble_spells(times: NDArray[np.float64], forces: Rows) -> dict[str, list[Spell]]:
+    """Side → stretches in which its track was in trouble: states of ``Trouble``; (n,) s of the forces."""
+    return {
+        side: [spell for spell in spells(times, forces["trouble"][:, k]) if spell.state != Trouble.NONE]
+        for k, side in enumerate(SIDES)
+    }
+
+
 def trouble_lines(forces: Rows, start_ns: int) -> list[str]:
     """A line for each stretch in which a track stalled or got stuck; s from the bag's first message."""
-    times = (forces["stamp_ns"] - start_ns) * 1e-9
-    lines = []
-    for k, side in enumerate(SIDES):
-        for start, stop, state, _ in spells(times, forces["trouble"][:, k]):
-            if state != Trouble.NONE and stop - start >= _LEAST_S:
-                word = WORDS[Trouble(state)]
-                lines.append(
-                    f"{side} track {word} for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
-                )
-    return lines
+    return [
+        f"{side} track {WORDS[Trouble(state)]} for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
+        for side, own in trouble_spells((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
+        for start, stop, state, _ in own
+        if stop - start >= _LEAST_S
+    ]
 
 
 class FixGaps:

@@ -15,8 +15,9 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.silence import lost_after, usual_period
 from trackslip_estimation.soil.stall import Trouble
+from trackslip_tools.replay import troubles
 from trackslip_tools.replay.inputs import SPROCKETS
-from trackslip_tools.replay.troubles import SIDES, WORDS
+from trackslip_tools.replay.troubles import WORDS
 from trackslip_tools.report.events import Event, Events, without_numbers
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
@@ -65,11 +66,7 @@ def trouble_spells(run: Run) -> dict[str, list[Spell]]:
     soil = run.replay.soil
     if soil is None:
         return {}
-    times = run.recording.seconds(soil.forces["stamp_ns"])
-    return {
-        side: [spell for spell in spells(times, soil.forces["trouble"][:, k]) if spell.state != Trouble.NONE]
-        for k, side in enumerate(SIDES)
-    }
+    return troubles.trouble_spells(run.recording.seconds(soil.forces["stamp_ns"]), soil.forces)
 
 
 def lost_spells(run: Run) -> dict[str, list[Spell]]:
