@@ -14,7 +14,7 @@ import zstandard
 from mcap.records import Chunk
 from rosbags.rosbag2 import storage_mcap
 
-LARGEST = 256_000_000  # bytes of a chunk; recorders write chunks of 1 to 10 MB
+LARGEST = 128_000_000  # bytes of a chunk; recorders write 1 to 10 MB, and reading takes seven times that
 _RATIO = 200  # of a file to its packed form; recordings reach some 20
 _PIECE = 1 << 20  # bytes that are unpacked at once
 
