@@ -87,7 +87,7 @@ class Sources(NamedTuple):
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
 _FAULTS = (Event.OFFSET, Event.WANDERS, Event.REPEATS, Event.SCATTERS, Event.STRAYS)
-_STRAYS = "the motion is not what {source} shows"
+_STRAYS = "{source} and motion disagree"
 _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
