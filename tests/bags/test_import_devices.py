@@ -3,6 +3,8 @@
 """Logs of a CAN bus and of a GNSS receiver become bags, as the drivers would have recorded them."""
 
 import math
+import re
+import time
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -297,3 +299,190 @@ def test_headings_without_positions_are_read(tmp_path: Path) -> None:
     _, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
     yaws = [2.0 * math.atan2(m.orientation.z, m.orientation.w) for m in messages["heading"]]
     np.testing.assert_allclose(yaws, np.radians(np.arange(10.0)), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "logged",
+    [
+        "{0}\r",
+        "{0}\t1795600800.250\n",
+        "{0},1795600800.25\n",
+        '17956,"{0}"\n',
+        '{{"t": 1, "nmea": "{0}"}}\n',
+        "b'{0}\\r\\n'\n",
+    ],
+)
+def test_sentences_are_read_however_a_logger_frames_them(tmp_path: Path, logged: str) -> None:
+    lines = epochs(rmc_of("251126"), gga, begin_ns=0).decode().splitlines()
+    (tmp_path / "gnss.txt").write_text("".join(map(logged.format, lines)), newline="", encoding="ascii")
+    found, messages = imported(tmp_path, [tmp_path / "gnss.txt"], gnss={})
+    assert [stamp_ns_of(m) for m in messages["fix"]] == [DAY_NS + k * S // 10 for k in range(20)]
+    assert found.notes == []
+
+
+@pytest.mark.parametrize("day", ["060180", "220806", ""])
+@pytest.mark.parametrize("begin", [5, 86_390])
+def test_the_date_of_a_clock_that_is_not_set_does_not_count(tmp_path: Path, day: str, begin: int) -> None:
+    cold = b"".join(
+        sentence(f"GNRMC,{time},V,,,,,,,{day},,,N")
+        for time in (
+            "000005.00",
+            "000006.00",
+            f"{begin // 3600:02d}{begin // 60 % 60:02d}{begin % 60:02d}.00",
+        )
+    )
+    (tmp_path / "gnss.nmea").write_bytes(cold + epochs(gga, rmc_of("251126"), begin_ns=36_000 * S))
+    _, messages = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
+    expected = [DAY_NS + 36_000 * S + k * S // 10 for k in range(20)]
+    assert [stamp_ns_of(m) for m in messages["fix"]] == expected
+
+
+def test_each_session_of_a_log_is_of_the_day_that_it_states(tmp_path: Path) -> None:
+    parts = {"b": ("251126", 36_000), "a": ("271126", 28_800), "c": ("281126", 40_000)}
+    for name, (day, begin) in parts.items():
+        of_day = epochs(gga, rmc_of(day), begin_ns=begin * S, count=5)
+        (tmp_path / f"{name}.nmea").write_bytes(of_day)
+    found, messages = imported(tmp_path, [tmp_path / f"{name}.nmea" for name in "abc"], gnss={})
+    expected = [
+        DAY_NS + (days * 86_400 + begin) * S + k * S // 10
+        for days, begin in ((0, 36_000), (2, 28_800), (3, 40_000))
+        for k in range(5)
+    ]
+    assert [stamp_ns_of(m) for m in messages["fix"]] == expected
+    assert found.notes == []
+
+
+def test_an_epoch_that_two_logs_hold_is_used_once(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / f"{name}.nmea").write_bytes(epochs(rmc_of("251126"), gga, begin_ns=0))
+    found, messages = imported(tmp_path, [tmp_path / "a.nmea", tmp_path / "b.nmea"], gnss={})
+    assert len(messages["fix"]) == len(messages["fix_velocity"]) == 20
+    assert any("40 × an epoch" in note for note in found.notes)
+
+
+MUTE: dict[str, tuple[bytes, str]] = {
+    "velocity alone": (epochs(rmc_of("251126"), begin_ns=0), "no position.*RMC.*GGA on"),
+    "headings without a time": (epochs(rmc_of("251126"), gga, hdt, hdt, hdt, begin_ns=0), "40 × another"),
+    "no accuracy": (epochs(gga, begin_ns=0).replace(b",0.6,", b",,"), "20 × a fix without accuracy"),
+}
+
+
+@pytest.mark.parametrize("case", MUTE)
+def test_what_a_log_of_a_receiver_lacks_is_noted(tmp_path: Path, case: str) -> None:
+    content, words = MUTE[case]
+    lines = [line[1 : line.index(b"*")].decode() for line in content.splitlines()]
+    (tmp_path / "gnss.nmea").write_bytes(b"".join(map(sentence, lines)))
+    found, _ = imported(tmp_path, [tmp_path / "gnss.nmea"], gnss={})
+    assert any(re.search(words, note) for note in found.notes)
+
+
+FOREIGN = {
+    "novatel": b"#BESTPOSA,COM1,0,55.0,FINESTEERING,2200,1.0,0,b1f6,1;SOL_COMPUTED,48.1*abcdef12\r\n",
+    "sbf": b"$@" + bytes(range(60)),
+    "rtcm": bytes.fromhex("d300133ed7d30202980edeef34b4bd62ac0941986f33360b98"),
+    "hex": gga(Position(0, quality=4)).hex(" ").encode(),
+    "without their \\$": gga(Position(0, quality=4))[1:],
+}
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_a_log_of_another_protocol_is_named(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "x.log").write_bytes(FOREIGN[kind] * 40)
+    with pytest.raises(InputError, match=f"(?i)x.log: a .*{kind}") as caught:
+        imported(tmp_path, [tmp_path / "x.log"], gnss={})
+    assert "\n" not in str(caught.value)
+
+
+def test_other_ubx_messages_are_named(tmp_path: Path) -> None:
+    log = b"".join(UBXMessage("NAV", "NAV-POSLLH", GET, iTOW=k * 100).serialize() for k in range(9))
+    (tmp_path / "gnss.ubx").write_bytes(log)
+    with pytest.raises(InputError, match=r"NAV-POSLLH.*NAV-PVT"):
+        imported(tmp_path, [tmp_path / "gnss.ubx"], gnss={})
+
+
+ASC = """{head}
+base hex  timestamps {kind}
+internal events logged
+Begin Triggerblock {date}
+   0.000000 Start of measurement
+{frames}End TriggerBlock
+"""
+
+
+@pytest.mark.parametrize("kind", ["absolute", "relative"])
+@pytest.mark.parametrize(("month", "begin_ns"), [("Sep", BEGIN_NS), ("Sept.", 0)])
+def test_times_of_asc_count_from_their_begin(tmp_path: Path, kind: str, month: str, begin_ns: int) -> None:
+    date = f"Mon {month} {time.strftime('%d %H:%M:%S %Y', time.localtime(BEGIN_NS // S))}"
+    sent, before_ns, frames = unseen_bus.frames(0, 2 * S), 0, ""
+    for stamp_ns, name, data in sent:
+        stated_ns = stamp_ns - before_ns if kind == "relative" else stamp_ns
+        before_ns = stamp_ns
+        frames += f"{stated_ns / S:11.6f} 1  {name & 0x7FF:X}  Rx   d {len(data)} {data.hex(' ')}\n"
+    (tmp_path / "drive.asc").write_text(
+        ASC.format(head=f"date {date}", kind=kind, date=date, frames=frames), encoding="utf-8"
+    )
+    found, messages = imported(tmp_path, [tmp_path / "drive.asc"], can={})
+    steps = np.diff([stamp_ns_of(m) for m in messages["sprockets"]])
+    np.testing.assert_allclose(steps, 0.02 * S, atol=0.002 * S)
+    assert stamp_ns_of(messages["sprockets"][0]) == pytest.approx(begin_ns, abs=0.03 * S)
+    assert any("cannot be read" in note for note in found.notes) == (begin_ns == 0)
+
+
+def test_a_frame_on_two_channels_is_refused_with_both(tmp_path: Path) -> None:
+    lines = write_bus(tmp_path / "drive.log", "can0").read_text(encoding="utf-8")
+    (tmp_path / "drive.log").write_text(lines + lines.replace("can0", "can1"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"comes on channels can0, can1; accepted: channel"):
+        imported(tmp_path, [tmp_path / "drive.log"], can={})
+    given = {"dbc": "machine.dbc", "roles": "machine_roles.yaml", "channel": "can1"}
+    _, messages = imported(tmp_path, [tmp_path / "drive.log"], can=given)
+    assert abs(len(messages["sprockets"]) - 100) <= 1
+
+
+def test_a_parameter_group_of_two_senders_is_refused_with_both(tmp_path: Path) -> None:
+    dbc = """VERSION ""
+BU_: MC
+BO_ 2566848510 Speeds: 8 MC
+ SG_ L : 0|16@1+ (0.125,-4000) [0|0] "rpm" X
+ SG_ R : 16|16@1+ (0.125,-4000) [0|0] "rpm" X
+"""
+    log = "".join(
+        f"({1_790_000_000 + k / 50}) can0 18FF00{source}#A07D607CFFFFFFFF\n"
+        for k in range(50)
+        for source in ("21", "22")
+    )
+    (tmp_path / "drive.log").write_text(log, encoding="utf-8")
+    (tmp_path / "j.dbc").write_text(dbc.replace("2566848510", str(0x98FF00FE)), encoding="utf-8")
+    roles = {side: {"signal": f"Speeds.{side[0].upper()}"} for side in ("left_speed", "right_speed")}
+    frames = {"Speeds": {"j1939": True}}
+    given = {"dbc": "j.dbc", "roles": "j.yaml"}
+    (tmp_path / "j.yaml").write_text(yaml.safe_dump({"roles": roles, "frames": frames}), encoding="utf-8")
+    with pytest.raises(InputError, match=r"'Speeds' comes from source addresses 0x21 and 0x22; set source"):
+        imported(tmp_path, [tmp_path / "drive.log"], can=given)
+    one = {side: {**role, "source": 0x22} for side, role in roles.items()}
+    (tmp_path / "j.yaml").write_text(yaml.safe_dump({"roles": one, "frames": frames}), encoding="utf-8")
+    _, messages = imported(tmp_path, [tmp_path / "drive.log"], can=given)
+    assert len(messages["sprockets"]) == 50
+
+
+def test_frames_that_give_nothing_are_refused_with_the_reason(tmp_path: Path) -> None:
+    lines = write_bus(tmp_path / "drive.log").read_text(encoding="utf-8").splitlines()
+    short = "".join(f"{line.partition('#')[0]}#0102\n" for line in lines)
+    (tmp_path / "drive.log").write_text(short, encoding="utf-8")
+    with pytest.raises(InputError, match=r"TravelFlow: .* × wrong length"):
+        imported(tmp_path, [tmp_path / "drive.log"], can={})
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2\n1,00000181,false,Rx,0,2,1,2\n",
+        "***BUSMASTER Ver 3.2.2***\n",
+        "t18121027\rt18121028\r",
+        " 0    00000181         2   16   39      0.020000 R\n",
+        " (2026-09-21 12:00:00.000000)  can0  181   [2]  10 27\n",
+    ],
+)
+def test_a_log_of_a_bus_in_another_format_is_named(tmp_path: Path, begin: str) -> None:
+    (tmp_path / "x.log").write_text(begin * 9, encoding="utf-8")
+    with pytest.raises(InputError, match=r"x\.log: a log of a CAN bus .*candump -L"):
+        imported(tmp_path, [tmp_path / "x.log"], can={})

@@ -15,6 +15,7 @@ from typing import Any
 import can
 import numpy as np
 
+from trackslip_bags.importing.asc_log import open_asc
 from trackslip_bags.importing.blf_log import BlfLog
 from trackslip_bags.importing.log_kinds import encoding_of_mark, kind_of
 from trackslip_bags.importing.recorded_devices import CanSection
@@ -47,34 +48,45 @@ def read_can_logs(
     defaults = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     p = replace(defaults, vehicle=vehicle or defaults.vehicle)
     tally = Tally()
-    bus = ExcavatorCan(p, FrameSet(given.dbc, given.roles, p.vehicle), tally)
+    frames = FrameSet(given.dbc, given.roles, p.vehicle)
+    bus = ExcavatorCan(p, frames, tally)
+    carriers: dict[str, set[str]] = {}  # frame with a role → its channels
     samples: list[Sample] = []
     notes: list[str] = []
     count = 0
     channels: set[str] = set()
     logs = [_frames(path, given, notes, channels) for path in paths]
-    for arbitration_id, data, stamp_ns in heapq.merge(*logs, key=itemgetter(2)):
+    for arbitration_id, data, stamp_ns, channel in heapq.merge(*logs, key=itemgetter(2)):
         count += 1
+        if (codec := frames.find(arbitration_id)) is not None:
+            carriers.setdefault(codec.name, set()).add(channel)
         samples += bus.receive(arbitration_id, data, stamp_ns)
     names = ", ".join(path.name for path in paths)
-    if not samples:
-        reason = bus.decoder.hint() or f"{count} frames give no sample"
-        if given.channel is not None and given.channel not in channels:
-            reason = f"no frame of channel '{given.channel}', but of {listed(sorted(channels)) or 'none'}"
-        raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
-    notes += [
+    for frame, of_frame in carriers.items():
+        if len(of_frame) > 1:
+            several = f"frame '{frame}' comes on channels {listed(sorted(of_frame))}"
+            raise InputError(f"{given.where}: {names}: {several}; accepted: channel: one of them")
+    if ambiguous := bus.decoder.ambiguous_source():
+        raise InputError(f"{given.where}: {names}: {ambiguous}")
+    refused = [
         f"{names}: {source}: {n} × {reason}"
         for source, reasons in tally.by_source().items()
         for reason, n in reasons.items()
     ]
+    if not samples:
+        reason = bus.decoder.hint() or "; ".join([f"{count} frames give no sample", *refused])
+        if given.channel is not None and given.channel not in channels:
+            reason = f"no frame of channel '{given.channel}', but of {listed(sorted(channels)) or 'none'}"
+        raise InputError(f"{given.where}: {names}: {reason}; accepted: frames that have roles")
+    notes += refused
     found = [[one for one in samples if type(one) is kind] for kind in _TOPICS]
     return [_samples(topic, names) for topic in found if topic], notes
 
 
 def _frames(
     path: Path, given: CanSection, notes: list[str], channels: set[str]
-) -> Iterator[tuple[int, bytes, int]]:
-    """(id as the driver has it, payload, ns) of each data frame of a log; its channels are added.
+) -> Iterator[tuple[int, bytes, int, str]]:
+    """(id as the driver has it, payload, ns, channel) of each data frame of a log; its channels are added.
 
     Raises:
         InputError: it cannot be read, or a time is none.
@@ -95,7 +107,7 @@ def _frames(
                 identifier = flagged_id(message)
                 if not identifier & ERROR_FLAG:
                     count += 1
-                    yield identifier, bytes(message.data), stamp_ns
+                    yield identifier, bytes(message.data), stamp_ns, str(message.channel)
     except InputError:
         raise
     except Exception as error:  # damaged bytes can raise anything in the readers
@@ -119,7 +131,7 @@ def _open(path: Path, words: str, notes: list[str]) -> Any:
     if words.endswith("(candump)"):
         return can.CanutilsLogReader(text)
     if words.endswith("(ASC)"):
-        return can.ASCReader(text, relative_timestamp=False)
+        return open_asc(text, notes, path.name)
     return can.TRCReader(text)
 
 

@@ -28,16 +28,16 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.gnss_frames import Frame, FrameCutter, Kind
-from trackslip_drivers.protocols.nmea import Rejection, Sentence, read
-from trackslip_drivers.protocols.nmea_stream import POSITIONS, NmeaStream, Sample
+from trackslip_drivers.protocols.nmea import Rejection, Sentence, read, time_of_day_ns
+from trackslip_drivers.protocols.nmea_stream import NO_POSITION, POSITIONS, NmeaStream, Sample
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 
 _NODE, _NETWORK = "nmea_gnss", "log://"  # bytes that come in no time, as over a network
 _PIECE = 1 << 16  # bytes
 _FEWEST = 2  # sentences of a log that begins in another one
+_VALID_DATE = 1  # of NAV-PVT
 _DAY_NS = 86_400_000_000_000
 _EPOCH = date(1970, 1, 1)
-_PVT = 0x07
 
 
 class _Timed(NamedTuple):
@@ -46,6 +46,7 @@ class _Timed(NamedTuple):
     content: bytes
     time_ns: int | None  # of day
     day: date | None  # where it states one
+    is_clock: bool = False  # the date is that of the receiver's own clock, which may not be set
 
 
 def read_receiver_logs(
@@ -63,27 +64,36 @@ def read_receiver_logs(
     p = replace(defaults, serial_port=_NETWORK, heading_stddev=stddev, time_offset=0.0)
     stream = NmeaStream(p, tally, lambda steady_ns: steady_ns)
     messages = [message for path in paths for message in _messages(path)]
-    begin_ns, notes = _first_day_ns(messages, given, names)
+    notes: list[str] = []
     samples: list[Sample] = []
-    for message, now_ns in _on_one_clock(messages, begin_ns):
+    for message, now_ns in _on_one_clock(messages, given, names, notes):
         samples += stream.feed(message.content, now_ns)
     samples += stream.flush()
+    distinct = {(type(one), one.stamp_ns): one for one in reversed(samples)}
+    if len(distinct) < len(samples):
+        notes.append(f"{names}: {len(samples) - len(distinct)} × an epoch that another log holds, too")
+    samples = list(reversed(distinct.values()))
     notes += [f"{names}: {n} × {reason}" for why in tally.by_source().values() for reason, n in why.items()]
+    if stream.crowded:
+        notes.append(
+            f"{names}: {stream.crowded} × another of one kind in an epoch; accepted: one (as often as GGA)"
+        )
     kinds = f"kinds that come: {', '.join(stream.kinds) or 'none'}"
     if stream.kinds and not POSITIONS & set(stream.kinds):
-        kinds += "; switch GGA on at the receiver"
+        kinds += f"; {NO_POSITION}"
+        notes.append(f"{names}: no position; {kinds}")
     if samples and all(message.time_ns is None for message in messages):
         raise InputError(f"{given.where}: {names}: no message states a time ({kinds})")
     fixes = [one for one in samples if isinstance(one, FixSample)]
     directions = [one for one in samples if isinstance(one, HeadingSample)]
     velocities = [one for one in samples if isinstance(one, VelocitySample)]
     found = [
-        *_fixes(fixes, given, local, names),
+        *_fixes(fixes, given, local, names, notes),
         *_velocities(velocities, given, names),
         *_headings(directions, given, names),
     ]
     if not found:
-        reasons = "; ".join([*notes, kinds])
+        reasons = "; ".join([*notes, kinds] if POSITIONS & set(stream.kinds) else notes or [kinds])
         raise InputError(f"{given.where}: {names}: no position and no heading ({reasons})")
     return found, notes
 
@@ -134,32 +144,47 @@ def holds_messages(path: Path) -> bool:
 def _timed(frame: Frame) -> _Timed:
     if frame.kind is Kind.SENTENCE:
         found = read(frame.content)
-        time_ns = None
-        if isinstance(found, Sentence) and found.reading is not None:
-            time_ns = None if isinstance(found.reading, Rejection) else found.reading.time_ns
-        return _Timed(frame.content + b"\r\n", time_ns, _day_of(frame.content))
-    if frame.kind is Kind.UBX:
-        reading = ubx.decode(frame.content)
+        reading = found.reading if isinstance(found, Sentence) else None
         time_ns = None if reading is None or isinstance(reading, Rejection) else reading.time_ns
+        is_clock = isinstance(found, Sentence) and found.kind == "ZDA"
+        if is_clock:
+            time_ns = _zda_time_ns(frame.content)
+        day = None if time_ns is None else _day_of(found, frame.content)
+        return _Timed(frame.content + b"\r\n", time_ns, day, is_clock)
+    if frame.kind is Kind.UBX:
+        pvt = ubx.decode(frame.content)
+        time_ns = None if pvt is None or isinstance(pvt, Rejection) else pvt.time_ns
         day = None
-        if ubx.kind_of(frame.content) == "NAV-PVT" and len(frame.content) > 20:
+        if isinstance(pvt, ubx.Pvt):
             year, month, day_of_month = int.from_bytes(frame.content[10:12], "little"), *frame.content[12:14]
             day = _date(year, month, day_of_month)
-        return _Timed(frame.content, time_ns, day)
+        return _Timed(
+            frame.content, time_ns, day, is_clock=day is not None and not frame.content[17] & _VALID_DATE
+        )
     ends_line = frame.kind in (Kind.TEXT, Kind.OVERLONG)
     return _Timed(frame.content + (b"\n" if ends_line else b""), None, None)
 
 
-def _day_of(sentence: bytes) -> date | None:
-    """That RMC or ZDA states."""
-    fields = sentence.partition(b"*")[0].decode("latin-1").split(",")
-    kind = fields[0][3:]
+def _zda_time_ns(sentence: bytes) -> int | None:
     try:
-        if kind == "RMC" and len(fields[9]) == 6:
+        return time_of_day_ns(sentence.split(b",")[1].decode("latin-1"))
+    except (IndexError, ValueError):
+        return None
+
+
+def _day_of(found: Sentence | Rejection, content: bytes) -> date | None:
+    """That RMC, ZDA or KSXT states."""
+    if not isinstance(found, Sentence):
+        return None
+    fields = content.partition(b"*")[0].decode("latin-1").split(",")
+    try:
+        if found.kind == "RMC" and len(fields[9]) == 6:
             day, month, year = (int(fields[9][k : k + 2]) for k in (0, 2, 4))
             return _date(2000 + year, month, day)
-        if kind == "ZDA":
+        if found.kind == "ZDA":
             return _date(int(fields[4]), int(fields[3]), int(fields[2]))
+        if found.kind == "KSXT":
+            return _date(int(fields[1][:4]), int(fields[1][4:6]), int(fields[1][6:8]))
     except (IndexError, ValueError):
         pass
     return None
@@ -172,41 +197,45 @@ def _date(year: int, month: int, day: int) -> date | None:
         return None
 
 
-def _first_day_ns(messages: Sequence[_Timed], given: GnssSection, names: str) -> tuple[int, list[str]]:
-    """Midnight before the first message, ns, and a note where nobody states a date."""
-    stated = [(k, message.day) for k, message in enumerate(messages) if message.day is not None]
-    if given.day is not None or not stated:
-        day, notes = given.day or _EPOCH, []
+def _on_one_clock(
+    messages: Sequence[_Timed], given: GnssSection, names: str, notes: list[str]
+) -> Iterator[tuple[_Timed, int]]:
+    """Each message, and when its epoch was, ns; a note where nobody states a date."""
+    times, days, epochs = _epochs(messages)
+    stated = next((k for k, day in enumerate(days) if day is not None), 0)
+    if days[stated] is None:
+        days[stated] = given.day or _EPOCH
         if given.day is None:
-            notes = [f"{names}: no date; stamps are of 1970-01-01 (gnss: {{date: …}} in the mapping)"]
-        return (day - _EPOCH).days * _DAY_NS, notes
-    k, day = stated[0]
-    passed = sum(1 for _ in _midnights([m.time_ns for m in messages[: k + 1]]))
-    return ((day - _EPOCH).days - passed) * _DAY_NS, []
+            notes.append(f"{names}: no date; stamps are of 1970-01-01 (gnss: {{date: …}} in the mapping)")
+    numbers = [0 if day is None else (day - _EPOCH).days for day in days]
+    for k in range(stated - 1, -1, -1):
+        numbers[k] = numbers[k + 1] - (times[k] - times[k + 1] > _DAY_NS // 2)
+    for k in range(stated + 1, len(days)):
+        if days[k] is None:
+            numbers[k] = numbers[k - 1] + (times[k - 1] - times[k] > _DAY_NS // 2)
+    shift = (given.day - _EPOCH).days - numbers[0] if given.day is not None else 0
+    for message, k in zip(messages, epochs, strict=True):
+        yield message, (numbers[k] + shift) * _DAY_NS + times[k]
 
 
-def _midnights(times_ns: Sequence[int | None]) -> Iterator[int]:
-    """Where a day ends."""
-    before: int | None = None
-    for k, time_ns in enumerate(times_ns):
-        if time_ns is None:
-            continue
-        if before is not None and before - time_ns > _DAY_NS // 2:
-            yield k
-        before = time_ns
+def _epochs(messages: Sequence[_Timed]) -> tuple[list[int], list[date | None], list[int]]:
+    """Time of day, ns, and stated date of each epoch; the epoch of each message.
 
-
-def _on_one_clock(messages: Sequence[_Timed], begin_ns: int) -> Iterator[tuple[_Timed, int]]:
-    """Each message, and when its epoch was, ns."""
-    midnights = set(_midnights([message.time_ns for message in messages]))
-    first = next((message.time_ns for message in messages if message.time_ns is not None), 0)
-    now_ns, day_ns = begin_ns + first, begin_ns
-    for k, message in enumerate(messages):
-        if k in midnights:
-            day_ns += _DAY_NS
-        if message.time_ns is not None:
-            now_ns = day_ns + message.time_ns
-        yield message, now_ns
+    The date of a valid position counts, else that of the receiver's own clock (ZDA).
+    """
+    of_positions = any(message.day is not None and not message.is_clock for message in messages)
+    times: list[int | None] = [None]
+    days: list[date | None] = [None]
+    epochs: list[int] = []
+    for message in messages:
+        if message.time_ns is not None and times[-1] not in (None, message.time_ns):
+            times.append(None)
+            days.append(None)
+        times[-1] = times[-1] if message.time_ns is None else message.time_ns
+        if message.day is not None and not (message.is_clock and of_positions):
+            days[-1] = message.day
+        epochs.append(len(times) - 1)
+    return [time_ns or 0 for time_ns in times], days, epochs
 
 
 def _stamps(found: Sequence[Sample], given: GnssSection) -> IntArray:
@@ -217,7 +246,7 @@ def _stamps(found: Sequence[Sample], given: GnssSection) -> IntArray:
 
 
 def _fixes(
-    found: Sequence[FixSample], given: GnssSection, local: LocalFrame, source: str
+    found: Sequence[FixSample], given: GnssSection, local: LocalFrame, source: str, notes: list[str]
 ) -> Iterator[Samples]:
     if not found:
         return
@@ -234,6 +263,10 @@ def _fixes(
     }
     yield Samples("fix", "fix", [ROLES["fix"].frame], stamps_ns, stamps_ns, values, source=source)
     known = np.array([f.covariance_type is not CovarianceType.UNKNOWN for f in found])
+    if not known.all():
+        notes.append(
+            f"{source}: {sum(~known)} × a fix without accuracy, of which no gnss_pose is made; switch GST on"
+        )
     if not known.any():
         return
     pose, left_out = known, {}

@@ -100,7 +100,9 @@ class CanDriverNode(DriverNode[CanDriverParameters]):
         if self.active:
             entries[0].values["bus state"] = self._bus_state.value
             entries[0].values["frames without a role"] = self._can.decoder.others
-            entries[0].values["another source address"] = self._can.decoder.other_source()
+            entries[0].values["another source address"] = (
+                self._can.decoder.other_source() or self._can.decoder.ambiguous_source()
+            )
         return entries
 
 

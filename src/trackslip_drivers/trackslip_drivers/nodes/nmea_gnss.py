@@ -17,7 +17,15 @@ from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.nodes.driver import DriverNode
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
 from trackslip_drivers.protocols.nmea_sentences import Position, gga
-from trackslip_drivers.protocols.nmea_stream import FIX, HEADING, POSITIONS, VELOCITY, NmeaStream, Sample
+from trackslip_drivers.protocols.nmea_stream import (
+    FIX,
+    HEADING,
+    NO_POSITION,
+    POSITIONS,
+    VELOCITY,
+    NmeaStream,
+    Sample,
+)
 from trackslip_drivers.records import FixSample, FixStatus, VelocitySample
 from trackslip_drivers.transports.ntrip import MOST_RATE, STALL_S, NtripClient, read_credentials
 from trackslip_drivers.transports.serial_port import SerialPort
@@ -120,8 +128,7 @@ class NmeaNode(DriverNode[NmeaParameters]):
         kinds = self._stream.kinds
         if not kinds or POSITIONS & set(kinds):
             return ""
-        remedy = "but no GGA, GNS or NAV-PVT; switch GGA on at the receiver"
-        return f"whole sentences come ({', '.join(kinds)}), {remedy}"
+        return f"whole messages come ({', '.join(kinds)}), but no GGA, GNS or NAV-PVT; {NO_POSITION}"
 
     def _new_stream(self) -> NmeaStream:
         utc = (lambda steady_ns: self._host.stamp(steady_ns)) if self.settings.host_clock_is_utc else None

@@ -160,6 +160,7 @@ class FrameDecoder:
         self.others = 0
         self.others_ids: dict[int, None] = {}  # the first of them, as the transport gives them
         self.other_sources: dict[str, tuple[int, int]] = {}  # frame → its id, and that which comes
+        self._has_role = False  # of any frame that came, though it was rejected
         self._frames = frames
         self._tally = tally
         self._timings: dict[int, FrameTiming] = {}  # by arbitration id
@@ -175,6 +176,7 @@ class FrameDecoder:
             if arbitration_id & ERROR_FLAG and not arbitration_id & STANDARD_FLAG:
                 return self._reject(BUS, Rejection.ERROR_FRAME)
             return self._set_aside(arbitration_id)
+        self._has_role = True
         if len(data) < codec.length or (codec.is_exact and len(data) > codec.length):
             return self._reject(codec.name, Rejection.WRONG_LENGTH)
         data = data[: codec.length]  # some senders pad to eight bytes
@@ -210,11 +212,22 @@ class FrameDecoder:
                 return f"frame '{name}' comes as {seen}; the DBC has {own}; {remedy}"
         return ""
 
+    def ambiguous_source(self) -> str:
+        """A frame that several senders send, of which a role names none; empty where there is none."""
+        for frame in {place.frame for place in self._frames.bindings.places() if place.source < 0}:
+            known = {identifier: self._frames.find(identifier) for identifier in self._timings}
+            of_frame = {one & 0xFF for one, codec in known.items() if codec and codec.name == frame}
+            if len(of_frame) > 1:
+                sources = " and ".join(f"0x{source:02X}" for source in sorted(of_frame))
+                remedy = "set source: one of them in its roles"
+                return f"frame '{frame}' comes from source addresses {sources}; {remedy}"
+        return ""
+
     def hint(self) -> str:
         """Why no frame has a role, and what to do; empty where nothing is known."""
         if found := self.other_source():
             return found
-        if not self.others_ids or self._timings:
+        if not self.others_ids or self._has_role:
             return ""
         ids = ", ".join(f"0x{name & _ID_BITS:X}" for name in self.others_ids)
         return f"frames come (ids {ids}), but none with a role; check dbc_file and roles_file"

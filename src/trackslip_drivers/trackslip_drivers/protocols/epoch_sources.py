@@ -14,6 +14,7 @@ class EpochSource:
 
     def __init__(self) -> None:
         self.repeated = 0  # measurements that another message, or the same one before, had stated
+        self.crowded = 0  # those of them of the same message
         self.reset()
 
     def reset(self) -> None:
@@ -33,16 +34,18 @@ class EpochSource:
             arrival_ns: when the message began to arrive.
         """
         after_ns = abs(stamp_ns - self._stamp_ns)
-        if name == self._name or rank > self._rank:
+        is_same = name == self._name
+        if is_same or rank > self._rank:
             is_next = after_ns > _SAME_NS
         elif rank == self._rank:
             is_next = after_ns > max(_SHARE * self._period_ns, _SAME_NS)
         else:
             is_next = arrival_ns - self._arrival_ns > _TIMEOUT_NS
-        if name == self._name or rank > self._rank or is_next:
+        if is_same or rank > self._rank or is_next:
             self._name, self._rank, self._arrival_ns = name, rank, arrival_ns
         if not is_next:
             self.repeated += 1
+            self.crowded += is_same
             return False
         self._period_ns = after_ns if after_ns <= _TIMEOUT_NS else 0.0
         self._stamp_ns = stamp_ns

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cuts the bytes of a GNSS receiver into sentences and binary messages, and gives the time of each.
 
-    $ … LF                                                    a sentence of NMEA 0183, printable
+    $ … LF, or CR before the next message                     a sentence of NMEA 0183, printable
     B5 62 class id length(2, LE) payload checksum(2)          UBX
     D3 length(2, BE, of 10 bits) payload CRC(3)               RTCM 3
 
@@ -21,6 +21,7 @@ from pyubx2 import calc_checksum
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR, LONGEST_LINE
 
 _UBX, _RTCM, _SENTENCE, _LF = b"\xb5\x62", 0xD3, ord("$"), ord("\n")
+_LINE_END = re.compile(rb"\n|\r(?=[$\xb5\xd3])")
 _ENDS_NOISE = re.compile(rb"[$\xb5\xd3\n]")
 _NO_TEXT = re.compile(rb"[^\x20-\x7e\r\t]")
 _ADDRESS = re.compile(rb"\$[A-Z]{2}")  # how a sentence begins
@@ -112,7 +113,8 @@ class FrameCutter:
         return self._rtcm() if first == _RTCM else 0
 
     def _sentence(self) -> int | None:
-        end = self._pending.find(_LF, 1, LONGEST_LINE + 1)
+        found = _LINE_END.search(self._pending, 1, LONGEST_LINE + 1)
+        end = found.start() if found else -1
         held = min(len(self._pending), LONGEST_LINE + 1) if end < 0 else end
         if _NO_TEXT.search(self._pending, 1, held) or self._pending.find(_SENTENCE, 1, held) > 0:
             return 0

@@ -47,6 +47,7 @@ _COURSELESS = 0.2  # m/s, up to which receivers leave out the course
 _KNOT, _KM_PER_H = 1852.0 / 3600.0, 1.0 / 3.6  # m/s
 _NS_PER_S = 1_000_000_000
 _TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s, leading zeros left out by some makes
+_CHECKSUM = re.compile(rb"\s*([0-9A-Fa-f]{2})(?![0-9A-Za-z])")
 _ANGLE = re.compile(r"(\d{1,5})(?:\.(\d*))?")  # dddmm.m, the same
 
 
@@ -134,8 +135,10 @@ class Sentence(NamedTuple):
 
 
 def read(line: bytes) -> Sentence | Rejection:
-    """One line, from its ``$`` on, without its end."""
-    content, star, checksum = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
+    """One line, from its ``$`` on, without its end; what a logger wrote behind the checksum is left aside."""
+    content, star, behind = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
+    stated = _CHECKSUM.match(behind)
+    checksum = stated[1].upper() if stated else b""
     fields = content.decode("latin-1").split(",")
     talker, kind = _address(fields)
     decoder = _DECODERS.get(kind)
@@ -143,7 +146,7 @@ def read(line: bytes) -> Sentence | Rejection:
         return Sentence(talker, kind, None) if star and content.isascii() else Rejection.NOT_NMEA
     if not star:
         return Rejection.NO_CHECKSUM
-    if checksum.strip().upper() != calc_checksum(content.decode("latin-1")).encode():
+    if checksum != calc_checksum(content.decode("latin-1")).encode():
         return Rejection.CHECKSUM
     try:
         reading = decoder(_parsed(kind, content, checksum), fields[1:])
@@ -231,7 +234,7 @@ def _place(
     if abs(altitude) > _HIGHEST:
         return Rejection.OUT_OF_RANGE
     hdop = _number(dilution)
-    time_ns = _time_ns(fields[0])
+    time_ns = time_of_day_ns(fields[0])
     return Gga(time_ns, latitude, longitude, altitude, quality, hdop if hdop > 0.0 else math.nan)
 
 
@@ -241,13 +244,13 @@ def _gst(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if any(value < 0.0 or value >= _WORST_STDDEV for value in stated):
         return Rejection.OUT_OF_RANGE
     east, north, up = (value or math.nan for value in stated)
-    return Gst(_time_ns(fields[0]), east, north, up)
+    return Gst(time_of_day_ns(fields[0]), east, north, up)
 
 
 def _rmc(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if found.status != "A":
         return Rejection.WARNING
-    time_ns, speed, course = _time_ns(fields[0]), _number(fields[6]), _number(fields[7])
+    time_ns, speed, course = time_of_day_ns(fields[0]), _number(fields[6]), _number(fields[7])
     velocity = None if math.isnan(speed) else _velocity(time_ns, speed * _KNOT, course)
     return _rejected_mode(getattr(found, "posMode", ""), Rejection.WARNING) or Rmc(time_ns, velocity)
 
@@ -294,7 +297,7 @@ def _ths(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 def _pashr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
     if getattr(found, "gnssQual", "") == _NO_FIX:
         return Rejection.NO_FIX
-    return _heading(_time_ns(fields[0]), found.trueHdg, found.trueHdgInd, _accuracy(found.hdgAcc))
+    return _heading(time_of_day_ns(fields[0]), found.trueHdg, found.trueHdgInd, _accuracy(found.hdgAcc))
 
 
 def _avr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -303,7 +306,7 @@ def _avr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_FIX
     if found.gpsQual != 3:
         return Rejection.NOT_FIXED
-    return _heading(_time_ns(fields[1]), found.yaw % 360.0 if -180.0 <= found.yaw < 0.0 else found.yaw)
+    return _heading(time_of_day_ns(fields[1]), found.yaw % 360.0 if -180.0 <= found.yaw < 0.0 else found.yaw)
 
 
 def _hrp(found: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -312,7 +315,7 @@ def _hrp(found: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_HEADING
     if found.attmode not in ("2", "4"):
         return Rejection.NOT_FIXED
-    return _heading(_time_ns(fields[1]), found.hdg, stddev=_accuracy(found.hdgstd))
+    return _heading(time_of_day_ns(fields[1]), found.hdg, stddev=_accuracy(found.hdgstd))
 
 
 def _hpr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -321,7 +324,7 @@ def _hpr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_HEADING
     if fields[5] != "N":
         return Rejection.DEAD_RECKONING if fields[5] == "G" else Rejection.NO_HEADING
-    return _heading(_time_ns(fields[1]), float(fields[2]))
+    return _heading(time_of_day_ns(fields[1]), float(fields[2]))
 
 
 def _ksxt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
@@ -330,7 +333,7 @@ def _ksxt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
         return Rejection.NO_HEADING
     if fields[10] != "3":
         return Rejection.NOT_FIXED
-    return _heading(_time_ns(fields[0][8:]), float(fields[4]))
+    return _heading(time_of_day_ns(fields[0][8:]), float(fields[4]))
 
 
 def _heading(
@@ -388,7 +391,7 @@ def _angle(text: str, letter: str, letters: str, limit: float) -> float:
     return side * degrees if minutes < 60 and degrees <= limit else math.nan
 
 
-def _time_ns(text: str) -> int | None:
+def time_of_day_ns(text: str) -> int | None:
     """u; None where the receiver does not know it, or in the leap second itself.
 
     Raises:

@@ -43,6 +43,7 @@ from trackslip_drivers.stamping import SenderClock
 
 FIX, HEADING, VELOCITY = "fix", "heading", "fix_velocity"
 POSITIONS = frozenset(("GGA", "GNS", "NAV-PVT"))  # kinds of messages that state one
+NO_POSITION = "switch GGA on at the receiver (of UBX NAV-PVT)"
 RECEIVER_CLOCK = "receiver's clock"
 
 _CLOCK_TOLERANCE = 5e-5  # of a host's quartz
@@ -103,6 +104,11 @@ class NmeaStream:
         return self._position.repeated + self._direction.repeated + self._speed.repeated
 
     @property
+    def crowded(self) -> int:
+        """Those of one kind of message that has come more than once in an epoch."""
+        return self._position.crowded + self._direction.crowded + self._speed.crowded
+
+    @property
     def kinds(self) -> list[str]:
         """Kinds of sentences that have come of late, whole."""
         latest_ns = max(self._kinds.values(), default=0)
@@ -138,14 +144,19 @@ class NmeaStream:
         self._burst_end_ns = frame.ended_ns
         if frame.kind is Kind.SENTENCE:
             return self._on_sentence(read(frame.content), frame)
+        if frame.kind is Kind.UBX:
+            self._note_kind(ubx.name_of(frame.content), frame.ended_ns)
         if frame.kind is Kind.UBX and (kind := ubx.kind_of(frame.content)):
-            self._kinds[kind] = frame.ended_ns
             return self._on_ubx(ubx.decode(frame.content), kind, frame.begun_ns)
         if frame.kind in _REASONS:
             self.tally.add(FIX, _REASONS[frame.kind])
         else:
             self.binary += len(frame.content)
         return []
+
+    def _note_kind(self, kind: str, ended_ns: int) -> None:
+        if len(self._kinds) < _MOST_KINDS or kind in self._kinds:
+            self._kinds[kind] = ended_ns
 
     def _on_ubx(self, reading: ubx.Reading | Rejection | None, kind: str, begun_ns: int) -> list[Sample]:
         if reading is None:
@@ -197,8 +208,7 @@ class NmeaStream:
             self.tally.add(FIX, sentence)
             return []
         talker, kind, reading = sentence
-        if len(self._kinds) < _MOST_KINDS or kind in self._kinds:
-            self._kinds[kind] = frame.ended_ns
+        self._note_kind(kind, frame.ended_ns)
         if kind in ("GGA", "GNS"):
             self._has_fix = reading is not Rejection.NO_FIX
         if isinstance(reading, Heading) and reading.needs_fix and not self._has_fix:

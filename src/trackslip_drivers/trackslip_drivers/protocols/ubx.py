@@ -13,7 +13,7 @@ A message is accepted or has a reason why not; other messages are left aside.
 import math
 from typing import Any, NamedTuple
 
-from pyubx2 import UBXReader
+from pyubx2 import UBX_MSGIDS, UBXReader
 
 from trackslip_drivers.protocols.nmea import (
     RTK_FIXED,
@@ -72,6 +72,11 @@ Reading = Pvt | FinePosition | Accuracy | Heading
 def kind_of(frame: bytes) -> str:
     """Which message a whole frame is; empty for those that are not used."""
     return _KINDS.get(frame[3], "") if frame[2] == _NAV else ""
+
+
+def name_of(frame: bytes) -> str:
+    """Of any whole frame."""
+    return str(UBX_MSGIDS.get(frame[2:4], "UBX"))
 
 
 def decode(frame: bytes) -> Reading | Rejection | None:
