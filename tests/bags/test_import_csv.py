@@ -453,3 +453,35 @@ def test_the_mappings_of_the_project_are_read(name: str) -> None:
     mapping = read_mapping(config_file(f"mappings/{name}.yaml"))
     assert "sprockets" in mapping.topics
     assert mapping.vehicle is not None
+
+
+@pytest.mark.parametrize("word", ["-", "--", "?", "#N/A", "#DIV/0!", "(null)", "1.#QNAN", "-1.#IND", "nil"])
+def test_words_for_no_value_leave_a_row_out(tmp_path: Path, word: str) -> None:
+    found, messages = imported(tmp_path, f"t,l,r\n1,2,3\n2,{word},3\n3,2,3\n", {"sprockets": WHEELS})
+    assert len(messages["sprockets"]) == 2
+    assert found.left_out == {"/sprockets": {"some cells are blank": 1}}
+
+
+@pytest.mark.parametrize("behind", ["", '"a,b"'])
+def test_rows_may_end_in_a_delimiter_that_the_header_has_not(tmp_path: Path, behind: str) -> None:
+    rows = "".join(f"{k},2,,{behind},3,\n" if behind else f"{k},2,,,3,\n" for k in range(1, 4))
+    _, messages = imported(tmp_path, f"t,l,x,y,r\n{rows}", {"sprockets": WHEELS})
+    assert [list(m.velocity) for m in messages["sprockets"]] == [[2.0, 3.0]] * 3
+
+
+@pytest.mark.parametrize("zeros", [2, 5000, 1 << 21])
+@pytest.mark.parametrize("last", ["", "4,2"])
+def test_zero_bytes_behind_the_last_row_are_noted(tmp_path: Path, zeros: int, last: str) -> None:
+    log = "t,l,r\n1,2,3\n2,2,3\n3,2,3\n" + last + "\0" * zeros
+    found, messages = imported(tmp_path, log, {"sprockets": WHEELS})
+    assert len(messages["sprockets"]) == 3
+    assert any("zero bytes" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    "cell", ["2026/11/25 10:00:01.5", "2026-11-25 10:00:01.5 UTC", "2026-11-25T10:00:01.5GMT"]
+)
+def test_dates_of_other_tools_are_read(tmp_path: Path, cell: str) -> None:
+    time = {"column": "t", "unit": "iso8601"}
+    _, messages = imported(tmp_path, f"t|l|r\n{cell}|2|3\n", {"sprockets": WHEELS}, time=time)
+    assert stamp_ns_of(messages["sprockets"][0]) == 1_795_600_801_500_000_000

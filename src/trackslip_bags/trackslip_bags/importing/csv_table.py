@@ -26,6 +26,7 @@ from trackslip_bags.importing.csv_text import (
     Dialect,
     Head,
     encoding_of,
+    ends_in_zeros,
     find_head,
     lines_of,
     split,
@@ -39,7 +40,22 @@ IntArray = NDArray[np.int64]
 
 NO_TIME = np.iinfo(np.int64).min
 
-_BLANK = ("", "nan", "na", "n/a", "null", "none", "-nan")
+_NOT_NUMBERS = ("nan", "-nan", "1.#qnan", "-1.#ind", "#value!", "#div/0!", "#num!")
+_BLANK = (
+    "",
+    "-",
+    "--",
+    "?",
+    "na",
+    "n/a",
+    "#n/a",
+    "nil",
+    "null",
+    "(null)",
+    "none",
+    "undefined",
+    *_NOT_NUMBERS,
+)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _BLOCK = 20_000  # rows
 _HEAD = 200  # lines
@@ -88,6 +104,8 @@ def read_table(path: Path, wanted: Wanted) -> Table:
             reader = _Reader(path, lines_of(path, stream), wanted)
             if encoding == "cp1252":
                 reader.notes.append(f"{path.name}: not UTF-8; read as cp1252")
+            if ends_in_zeros(path):
+                reader.notes.append(f"{path.name}: ends in zero bytes, as after a loss of power")
             return reader.table()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
@@ -170,8 +188,11 @@ class _Reader:
         if short and short[0] < len(rows) - 1:
             raise self._ragged(*rows[short[0]])
         for k in (counts > width).arg_true().to_list():
-            if any(split(rows[k][1], delimiter)[width:]):
+            behind = split(rows[k][1], delimiter)[width:]
+            if any(behind):
                 raise self._ragged(*rows[k])
+            text = rows[k][1]
+            rows[k] = rows[k][0], re.sub(rf"(?:{re.escape(delimiter)}\s*){{{len(behind)}}}$", "", text)
         if short:
             self._short = rows[-1]
             rows = rows[:-1]

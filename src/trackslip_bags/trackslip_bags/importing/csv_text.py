@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the text of a table is written: its encoding, where its names are, what stands between its cells.
 
-Accepted without a word in the mapping: UTF-8, UTF-16, cp1252; comma, semicolon, tab or blanks between cells;
+Accepted without a word in the mapping: UTF-8, UTF-16, cp1252; comma, semicolon, tab, pipe or blanks;
 a ``sep=;`` line; comment lines that begin with ``#``; text before the line of names. A mapping says the rest:
 
     csv: {names: [t, x, y], delimiter: ";", decimal: comma}     or    csv: {format: tum}
@@ -23,8 +23,8 @@ LONGEST = 1 << 20  # characters of a line
 COMMENT = "#"
 BLANKS = " "  # as a delimiter: any number of blanks
 
-_DELIMITERS = ",;\t"
-_WORDS = {"comma": ",", "semicolon": ";", "tab": "\t", "blanks": BLANKS}
+_DELIMITERS = ",;\t|"
+_WORDS = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "blanks": BLANKS}
 _NAMED = {**_WORDS, **{delimiter: delimiter for delimiter in _WORDS.values()}}
 _DECIMALS = ("point", "comma")
 _TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")  # of trajectories, blanks between
@@ -77,7 +77,7 @@ def encoding_of(path: Path) -> str:
         OSError: the file cannot be read.
     """
     with path.open("rb") as file:
-        first = file.read(1024)
+        first = file.read(1024).rstrip(b"\0")
         if encoding_of_mark(first) == "utf-16":
             return "utf-16"
         if encoding := utf16_without_mark(first):
@@ -92,18 +92,31 @@ def encoding_of(path: Path) -> str:
     return "utf-8-sig"
 
 
+def ends_in_zeros(path: Path) -> bool:
+    """Whether a recorder lost its power before it wrote the end.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        file.seek(-min(path.stat().st_size, 2), 2)
+        return file.read() == b"\0\0"
+
+
 def lines_of(path: Path, stream: Any) -> Iterator[str]:
-    """Lines of an open file, without their ends.
+    """Lines of an open file, without their ends, and without zero bytes behind the last.
 
     Raises:
         InputError: one is longer than any row, or holds zero bytes.
     """
     while line := stream.readline(LONGEST):
-        if len(line) == LONGEST:
+        text = line.rstrip("\r\n").rstrip("\0")
+        if len(text) == LONGEST:
             raise InputError(f"{path}: a line of more than 1 MB; accepted: rows, a line each")
-        if "\0" in line:
+        if "\0" in text:
             raise InputError(f"{path}: holds zero bytes; accepted: text")
-        yield line.rstrip("\r\n")
+        if text or line[0] != "\0":
+            yield text
 
 
 def find_head(path: Path, lines: list[str], dialect: Dialect, wanted: Collection[str]) -> Head:

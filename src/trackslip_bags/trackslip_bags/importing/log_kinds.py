@@ -90,9 +90,10 @@ def kind_of(path: Path) -> tuple[LogKind, str]:
         OSError: it cannot be read.
     """
     with path.open("rb") as file:
-        first = file.read(_FIRST)
+        first = file.read(_FIRST).rstrip(b"\0")
     if not first.strip():
-        return LogKind.OTHER, "file without a byte" if not first else "file of blanks"
+        is_empty = not path.stat().st_size
+        return LogKind.OTHER, "file without a byte" if is_empty else "file of blanks or zero bytes"
     mark = encoding_of_mark(first)
     text = first.decode(mark, "ignore").encode("latin-1", "replace") if mark else first
     for pattern, kind, words in _KINDS:

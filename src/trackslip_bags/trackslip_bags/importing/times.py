@@ -23,7 +23,8 @@ _SCALES = {
     )
 }
 _ISO = re.compile(
-    r"(\d{4})-?(\d\d)-?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?(Z|[+-]\d\d:?\d\d)?"
+    r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
+    r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
 )
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _OUR_DAYS = range(10**18, 2**31 * 10**9)  # since 2001
@@ -66,7 +67,7 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
         raise ValueError(cell)
     *parts, fraction, zone = found.groups()
     whole = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
-    zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0
+    zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # none of UTC, GMT
     nanoseconds = int((fraction or "0").ljust(9, "0"))
     found_ns = (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
     if abs(found_ns) > _LARGEST:
