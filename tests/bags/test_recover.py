@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
@@ -192,27 +193,47 @@ def test_a_recorder_killed_before_its_first_chunk_leaves_an_empty_bag(tmp_path: 
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("mode", [None, CompressionMode.MESSAGE, CompressionMode.FILE])
 @pytest.mark.parametrize("with_metadata", [True, False])
-def test_bags_of_ros2_bag_are_recovered(tmp_path: Path, storage: StoragePlugin, with_metadata: bool) -> None:
-    with Writer(tmp_path / "bag", version=9, storage_plugin=storage) as bag:
+def test_bags_of_ros2_bag_are_read_and_recovered(
+    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode | None, with_metadata: bool
+) -> None:
+    """A recorder that was killed states nowhere that it packed messages or files."""
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer as bag:
         connection = bag.add_connection("/imu", IMU, typestore=typestore())
         for i in range(20):
             bag.write(connection, i * 10 * MS, imu(i))
     if not with_metadata:
         (tmp_path / "bag" / "metadata.yaml").unlink()
+    paths = [tmp_path / "bag"]
+    if mode is not CompressionMode.FILE or not with_metadata:
+        paths += [file for file in paths[0].iterdir() if file.suffix != ".yaml"]
+    for path in paths:
+        with open_bag(path) as opened:
+            assert [message.raw for message in opened.messages()] == [imu(i) for i in range(20)]
     assert recover(tmp_path / "bag", tmp_path / "out").messages == 20
     assert contents(tmp_path / "out") == [imu(i) for i in range(20)]
+
+
+def test_packed_files_before_the_one_that_was_cut_are_recovered(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    content = next(whole.glob("*.mcap")).read_bytes()
+    (tmp_path / "bag" / "bag_0.mcap.zstd").write_bytes(zstandard.ZstdCompressor().compress(content))
+    (tmp_path / "bag" / "bag_1.mcap").write_bytes(content[: len(content) // 2])
+    recovery = recover(tmp_path / "bag", tmp_path / "out")
+    assert COUNT < recovery.messages < 2 * COUNT
+    assert any("bag_1.mcap: cut short" in problem for problem in recovery.problems)
 
 
 def test_what_is_no_message_is_left_out_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of a killed ``ros2 bag record --compression-mode message`` nobody knows that it was compressed."""
-    writer = Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
-    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
-    with writer:
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/imu", IMU, typestore=typestore())
-        writer.write(connection, 0, imu(0))
+        writer.write(connection, 0, b"no CDR")
     (tmp_path / "bag" / "metadata.yaml").unlink()
     assert main(["recover", str(tmp_path / "bag"), "--output", str(tmp_path / "out")]) == ExitCode.FAILED
     assert "lost: 1 messages that are not CDR" in capsys.readouterr().out

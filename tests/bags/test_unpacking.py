@@ -21,7 +21,7 @@ from trackslip_bags.chunks import read_stretches
 from trackslip_bags.importing.ros1 import Ros1Bags
 from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
-from trackslip_bags.unpacking import LARGEST, check_packed_file, message, unpacked
+from trackslip_bags.unpacking import LARGEST, message, unpack_file, unpacked
 from trackslip_common.errors import InputError
 
 MEMORY = 1_500_000_000  # bytes of address space that a reader is given
@@ -83,9 +83,9 @@ def test_file_that_unpacks_to_too_much(tmp_path: Path) -> None:
     piece = zstandard.ZstdCompressor().compress(b"\0" * 20_000_000)
     file.write_bytes(piece * 20)
     with pytest.raises(ValueError, match="unpack to more than"):
-        check_packed_file(file)
+        unpack_file(file)
     file.write_bytes(piece)
-    check_packed_file(file)
+    unpack_file(file)
 
 
 def _info(bag: Path) -> None:

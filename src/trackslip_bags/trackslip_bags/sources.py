@@ -4,7 +4,9 @@
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, Protocol
 
 from rosbags.interfaces import MessageDefinition
@@ -15,6 +17,9 @@ from rosbags.rosbag2.storage_mcap import McapReader
 from trackslip_bags import sqlite_files, unpacking
 from trackslip_bags.metadata import MOST_TOPICS
 from trackslip_bags.recovery.salvage import Salvage, salvage
+
+PACKED = ".zstd"
+_FILES = ("*.mcap", "*.db3", f"*.mcap{PACKED}", f"*.db3{PACKED}")
 
 unpacking.limit_rosbags()
 sqlite_files.read_companions()
@@ -59,7 +64,7 @@ class WholeBag:
 
     def __init__(self, path: Path) -> None:
         for packed in path.glob("*.zstd"):
-            unpacking.check_packed_file(packed)
+            unpacking.unpack_file(packed)
         self._reader = Reader(path)
         self._reader.open()
         if len(self._reader.connections) > MOST_TOPICS:
@@ -71,6 +76,7 @@ class WholeBag:
             self._reader.storage, DirectoryReader
         ):  # rosbags does it without a limit
             self._reader.storage.metadata = self._reader.storage.metadata._replace(compression_mode=None)
+        self._packed |= path.is_file() and self._begins_packed()
         spans = [s.metadata for s in _storages(self._reader) if s.metadata.message_count]
         self.start_ns = min((span.start_time for span in spans), default=0)
         self.end_ns = max((span.end_time for span in spans), default=0) - 1
@@ -89,8 +95,14 @@ class WholeBag:
         if not connections:
             return
         for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
-            content = unpacking.message(raw) if self._packed else raw
-            yield BagMessage(connection.topic, connection.msgtype, time_ns, content)
+            yield BagMessage(connection.topic, connection.msgtype, time_ns, unpacking.message(raw))
+
+    def _begins_packed(self) -> bool:
+        """Whether messages are packed, which only metadata.yaml states."""
+        try:
+            return any(unpacking.is_packed(raw) for _, _, raw in islice(self._reader.messages(), 1))
+        except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser, which reading reports)
+            return False
 
     def close(self) -> None:
         self._reader.close()
@@ -140,8 +152,8 @@ def bag_files(path: Path) -> list[Path]:
     """The files of a bag without its metadata, split recordings in order: name_2 before name_10."""
     if not path.is_dir():
         return [path]
-    files = [file for pattern in ("*.mcap", "*.db3") for file in path.glob(pattern) if file.is_file()]
-    numbered = [(file.stem.rpartition("_")[2], file) for file in files]
+    files = [file for pattern in _FILES for file in path.glob(pattern) if file.is_file()]
+    numbered = [(file.name.removesuffix(PACKED).rpartition("_")[2], file) for file in files]
     found: dict[tuple[int, int], Path] = {}
     for _, file in sorted(numbered, key=lambda item: (len(item[0]), item)):
         about = file.stat()
@@ -151,6 +163,8 @@ def bag_files(path: Path) -> list[Path]:
 
 def open_file(path: Path) -> tuple[Source | None, str]:
     """One file of a bag (None where nothing of it can be read), and what is wrong with it."""
+    if path.suffix == PACKED:
+        return _open_packed(path)
     try:
         return WholeBag(path), ""
     except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
@@ -164,6 +178,18 @@ def open_file(path: Path) -> tuple[Source | None, str]:
     if not content.topics:
         return None, f"{path.name}: {reason}"
     return SalvagedFile(content), f"{path.name}: {content.problem or reason}"
+
+
+def _open_packed(path: Path) -> tuple[Source | None, str]:
+    """A file that the recorder packed whole. What is open stays so after its folder is gone."""
+    with TemporaryDirectory(prefix="trackslip_") as folder:
+        plain = Path(folder, path.stem)
+        try:
+            with plain.open("wb") as output:
+                unpacking.unpack_file(path, output)
+        except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the library)
+            return None, f"{path.name}: {error_line(error)}"
+        return open_file(plain)
 
 
 def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:

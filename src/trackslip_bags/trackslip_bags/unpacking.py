@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import IO
 
 import lz4.frame
 import zstandard
@@ -68,13 +69,18 @@ def plain(chunk: Chunk) -> Chunk:
     return replace(chunk, compression="", data=data)
 
 
+def is_packed(data: bytes) -> bool:
+    """Whether a message was packed by itself: CDR never begins so."""
+    return data.startswith(zstandard.FRAME_HEADER)
+
+
 def message(data: bytes) -> bytes:
-    """A message that was packed by itself.
+    """A message, unpacked where it was packed by itself.
 
     Raises:
         ValueError: it unpacks to more than ``LARGEST``.
     """
-    return _limited("message", _zstd, data)
+    return _limited("message", _zstd, data) if is_packed(data) else data
 
 
 def _limited(what: str, unpack: Callable[[bytes, int], bytes], data: bytes) -> bytes:
@@ -84,8 +90,8 @@ def _limited(what: str, unpack: Callable[[bytes, int], bytes], data: bytes) -> b
     return content
 
 
-def check_packed_file(path: Path) -> None:
-    """Look how much a file that was packed whole (``.zstd``) unpacks to.
+def unpack_file(path: Path, output: IO[bytes] | None = None) -> None:
+    """Unpack a file that was packed whole (``.zstd``); without an output look how much it unpacks to.
 
     Raises:
         ValueError: to many times more than a recording does.
@@ -96,6 +102,8 @@ def check_packed_file(path: Path) -> None:
         stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
         while piece := stream.read(_PIECE):
             size += len(piece)
+            if output is not None:
+                output.write(piece)
             if size > most:
                 raise ValueError(f"{path.name}: {packed} bytes that unpack to more than {most / 1e6:.0f} MB")
 

@@ -25,13 +25,13 @@ from trackslip_bags.sources import error_line
 from trackslip_common.errors import InputError, did_you_mean
 
 _ROS1 = (".bag", ".bag.active")
-_ROS2 = (".mcap", ".db3", ".mcap.zstd")
+_ROS2 = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a bag: a directory of one, or a file with a bag's name."""
     if path.is_dir():
-        return (path / METADATA).exists() or any(file.suffix in _ROS2 for file in path.iterdir())
+        return (path / METADATA).exists() or any(file.name.endswith(_ROS2) for file in path.iterdir())
     return path.name.endswith((*_ROS1, *_ROS2))
 
 

@@ -18,7 +18,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from trackslip_bags.metadata import METADATA, Schema
 from trackslip_bags.reader import ACCEPTED, Bag, open_bag, refuse_pipes
 from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
-from trackslip_bags.sources import TopicInfo, bag_files
+from trackslip_bags.sources import PACKED, TopicInfo, bag_files
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import LONGEST, parse_yaml
@@ -92,8 +92,9 @@ def _parts(path: Path, recovery: Recovery) -> list[Part]:
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
-    files = [file for file in bag_files(path) if is_mcap(file)]
-    if files:
+    every = bag_files(path)
+    files = [file for file in every if is_mcap(file)]
+    if files and not any(file.suffix == PACKED for file in every):
         return [partial(_from_mcap, file, recovery) for file in files]
     return [partial(_from_others, open_bag(path), recovery)]
 
@@ -156,7 +157,7 @@ def _copy(part: Found, bag: BagWriter, recovery: Recovery) -> None:
 
 
 def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
-    if not found.data.startswith(_CDR):  # ros2 bag compresses message by message where asked to
+    if not found.data.startswith(_CDR):
         recovery.refused += 1
         return
     topic = found.topic

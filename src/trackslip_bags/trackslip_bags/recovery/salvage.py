@@ -21,7 +21,8 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
 from trackslip_bags.metadata import LATEST_NS, MOST_TOPICS
 from trackslip_bags.metadata import Schema as KnownSchema
-from trackslip_bags.unpacking import plain
+from trackslip_bags.unpacking import is_packed, plain
+from trackslip_bags.unpacking import message as unpacked_message
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
@@ -162,6 +163,11 @@ class DamagedFile:
 
     def _is_usable(self, message: Message) -> bool:
         usable = message.channel_id in self.topics and message.log_time <= LATEST_NS
+        if usable and is_packed(message.data):
+            try:
+                message.data = unpacked_message(message.data)
+            except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the library)
+                usable = False
         self.bad_records += not usable
         return usable
 
