@@ -5,6 +5,7 @@
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from fixtures.setup_drives import make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
@@ -100,3 +101,28 @@ def test_a_standstill_names_the_motion_that_is_needed() -> None:
     result = check(still)
     assert result.causes == ()
     assert result.undetermined
+
+
+SIDES = {  # left, right: cause, words of the remedy
+    "left twice": ((2.0, 1.0), "speed_unit", "left side"),
+    "right a quarter": ((1.0, 0.25), "speed_unit", "right side"),
+    "left dead": ((0.0, 1.0), "missing_value", "left encoder"),
+    "right dead": ((1.0, 0.0), "missing_value", "right encoder"),
+}
+
+
+@pytest.mark.parametrize("name", SIDES)
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_a_track_that_turns_by_another_factor_is_named(name: str, has_heading: bool) -> None:
+    factors, expected, side = SIDES[name]
+    (cause,) = check(make_drive(has_heading=has_heading).with_tracks(np.diag(factors))).causes
+    assert cause.cause == expected
+    assert side in cause.remedy
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_fixes_at_a_speed_of_no_machine_are_named(has_heading: bool) -> None:
+    log = make_drive(has_heading=has_heading)
+    (one,) = log.fixes
+    causes = check(log.with_fixes(replace(one, places=100.0 * one.places))).causes
+    assert {cause.cause for cause in causes} == {"frame"}

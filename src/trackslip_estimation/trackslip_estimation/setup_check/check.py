@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trackslip_estimation.setup_check import clocks, inertial, places, signs, speeds
+from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds
 from trackslip_estimation.setup_check.directions import Directions, decide_signs
 from trackslip_estimation.setup_check.evidence import Drive
 from trackslip_estimation.setup_check.faults import Missing, without_missing
@@ -84,11 +84,16 @@ def _check(log: Log, found: _Found) -> list[str]:
     state = _inertial(scaled, fixes, compass, found)
     compass = _in_radians(compass, state, found)
     drive = Drive(state.grid, log.machine, fixes, compass, state.gyro is not None)
+    causes = sides.judge_fixes(drive, unit)
+    causes, open_ones = (causes, []) if causes else sides.judge_sides(drive, unit)
+    if causes or open_ones:  # nothing that the tracks show against the fixes means what it says
+        found.add(causes, open_ones)
+        return facts_of(log, drive, np.eye(2))
     directions = decide_signs(drive, state.gyro, is_upside_down=state.is_upside_down)
     found.add(directions.causes, directions.undetermined)
     if directions.is_decided:
         _continuous(state.log, state.gyro, directions, unit, found)
-    return facts_of(log, drive, directions)
+    return facts_of(log, drive, directions.assignment.matrix)
 
 
 def _missing_cause(one: Missing) -> Cause:
@@ -264,10 +269,10 @@ def _path(grid: Grid, gyro: Gyro | None, bias: float, log: Log) -> Path:
     return dead_reckoning(grid, grid.tracks.mean(axis=1), turn)
 
 
-def facts_of(log: Log, drive: Drive, directions: Directions) -> list[str]:
+def facts_of(log: Log, drive: Drive, matrix: FloatArray) -> list[str]:
     """Distance and turn by each odometer, and rates: what a user checks against memory."""
     grid = drive.grid
-    tracks = grid.tracks @ directions.assignment.matrix.T
+    tracks = grid.tracks @ matrix.T
     way = float(np.nansum(np.abs(window_sums(grid, tracks.mean(axis=1)))))
     lines = [f"distance: {way:.1f} m by the tracks"]
     if drive.fixes is not None:
