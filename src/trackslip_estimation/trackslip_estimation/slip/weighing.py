@@ -170,7 +170,8 @@ def _show_place(state: State, source: int, o: Observation, elapsed: float, updat
             update.shown[axis] += state.mean[c.offsets[source] + axis]
     if update.coarse == 0 and c.standing_share[source] == 0.0:
         offset = state.offsets[number_of(source, c)]
-        learn_jitter(offset, update.shown, state.way, elapsed, update.stated * update.stated, c)
+        since = np.inf if state.coasting else elapsed  # while it coasts the way is that of the fixes
+        learn_jitter(offset, update.shown, state.way, since, update.stated * update.stated, c)
 
 
 @compiled
