@@ -3,6 +3,7 @@
 """The DBC of somebody else: what of it is read, and what is refused."""
 
 import math
+import re
 
 import cantools
 import pytest
@@ -79,6 +80,15 @@ def test_no_factor_that_a_double_holds_gives_an_infinite_value(tmp_path, pump):
 def test_a_position_in_steps_of_more_than_a_turn_is_refused(tmp_path, factor):
     dbc = unseen_bus.DBC.replace("(0.1,0) [0|359.9]", f"({factor},0) [0|0]")
     assert "a step of more than a turn" in refusal(tmp_path, "roles", "roles", dbc)
+
+
+def test_a_signal_of_a_role_has_64_bits_at_most(tmp_path):
+    """One of 1024 bits left no number for its range."""
+    signal = re.search(r"SG_ (\w+) : (\d+)\|(\d+)@(\S+) \(0.1,0\) \[0\|359.9\]", unseen_bus.DBC)
+    assert signal is not None
+    wide = signal[0].replace(f"{signal[2]}|{signal[3]}@{signal[4][0]}", "0|1100@1")
+    dbc = re.sub(r"(BO_ \d+ \w+: )\d+", r"\g<1>200", unseen_bus.DBC).replace(signal[0], wide)
+    assert "64" in refusal(tmp_path, "roles", "roles", dbc)
 
 
 def test_a_dbc_without_frames_lacks_the_signals_of_the_roles(tmp_path):

@@ -21,6 +21,7 @@ from trackslip_drivers.protocols.can_roles import ROLES, SPOOLS, SWING, Role
 from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
 
 _TURN = 2.0 * math.pi
+_MOST_BITS = 64  # of a signal with a role
 _LARGEST_STEP = 1.000001 * _TURN  # of a position: a turn, as a counter of turns has
 _ROUNDED_FACTOR = 0.01  # 65536 steps of 0.0055 degrees are 360.4
 _ROUNDING_STEPS = 2.0  # a range of 0…359.9 or −180…180 degrees is one turn
@@ -188,6 +189,9 @@ class Binder:
         if len(found) > 1:
             names = ", ".join(f"{message.name}.{signal}" for message in found)
             raise InputError(f"{where} is in several frames; accepted: one of {names}")
+        bits = found[0].get_signal_by_name(signal).length
+        if bits > _MOST_BITS:
+            raise InputError(f"{where} has {bits} bits in {self._dbc}; accepted: up to {_MOST_BITS}")
         if not found[0].get_signal_by_name(signal).scale:
             raise InputError(f"{where} has the factor 0 in {self._dbc}; accepted: any other")
         return where, found[0], signal
