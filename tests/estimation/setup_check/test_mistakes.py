@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fixtures.setup_drives import make_drive, without_fixes
+from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
 
 from trackslip_estimation.setup_check.check import check
@@ -126,3 +126,27 @@ def test_fixes_at_a_speed_of_no_machine_are_named(has_heading: bool) -> None:
     (one,) = log.fixes
     causes = check(log.with_fixes(replace(one, places=100.0 * one.places))).causes
     assert {cause.cause for cause in causes} == {"frame"}
+
+
+@cache
+def hill(*, turns: bool, has_heading: bool) -> Log:
+    programme = {} if turns else {"programme": STRAIGHT}
+    return make_drive(has_heading=has_heading, slope=0.3, **programme)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("healthy", "nose up", "on its side", "diameter for radius", "gyro in deg/s", "gyro sign"),
+        *("gyro axes x and z", "radius too large", "speed in rpm"),
+    ],
+)
+def test_pitch_on_a_hill_is_no_turn(name: str, *, turns: bool, has_heading: bool) -> None:
+    log = hill(turns=turns, has_heading=has_heading)
+    own = {"healthy"} if name == "healthy" else {MISTAKES[name].cause}
+    result = check(log if name == "healthy" else MISTAKES[name].inject(log))
+    assert {cause.cause for cause in result.causes} <= own
+    if name in ("nose up", "on its side"):  # gravity is along another axis
+        assert result.causes

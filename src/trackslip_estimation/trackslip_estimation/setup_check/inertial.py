@@ -49,6 +49,8 @@ _LEAST_GAIN = 5.0  # ln likelihood over no relation
 _TRACK_GAIN = 3.0  # of turns by the tracks, where there are witnesses
 _UNIT_ERROR = 0.35  # of the logarithm of a scale by headings
 _AXIS_GAIN = 8.0  # of another axis, over that of z
+_MOST_TILT = np.radians(60.0)  # between the roll or pitch of two places, on any hill
+_TILT_NOISE = np.radians(12.0)  # of what accelerations show of it
 _GRAVITY = (7.5, 12.0)  # m/s²
 _FOLLOWS = 0.85  # correlation of turns of one machine
 _MOST_TURN = 3.0  # of the gyro over the tracks, of any machine
@@ -156,36 +158,66 @@ def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> 
 def _axis(
     gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None, of_heading: FloatArray | None
 ) -> tuple[Gyro, Cause | None]:
-    """The gyro with the axis that turns as z, where that is another one."""
+    """The gyro with the axis that turns as z, where that is another one.
+
+    No machine stands on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
+    axis must turn by more than the machine tilts: pitch on a hill follows the tracks too.
+    """
     if frozen_share(gyro) > _MOSTLY:
         return gyro, None
     turns = window_sums(grid, grid.turns)
-    gains, scales = np.full(3, -np.inf), np.full(3, np.nan)
+    gains, units = np.full(3, -np.inf), np.ones(3)
     for axis in range(3):
         if np.isfinite(turns[:, axis]).sum() < 5:
             continue
-        scales[axis] = scale_of(turns[:, axis], x, WINDOW)
-        if np.isfinite(scales[axis]) and scales[axis] > 0.0:
-            unit = _unit_of(float(scales[axis]))[1]
-            gains[axis] = float(fit_turns(turns[:, axis], x, WINDOW, unit).logs.max())
+        scale = scale_of(turns[:, axis], x, WINDOW)
+        if np.isfinite(scale) and scale > 0.0:
+            units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
+            gains[axis] = float(fit_turns(turns[:, axis], x, WINDOW, units[axis]).logs.max())
             if of_heading is not None:
-                gains[axis] += _heading_gain(turns[:, axis] / unit, of_heading)
-    best = int(np.argmax(gains))
-    if best == 2 or gains[best] < max(gains[2], 0.0) + _AXIS_GAIN or gains[2] > _LEAST_GAIN:
+                gains[axis] += _heading_gain(turns[:, axis] / units[axis], of_heading)
+    if gains[2] > _LEAST_GAIN or not np.isfinite(gains).any():
         return gyro, None
-    if turns_of(turns[:, best] / _unit_of(float(scales[best]))[1]) < LEAST_TURNS:
-        return gyro, None
-    log_ratio = float(gains[best] - max(gains[2], 0.0))
-    sign = 1.0
-    if gravity is not None and abs(gravity[best]) > 0.7:
-        sign = float(np.sign(gravity[best]))
-    fix = to_vertical(best, sign)
+    best = int(np.argmax(gains)) if gravity is None else int(np.argmax(np.abs(gravity)))
+    by_gravity = gravity is not None and best != 2 and bool(np.isfinite(turns[:, best]).sum() >= 5)
+    if not by_gravity:
+        best = int(np.argmax(gains))
+        log_ratio = float(gains[best] - max(gains[2], 0.0))
+        spans = [_span(turns[:, axis] / units[best], x) for axis in (best, 2)]
+        most = _MOST_TILT if gravity is None else min(2.0 * _tilt_span(gyro) + _TILT_NOISE, _MOST_TILT)
+        if best == 2 or log_ratio < _AXIS_GAIN or spans[0] < most or spans[1] > min(most, 0.5 * spans[0]):
+            return gyro, None
+    else:
+        log_ratio = max(float(gains[best] - max(gains[2], 0.0)), 0.0) + _AXIS_GAIN
+    fix = to_vertical(best, float(np.sign(gravity[best])) if by_gravity and gravity is not None else 1.0)
     turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
-    by_gravity = gravity is not None and abs(gravity[best]) > 0.7
     name = "imu_mounting" if by_gravity else "gyro_axis"
-    force = f", and gravity lies along its {_AXES[best]} axis too" if by_gravity else ""
-    evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z{force}"
+    evidence = (
+        f"gravity lies along its {_AXES[best]} axis, and it does not turn about z as the tracks do"
+        if by_gravity
+        else f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z"
+    )
     return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
+
+
+def _span(turn: FloatArray, x: FloatArray) -> float:
+    """Between the headings farthest apart that windows (w,) add up to, rad."""
+    usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
+    y = turn[usable] - bias_of(turn[usable], x[usable], WINDOW) * WINDOW
+    return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
+
+
+def _tilt_span(gyro: Gyro) -> float:
+    """Twice how far gravity leans from its usual direction, rad: what the unit rolls and pitches."""
+    sound = np.isfinite(gyro.accelerations).all(axis=1)
+    of_second = (gyro.t[sound] - gyro.t[0]).astype(np.int64)
+    begins = np.flatnonzero(np.diff(of_second, prepend=-1))
+    parts = np.split(gyro.accelerations[sound], begins[1:])
+    means = np.array([np.median(part, axis=0) for part in parts])
+    means /= np.linalg.norm(means, axis=1)[:, np.newaxis]
+    usual = np.median(means, axis=0)
+    leans = np.arccos(np.clip(means @ usual / np.linalg.norm(usual), -1.0, 1.0))
+    return 2.0 * float(np.percentile(leans, 98))
 
 
 def turned_share(turn: FloatArray, x: FloatArray) -> float:
