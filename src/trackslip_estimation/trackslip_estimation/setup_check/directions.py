@@ -68,7 +68,7 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     turned = float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING]))) if drive.has_gyro else 0.0
     is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
     if count < LEAST_TURNS and not is_clear:
-        needs.append(Undetermined(f"signs of tracks and gyro ({count} turns of 15°)", _TURN))
+        needs.append(Undetermined(f"signs of tracks, gyro, fixes and headings ({count} turns of 15°)", _TURN))
     if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
         needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
     found = Directions(
@@ -88,13 +88,16 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
         causes = [c for c in causes if c.cause != signs.GYRO]
         causes.append(inertial.upside_down(gyro, likely[signs.GYRO]))
     open_ones = []
-    doubtful = decision.any_odds > LEAST_LOG and not likely
+    doubtful = decision.any_odds > 0.0 and not likely
     if doubtful:
         sets = [_named(decision), *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
-        open_ones.append(Undetermined(what, _missing_sensor(evidence), is_wrong=True))
-    is_decided = not doubtful and (bool(likely) or decision.any_odds < 0.0)
-    return replace(found, is_decided=is_decided, causes=tuple(causes), undetermined=tuple(open_ones))
+        open_ones.append(Undetermined(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
+    untested = set(decision.untested) if not likely and not doubtful else set()
+    if untested:
+        what = f"{', '.join(sorted(untested))}: neither shown nor excluded"
+        open_ones.append(Undetermined(what, _TURN if untested != {signs.BOTH} else _missing_sensor(evidence)))
+    return replace(found, is_decided=not doubtful, causes=tuple(causes), undetermined=tuple(open_ones))
 
 
 def _named(decision: Decision) -> frozenset[str]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, window_edges, window_sums
 from trackslip_estimation.setup_check.heading import (
     Courses,
@@ -22,7 +23,6 @@ from trackslip_estimation.setup_check.turning import TurnFit, fit_turns
 
 _FIX_SPACING = 0.5  # s
 _USUAL_EFFICIENCY = 0.7  # κ where the turns do not show it
-_OFFSET_PRIOR = float(np.log(300.0))  # of a heading that is off by any angle
 _LEAST_COURSES = 3
 
 
@@ -54,13 +54,13 @@ class Drive:
 
 
 def gather(drive: Drive, fit: TurnFit | None = None) -> Evidence:
-    """All likelihoods; zeros where a sensor is missing."""
+    """All likelihoods, none below that of a gyro that shows no turns; zeros where a sensor is missing."""
     x, grid = drive.x, drive.grid
     fit = fit or fit_turns(drive.turn, x, WINDOW)
     of_heading = drive.heading_turns()
     has_heading = drive.compass is not None and int(np.isfinite(of_heading).sum()) >= 3
     return Evidence(
-        fit.logs if drive.has_gyro else np.zeros(4),
+        np.maximum(fit.logs, -PRIOR) if drive.has_gyro else np.zeros(4),
         _gyro_shapes(drive, fit),
         _track_shapes(drive, fit),
         turn_logs(of_heading, drive.turn - fit.bias * WINDOW)
@@ -87,9 +87,10 @@ def _gyro_shapes(drive: Drive, fit: TurnFit) -> FloatArray:
     paths = [
         dead_reckoning(drive.grid, drive.grid.tracks @ distance / 2.0, sign * turn)
         for distance in DISTANCES
-        for sign in (1.0, -1.0)
+        for sign in (1.0, -1.0, 0.0)
     ]
-    return compare(paths, thinned(drive.fixes, _FIX_SPACING)).logs.reshape(2, 2)
+    logs = compare(paths, thinned(drive.fixes, _FIX_SPACING)).logs.reshape(2, 3)
+    return np.asarray(np.maximum(logs[:, :2], logs[:, 2:] - PRIOR))
 
 
 def _track_shapes(drive: Drive, fit: TurnFit) -> FloatArray:
@@ -129,7 +130,7 @@ def _courses(drive: Drive, fit: TurnFit) -> FloatArray:
 
 def direction_log(differences: FloatArray) -> float:
     """Ln likelihood of course less heading: around 0, or off by an angle that is as likely as a mistake."""
-    return float(np.logaddexp(course_logs(differences)[0], around_any(differences) - _OFFSET_PRIOR))
+    return float(np.logaddexp(course_logs(differences)[0], around_any(differences) - PRIOR))
 
 
 def unmirrored(steps: Courses, *, is_mirrored: bool) -> list[FloatArray]:

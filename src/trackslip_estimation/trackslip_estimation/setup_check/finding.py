@@ -8,6 +8,7 @@ from typing import Any
 
 LEAST_ODDS = 100.0  # to 1, below which no cause is reported
 LEAST_LOG = math.log(LEAST_ODDS)
+PRIOR = math.log(300.0)  # of each mistake
 MOST_ODDS = 1e9  # that a sentence states
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
 from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray
 from trackslip_estimation.setup_check.turning import mixture
@@ -66,7 +67,8 @@ def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
     variance = _NOISE**2 + (_SHARE * x) ** 2
     width = 2.0 * max(float(np.abs(y).max()), 1.0)
     logs = np.array([mixture(y - sign * x, variance, width).sum() for sign in (1.0, -1.0)])
-    return np.asarray(logs - logs.min())
+    none = mixture(y, np.full(len(y), _NOISE**2 + float(np.mean(y**2))), width).sum()
+    return np.asarray(np.maximum(logs - none, -PRIOR))
 
 
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:

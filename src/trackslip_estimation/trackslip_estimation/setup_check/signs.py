@@ -16,13 +16,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR
 from trackslip_estimation.setup_check.log import BoolArray, FloatArray
 
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
 GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
-_PRIOR = float(np.log(300.0))  # of each mistake
-_NEAR = float(np.log(100.0))
 _FORWARD = 3.0  # ln odds for each e-fold of more forward than reverse
 _SHARES = (0.12, 0.88)  # of the distance, beyond which more tells no more: some machines only back up
 
@@ -86,6 +85,7 @@ class Decision:
     log_odds: Mapping[str, float]  # by cause, that it is there
     any_odds: float = 0.0  # ln, that there is some mistake
     rivals: tuple[frozenset[str], ...] = field(default=())  # other sets of mistakes within 1 : 100
+    untested: tuple[str, ...] = ()  # single mistakes against which the drive itself does not say 100 : 1
 
 
 def decide(e: Evidence) -> Decision:
@@ -105,10 +105,13 @@ def decide(e: Evidence) -> Decision:
     names = sorted(set().union(*sets))
     odds = {name: _log_odds(weights, np.array([name in one for one in sets])) for name in names}
     some = _log_odds(weights, np.array([bool(one) for one in sets]))
-    near = [k for k in np.argsort(-scores) if scores[best] - scores[k] < _NEAR]
+    near = [k for k in np.argsort(-scores) if scores[best] - scores[k] < LEAST_LOG]
     rivals = tuple(dict.fromkeys(sets[k] for k in near if sets[k] != sets[best]))
+    by_set = dict(zip(sets, scores.tolist(), strict=True))
+    sound = by_set[frozenset()] - PRIOR - LEAST_LOG
+    untested = tuple(name for name in names if by_set[frozenset((name,))] > sound)
     a, g, p, h = hypotheses[best]
-    return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, some, rivals)
+    return Decision(ASSIGNMENTS[a], 1.0 - 2.0 * g, bool(p), 1.0 - 2.0 * h, odds, some, rivals, untested)
 
 
 def _causes(a: int, g: int, p: int, h: int) -> frozenset[str]:
@@ -120,7 +123,7 @@ def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
     assignment = ASSIGNMENTS[a]
     pattern = turn_pattern(assignment.turn)
     of_distance = 0 if assignment.distance[0] == assignment.distance[1] else 1
-    score = -_PRIOR * len(_causes(a, g, p, h))
+    score = -PRIOR * len(_causes(a, g, p, h))
     if e.has_gyro:
         score += float(e.turns[opposite(pattern) if g else pattern] + e.shapes[of_distance, g ^ p])
         score += float(e.headings[g ^ h])
