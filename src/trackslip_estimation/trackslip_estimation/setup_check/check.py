@@ -18,6 +18,7 @@ from trackslip_estimation.setup_check.directions import Directions, decide_signs
 from trackslip_estimation.setup_check.evidence import Drive
 from trackslip_estimation.setup_check.faults import Missing, without_missing
 from trackslip_estimation.setup_check.finding import (
+    LEAST_LOG,
     LEAST_ODDS,
     Cause,
     Measured,
@@ -43,6 +44,10 @@ class _Found:
     causes: list[Cause] = field(default_factory=list)
     undetermined: list[Undetermined] = field(default_factory=list)
     measured: list[Measured] = field(default_factory=list)
+
+    def has(self, name: str) -> bool:
+        """Whether a cause of this name was found."""
+        return any(cause.cause == name for cause in self.causes)
 
     def add(self, causes: Sequence[Cause], undetermined: Sequence[Undetermined] = ()) -> None:
         self.causes += causes
@@ -85,6 +90,8 @@ def _check(log: Log, found: _Found) -> list[str]:
     compass = _in_radians(compass, state, found)
     drive = Drive(state.grid, log.machine, fixes, compass, state.gyro is not None)
     causes = sides.judge_fixes(drive, unit)
+    if causes:  # far away in their unit only
+        found.causes = [c for c in found.causes if c.cause != "datum"]
     causes, open_ones = (causes, []) if causes else sides.judge_sides(drive, unit)
     if causes or open_ones:  # nothing that the tracks show against the fixes means what it says
         found.add(causes, open_ones)
@@ -183,8 +190,7 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     names = {"tracks": "sprockets", "gyro": gyro.name if gyro else "", "fixes": fixes.name if fixes else ""}
     names["heading"] = compass.name if compass else ""
     found.measured += [_delay(late, names) for late in lates if late.first == "tracks" and late.stddev < 0.2]
-    has_times = not any(cause.cause == "time_unit" for cause in found.causes)
-    causes, open_ones = clocks.judge(lates, names) if has_times else ([], [])
+    causes, open_ones = ([], []) if found.has("time_unit") else clocks.judge(lates, names)
     path = _path(grid, gyro, fit.bias, log)
     lever = places.lever_of(path, fixes) if fixes is not None else None
     for cause in causes:
@@ -219,7 +225,13 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     thin = thinned(fixes, 0.2)
     all_scales = [scales(path, thin, length, noise) for length in _SEGMENTS]
     best = max((s for s in all_scales if s is not None), key=speeds.worth, default=None)
-    found.add(*speeds.judge(best, log.machine, unit, speeds.distance_of(fixes, grid)))
+    turned = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit
+    is_known = gyro is not None and fit.logs.max() > LEAST_LOG and not found.has("gyro_unit")
+    way = speeds.distance_of(fixes, grid)
+    own, doubts = speeds.judge(best, log.machine, unit, way, turned if is_known else float("nan"))
+    found.add(own, doubts)
+    if any(one.is_wrong for one in doubts):  # an arm is in the unit of the fixes
+        return
     by_delay = max((late.gain for late in lates if late.gain is not None), default=0.0)
     clear = any(late.gain is None and "fixes" in _parties(late, compass, fixes) for late in lates)
     if not causes:

@@ -84,7 +84,9 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
         log = replace(log, tracks=Tracks(t, speeds, angles_of(t, speeds, none)))
     gyros, fixes = [], []
     for gyro in log.gyros:
-        lost = _note(found, gyro.name, "rate about z", gyro.rates[:, 2])
+        lost = np.zeros(len(gyro.t), np.bool_)
+        for axis, name in enumerate("xyz"):
+            lost |= _note(found, gyro.name, f"rate about {name}", gyro.rates[:, axis])
         kept = ~lost
         gyros.append(
             replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept])

@@ -34,6 +34,9 @@ UNITS = {  # speed by the tracks over what it should be
     "cm/s, declared m/s": 1e2,
     "m/s, declared cm/s": 1e-2,
 }
+_FEET = 1.0 / 0.3048  # fixes in feet, declared m
+_USUAL_TURN, _TURN_SPREAD = 0.6, 0.45  # κ of most machines and grounds, spread of its logarithm
+_MOST_TURN, _TURN_NOISE = 1.15, 0.1  # κ that no machine exceeds
 _LEAST_WINDOWS = 5
 _STRAIGHT = 0.9  # chord over path
 _ENOUGH = 20  # straight pieces
@@ -82,6 +85,14 @@ def slip_log(rho: float) -> float:
     return -0.5 * (slip / _AHEAD) ** 2
 
 
+def _turn_log(turned: float) -> float:
+    """Ln density of ln κ; 0 where it is unknown."""
+    if not np.isfinite(turned):
+        return 0.0
+    above = max(turned - _MOST_TURN, 0.0) / _TURN_NOISE
+    return -0.5 * ((float(np.log(turned / _USUAL_TURN)) / _TURN_SPREAD) ** 2 + above**2)
+
+
 def worth(found: Scales) -> tuple[int, int]:
     """How many pieces are straight, and how many there are."""
     return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH), len(found.ratios)
@@ -119,9 +130,12 @@ class Ratios:
 
 
 def judge(
-    found: Scales | None, machine: Machine, factor: float, distance: float
+    found: Scales | None, machine: Machine, factor: float, distance: float, turned: float
 ) -> tuple[list[Cause], list[Undetermined]]:
-    """``factor``: of the unit, undone in ``found`` already; ``distance``: by the fixes, m."""
+    """``factor``: of the unit, undone in ``found`` already; ``distance``: by the fixes, m.
+
+    ``turned``: turn by the gyro over turn by the tracks as recorded, which tells feet from speeds; or nan.
+    """
     if found is None or len(found.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
         needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         return [], [Undetermined("unit of the speeds and rolling radius", needed)]
@@ -142,6 +156,11 @@ def judge(
     holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
     if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
         value = UNITS[best]
+        by_speeds = names[best] + _turn_log(turned * value)
+        if by_speeds < slip_log(whole / _FEET) + _turn_log(turned) + LEAST_LOG:
+            what = f"fixes go {whole:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
+            needed = "measure 10 m by tape and drive them; turn left and right by 90°"
+            return [], [Undetermined(what, needed, is_wrong=True)]
         evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
         remedy = (
             "State the unit in which the speeds are (mapping: left_velocity "
