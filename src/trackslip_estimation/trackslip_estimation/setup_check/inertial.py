@@ -275,13 +275,13 @@ def _unit(
     turn = window_sums(grid, grid.turns)[:, 2]
     scale = scale_of(turn, x, WINDOW)
     name, factor = _unit_of(scale) if np.isfinite(scale) else ("", 1.0)
-    if factor == 1.0:
-        return 1.0, None, []
     by_heading = None if of_heading is None else _scale_of_heading(turn, of_heading)
-    if by_heading is not None:  # which does not slip
+    if by_heading is not None and (factor != 1.0 or _is_scaled(by_heading, scale)):  # headings do not slip
         name, factor = min(UNITS.items(), key=lambda item: abs(np.log(by_heading / item[1])))
         if abs(np.log(by_heading / factor)) > _UNIT_ERROR:
-            return 1.0, None, []
+            name, factor = f"a scale of {by_heading:.3g}", by_heading
+    if factor == 1.0:
+        return 1.0, None, []
     gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
     if turns_of(turn / factor) < LEAST_TURNS:
         return 1.0, None, []
@@ -297,6 +297,12 @@ def _unit(
     )
     cause = Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedies.gyro_scale(gyro, factor))
     return factor, cause, []
+
+
+def _is_scaled(by_heading: float, by_tracks: float) -> bool:
+    """Whether headings ask for another scale, and tracks turn by a share that a machine has with it."""
+    other = abs(float(np.log(by_heading))) > _UNIT_ERROR
+    return other and EFFICIENCY[0] < by_tracks / by_heading < EFFICIENCY[1]
 
 
 def _witness(
