@@ -140,7 +140,7 @@ def hill(*, turns: bool, has_heading: bool) -> Log:
     "name",
     [
         *("healthy", "nose up", "on its side", "diameter for radius", "gyro in deg/s", "gyro sign"),
-        *("gyro axes x and z", "radius too large", "speed in rpm"),
+        *("gyro axes y and z", "gyro axes x and z", "radius too large", "speed in rpm"),
     ],
 )
 def test_pitch_on_a_hill_is_no_turn(name: str, *, turns: bool, has_heading: bool) -> None:
@@ -150,3 +150,42 @@ def test_pitch_on_a_hill_is_no_turn(name: str, *, turns: bool, has_heading: bool
     assert {cause.cause for cause in result.causes} <= own
     if name in ("nose up", "on its side"):  # gravity is along another axis
         assert result.causes
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_fixes_in_feet_are_no_unit_of_speeds(*, has_heading: bool) -> None:
+    log = make_drive(has_heading=has_heading)
+    (one,) = log.fixes
+    result = check(log.with_fixes(replace(one, places=one.places / 0.3048)))
+    assert result.causes == ()
+    (doubt,) = result.open_questions
+    assert "feet" in doubt.what
+    assert "speeds" in doubt.what
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_gyro_of_another_scale_than_the_headings_is_named(factor: float) -> None:
+    log = drive()
+    (gyro,) = log.gyros
+    causes = check(log.with_gyro(replace(gyro, rates=factor * gyro.rates))).causes
+    assert {cause.cause for cause in causes} == {"gyro_unit"}
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_front_and_rear_exchanged_are_no_lever_arm_and_no_offset(*, has_heading: bool) -> None:
+    log = make_drive(has_heading=has_heading, lever=(0.9, 0.5))
+    result = check(log.with_tracks(np.array(((0.0, -1.0), (-1.0, 0.0)))))
+    assert {cause.cause for cause in result.causes} <= {"tracks_swapped", "both_tracks_sign"}
+    assert result.causes or result.undetermined
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize("name", ["x and y", "sign of x", "sign of y"])
+def test_mirrored_fixes_of_a_drive_with_few_turns_are_not_passed_over(
+    name: str, *, has_heading: bool
+) -> None:
+    gentle = ((6.0, 0.0, 0.0), *3 * ((10.0, 0.8, 0.0), (4.0, 0.5, 0.1), (4.0, 0.5, -0.1)))
+    log = make_drive(has_heading=has_heading, programme=gentle, fix_rate=1.0, fix_stddev=0.1)
+    result = check(MISTAKES[name].inject(log))
+    assert {cause.cause for cause in result.causes} <= {"position_sign", "position_axes_swapped"}
+    assert result.causes or any("position" in u.what or "fixes" in u.what for u in result.undetermined)

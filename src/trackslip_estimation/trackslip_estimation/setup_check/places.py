@@ -27,6 +27,9 @@ _EXACT = 0.06  # of the tread, standard deviation of a lever arm that is known
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
 _LEAST_COURSES = 5
+_HALF_TURN = 0.3  # rad from it
+_FRONT = "or front and rear exchanged: tracks swapped, and both counting backwards"
+_AHEAD = "drive 10 m ahead: both tracks must count up"
 _FAR = 5e3  # m from the origin of the map, beyond any site
 _GRID = 1e5  # m: coordinates of a national grid
 _APART = 20.0  # m between sources, all the time
@@ -63,6 +66,10 @@ def judge_lever(path: Path, fixes: Fixes, log: Log, rival: float) -> tuple[list[
         what = f"lever arm of {fixes.name}, or a delay of its stamps"
         return [], [Undetermined(what, "turn on the spot, and stop and start on straights")]
     value = np.array(fixes.lever) + off
+    if np.hypot(*fixes.lever) > _LEAST_LEVER and (np.abs(value + fixes.lever) < allowed + _SURE * sure).all():
+        return [], [
+            Undetermined(f"lever arm of {fixes.name} of the other sign, {_FRONT}", _AHEAD, is_wrong=True)
+        ]
     group = group_of(fixes.name)
     evidence = (
         f"in turns the fixes are those of a sensor at x {value[0]:.2f} ± "
@@ -98,6 +105,9 @@ def judge_offset(
     log_ratio = 0.5 * ((abs(middle) - 0.05) / max(scatter / np.sqrt(len(rest)), 0.02)) ** 2
     if log_ratio < LEAST_LOG:
         return [], [], measured
+    if abs(middle) > np.pi - _HALF_TURN:
+        what = f"heading of {compass.name} off by half a turn, {_FRONT}"
+        return [], [Undetermined(what, _AHEAD, is_wrong=True)], measured
     if compass.of_poses:
         remedy = (
             f"Add {middle:.3f} rad to the headings of {compass.name} where they "
@@ -129,7 +139,8 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
         far = float(np.hypot(*middle))
         steps = np.hypot(*np.diff(places, axis=0).T)
         leaps = np.flatnonzero(steps > 1e3)
-        if 1 <= len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
+        stays = len(leaps) and np.hypot(*(places[leaps[-1] + 1] - places[leaps[0]])) > 1e3
+        if stays and len(leaps) <= 3 and min(leaps[0] + 1, len(places) - leaps[-1] - 1) >= 3:
             evidence = f"fixes leap by {steps[leaps[0]] / 1e3:.1f} km from one to the next, and stay there"
             remedy = (
                 "Give all fixes one datum: in the mapping datum: "
