@@ -166,17 +166,17 @@ def _axis(
     if frozen_share(gyro) > _MOSTLY:
         return gyro, None
     turns = window_sums(grid, grid.turns)
-    gains, units = np.full(3, -np.inf), np.ones(3)
+    gains, units, by_tracks = np.full(3, -np.inf), np.ones(3), np.full(3, -np.inf)
     for axis in range(3):
         if np.isfinite(turns[:, axis]).sum() < 5:
             continue
         scale = scale_of(turns[:, axis], x, WINDOW)
         if np.isfinite(scale) and scale > 0.0:
             units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
-            gains[axis] = float(fit_turns(turns[:, axis], x, WINDOW, units[axis]).logs.max())
+            gains[axis] = by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, units[axis]).logs.max()
             if of_heading is not None:
                 gains[axis] += _heading_gain(turns[:, axis] / units[axis], of_heading)
-    if gains[2] > _LEAST_GAIN or not np.isfinite(gains).any():
+    if by_tracks[2] > _LEAST_GAIN or int(np.argmax(gains)) == 2 or not np.isfinite(gains).any():
         return gyro, None
     best = int(np.argmax(gains)) if gravity is None else int(np.argmax(np.abs(gravity)))
     by_gravity = gravity is not None and best != 2 and bool(np.isfinite(turns[:, best]).sum() >= 5)
