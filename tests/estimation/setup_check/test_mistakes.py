@@ -158,9 +158,9 @@ def test_fixes_in_feet_are_no_unit_of_speeds(*, has_heading: bool) -> None:
     (one,) = log.fixes
     result = check(log.with_fixes(replace(one, places=one.places / 0.3048)))
     assert result.causes == ()
-    (doubt,) = result.open_questions
-    assert "feet" in doubt.what
-    assert "speeds" in doubt.what
+    (question,) = result.open_questions
+    assert "feet" in question.what
+    assert "speeds" in question.what
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])

@@ -172,7 +172,7 @@ def test_gyro_readings_that_show_no_one_ground_leave_what_was_learned(
 def test_as_many_gyro_readings_as_must_agree_show_other_ground(
     drive: Callable[..., Any], confirmations: int
 ) -> None:
-    """Those before weigh little, the last is believed, and κ is at once that of the new ground.
+    """Those before weigh little, the last is accepted, and κ is at once that of the new ground.
 
     Fixes would show that it is the gyro.
     """

@@ -228,9 +228,9 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     turned = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit
     is_known = gyro is not None and fit.logs.max() > LEAST_LOG and not found.has("gyro_unit")
     way = speeds.distance_of(fixes, grid)
-    own, doubts = speeds.judge(best, log.machine, unit, way, turned if is_known else float("nan"))
-    found.add(own, doubts)
-    if any(one.is_wrong for one in doubts):  # an arm is in the unit of the fixes
+    own, open_ones = speeds.judge(best, log.machine, unit, way, turned if is_known else float("nan"))
+    found.add(own, open_ones)
+    if any(one.is_wrong for one in open_ones):  # an arm is in the unit of the fixes
         return
     by_delay = max((late.gain for late in lates if late.gain is not None), default=0.0)
     clear = any(late.gain is None and "fixes" in _parties(late, compass, fixes) for late in lates)

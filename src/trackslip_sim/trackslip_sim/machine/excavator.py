@@ -50,7 +50,7 @@ class InertialUnit:
         self.next_ns = start_ns
 
     def step(self, now_ns: int, powered: bool) -> list[ImuSample]:
-        """Those due by now; none where it has no power, or nobody hears it."""
+        """Those due by now; none where it has no power, or nobody listens."""
         found = []
         while self.next_ns <= now_ns:
             if powered:
