@@ -96,6 +96,20 @@ def test_a_slew_is_no_turn(model: str, filter_: str, encoder: bool) -> None:
     assert np.mean(np.abs(late[:, 1:3]).max(axis=1) < late[:, 5]) > 0.9
 
 
+def test_fixes_above_count_less_only_where_they_follow_each_other_within_the_time_of_their_errors() -> None:
+    parts = [Part(2.0), Part(20.0, 2.0, 2.0)]
+    far = record(parts, Cab(fix_hertz=1.0)).measurements
+    close = record(parts, Cab(fix_hertz=20.0)).measurements
+    assert _last_place(far, 0.1) == pytest.approx(_last_place(far, 0.0), rel=0.01)
+    assert _last_place(close, 5.0) > 1.3 * _last_place(close, 0.0)
+
+
+def _last_place(given: list[Measurement], repeat_time: float) -> float:
+    """Standard deviation of the place at the end, m."""
+    end = estimates(given, of_cab(swing__repeat_time=repeat_time))[-1]
+    return math.sqrt(end.pose_covariance[0, 0])
+
+
 @pytest.mark.parametrize("minutes", [6, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("encoder", [True, False])
 def test_standing_and_slewing_turns_the_undercarriage_by_no_more_than_is_stated(

@@ -101,6 +101,7 @@ def use_weighed(
     if fault == IS_REPEATING:
         _weigh_repeat(again, m, c, update)
         return
+    known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _whiten(state, o.innovation, predicted + R, update)
@@ -114,7 +115,6 @@ def use_weighed(
         predicted = predicted_covariance(P, o.jacobian)
     soften(R, o.innovation, predicted, c.gate_limits[m])
     if kind == POSE:
-        known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
         R *= min(known, shared_error(predicted, R))
         count_fix(state, source, alone, R, c)
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
