@@ -76,6 +76,7 @@ class Filter:
 
     def __init__(self, p: SoilEstimatorParameters = P) -> None:
         self._state, self._numbers = new_dynamics(p.dynamics), make_config(p)
+        self.load = level_load(VEHICLE)
 
     @property
     def mu(self) -> np.ndarray:
@@ -89,7 +90,7 @@ class Filter:
         tracks, covariance = np.array((0.0, twist[2])), stddev**2 * np.eye(3)
         moment = Sample(0.01, tracks, twist, covariance, forces, np.full(2, 100.0), motion)
         sample, thrust = moment.records()
-        step(self._state[0], sample[0], thrust[0], level_load(VEHICLE)[0], self._numbers[0])
+        step(self._state[0], sample[0], thrust[0], self.load[0], self._numbers[0])
 
 
 def steady(
@@ -115,6 +116,21 @@ def test_steady_motion_gives_the_closed_forms() -> None:
 def test_reverse_is_resisted_forwards() -> None:
     backwards = steady((-1000.0, -1000.0), Motion.STRAIGHT, (-0.3, 0.0, 0.0), 30.0)
     assert backwards.mu[0] == pytest.approx(2000.0 / VEHICLE.weight, rel=1e-3)
+
+
+def test_resistance_is_held_while_a_machine_on_a_slope_may_stand() -> None:
+    """Its tracks spin and hold it; a twist that says by two standard deviations that it slides is no proof."""
+    pull, mu_r = -0.2 * VEHICLE.weight, 0.3
+    dynamics = Filter()
+    dynamics.load["pull"] = pull
+    climbing = np.full(2, (mu_r * VEHICLE.weight - pull) / 2.0)
+    for _ in range(1000):
+        dynamics.step(Motion.STRAIGHT, np.array((0.3, 0.0, 0.0)), climbing, 1e-3)
+    known = dynamics.mu[0]
+    assert known == pytest.approx(mu_r, rel=0.01)
+    for _ in range(200):
+        dynamics.step(Motion.STRAIGHT, np.array((-0.06, 0.0, 0.0)), np.full(2, -pull / 2.0), 0.03)
+    assert dynamics.mu[0] == pytest.approx(known, abs=0.01)
 
 
 def test_an_uncertain_inertia_shows_while_the_turn_begins() -> None:
