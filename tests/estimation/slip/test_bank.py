@@ -153,6 +153,46 @@ def test_a_first_fix_that_is_an_outlier_is_found_by_the_next_ones() -> None:
     assert error[error.size // 6 :].max() < 0.1
 
 
+@pytest.mark.parametrize("far", [8.0, 50.0, 500.0, 5000.0])
+@pytest.mark.parametrize("knows_heading", [True, False])
+def test_a_first_fix_that_is_far_off_is_forgotten_within_four_fixes(far: float, knows_heading: bool) -> None:
+    recording = drive(Machine(duration=20.0, fix_noise=0.03, fix_stated=0.03))
+    given = changed(recording, lambda m, t: moved(m, far, 0.0) if t < 0.1 else m)
+    p = parameters(initial_yaw_stddev=0.05 if knows_heading else 0.0, **GNSS)
+    error, nees, _ = errors(given, recording, p)
+    assert error[150:].max() < 0.3  # 3 s at 50 Hz
+    assert np.mean(nees[150:] > 13.8) < 0.05
+
+
+@pytest.mark.parametrize("far", [50.0, 1000.0])
+def test_a_machine_that_was_moved_is_found_however_far(far: float) -> None:
+    recording = drive(Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+    given = changed(recording, lambda m, t: moved(m, far, 0.0) if t >= 20.0 else m)
+    there = recording._replace(poses=recording.poses + np.where(recording.t[:, None] >= 20.0, (far, 0, 0), 0))
+    error, nees, _ = errors(given, there, parameters(**GNSS))
+    times = np.linspace(0.0, 60.0, len(error))
+    assert error[times > 50.0].max() < 0.2
+    assert np.mean(nees[times > 21.0] > 13.8) < 0.02  # until then both explanations are in the covariance
+
+
+def test_a_machine_that_was_moved_while_its_fixes_scattered_is_found_again() -> None:
+    recording, random = (
+        drive(Machine(duration=70.0, fix_noise=0.03, fix_stated=0.03)),
+        np.random.default_rng(0),
+    )
+
+    def change(m: PoseFix, t: float) -> PoseFix:
+        east, north = random.uniform(-300.0, 300.0, 2) if 20.0 <= t < 25.0 else (0.0, 0.0)
+        return moved(m, (300.0 if t >= 20.0 else 0.0) + east, north)
+
+    there = recording._replace(
+        poses=recording.poses + np.where(recording.t[:, None] >= 20.0, (300.0, 0, 0), 0)
+    )
+    error, _, estimator = errors(changed(recording, change), there, parameters(**GNSS))
+    assert Event.SCATTERS in events(estimator)
+    assert error[-100:].max() < 0.2
+
+
 def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_two_seconds() -> None:
     """0.25 m aside within a second: the receiver was called off for ten seconds, and the fixes not used."""
     recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=5))

@@ -209,6 +209,12 @@ def latest_pose_source(state: State, c: Config) -> int:
 
 
 @compiled
+def reach(squared: float) -> float:
+    """Standard deviation of a place of which nothing is known but that it may be ``squared`` m² away, m."""
+    return math.sqrt(max(AREA / (2.0 * math.pi), squared))
+
+
+@compiled
 def sector(part: int) -> tuple[float, float]:
     """Angle of a share of the circle from its first, rad, and variance inside it, rad²."""
     return 2.0 * math.pi * part / HEADINGS, (math.pi / HEADINGS) ** 2 / 2.0
@@ -218,8 +224,8 @@ def sector(part: int) -> tuple[float, float]:
 def apply_event(state: State, event: int, source: int, part: int, value: float, c: Config) -> int:
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
-    ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a skid
-    ``value`` is its standard deviation, m.
+    ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a
+    skid, of fixes that are off and of a machine that was moved ``value`` is the standard deviation, m.
     """
     x, P, renewed = state.mean[: c.size], state.covariance[:], 0
     _assume(state, event, source)
@@ -265,6 +271,8 @@ def _assume(state: State, event: int, source: int) -> None:
         state.adaptation.fix_log_weights[source] = 1e-9
     elif event == MOVED:
         state.rests_on = source
+        if state.fault[source] == IS_SCATTERING:
+            state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
     elif event in (REPEATS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
         state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
         if event == REPEATS:
@@ -291,7 +299,7 @@ def _set_opened(
     elif event in (OFFSET, SOUND, FOLDED) and own >= 0:
         number, usual, any_ = number_of(source, c), 0.0, math.pi**2 / 3.0
         if number >= 0:
-            usual, any_ = usual_variance(state, source, c), AREA / (2.0 * math.pi)
+            usual, any_ = usual_variance(state, source, c), value * value
             state.offsets[number].variance = 0.0 if event == OFFSET else usual
         count = 1 if number < 0 else 2
         for i in range(count):
@@ -299,7 +307,7 @@ def _set_opened(
     elif event == MOVED:
         count = 2
         for i in (X, Y):
-            states[i], means[i], variances[i] = i, x[i], AREA / (2.0 * math.pi)
+            states[i], means[i], variances[i] = i, x[i], value * value
     elif event == TURNED:
         turn, variance = sector(part) if part != MEASURED else (0.0, (math.pi / HEADINGS) ** 2)
         about, state.is_sector = source, part != MEASURED

@@ -215,7 +215,7 @@ def _weigh(
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
     alone = not stands_still(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
-        update.evidence, update.outcome = _density_of_scatter(measurement.kind, m, c), _GATED
+        update.evidence, update.outcome = _density_of_scatter(measurement.kind, o.innovation, c), _GATED
         return R, False, alone
     density = density_of_one(L, o.innovation)
     if not coarse:
@@ -267,13 +267,19 @@ def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray, c: Con
 
 
 @compiled
-def _density_of_scatter(kind: int, m: int, c: Config) -> float:
-    """ln of the density of a measurement of a source that scatters: any place of an area, angle or speed."""
+def _density_of_scatter(kind: int, innovation: FloatArray, c: Config) -> float:
+    """ln of the density of a measurement of a source that scatters: any place, angle or speed.
+
+    Places are those of an area; farther ones err by any size.
+    """
+    m = innovation.size
     if kind == VELOCITY:
         return -math.log(math.pi * c.unknown_speed**2 if m > 1 else 2.0 * c.unknown_speed)
     if kind != POSE:
         return -_LOG_TURN
-    return -math.log(AREA) - (_LOG_TURN if m > YAW else 0.0)
+    squared = innovation[X] ** 2 + innovation[Y] ** 2
+    place = log_density_of_any_size(squared, c) if squared > AREA else -math.log(AREA)
+    return place - (_LOG_TURN if m > YAW else 0.0)
 
 
 @compiled

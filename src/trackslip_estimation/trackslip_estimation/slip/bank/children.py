@@ -16,7 +16,6 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.pool import to_pool, update_of
 from trackslip_estimation.slip.bank.script import remember
 from trackslip_estimation.slip.events import (
-    AREA,
     BIASED,
     FOLDED,
     HEADINGS,
@@ -43,6 +42,7 @@ from trackslip_estimation.slip.events import (
     apply_event,
     is_steep,
     log_rate,
+    reach,
     wanders,
 )
 from trackslip_estimation.slip.measurements import Outcome
@@ -67,7 +67,7 @@ from trackslip_estimation.slip.window import POOL, Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import State
+    from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _ANY_SHARE = math.log(HEADINGS)
 
@@ -186,7 +186,12 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k, c)
     contradicts = _contradicts(window, p, k, c)
     if fault == IS_SCATTERING:
-        _child(window, p, k, SOUND, source, 0, False, now + log_rate(SOUND, source, c), c)
+        ended = now + log_rate(SOUND, source, c)
+        _child(window, p, k, SOUND, source, 0, False, ended, c)
+        if m.kind == POSE:  # nobody saw meanwhile whether the machine was moved
+            scattered = math.log(max((m.stamp_ns - before.fault_ns[source]) * 1e-9, c.bank.shortest_time))
+            moved = scattered + log_rate(MOVED, source, c) + _log_any_size(m, before, c)
+            _child(window, p, k, MOVED, source, 0, False, ended + moved, c)
         return
     if fault != IS_SOUND and (contradicts or wanders(before, source, c)):
         _child(window, p, k, SOUND, source, 0, False, now + log_rate(SOUND, source, c), c)
@@ -243,20 +248,34 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
     """Children in which the source, or the machine, jumped just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, now = m.source, _log_time(window, p, k, c)
-    squared = (m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2
-    size = math.log(AREA) + log_density_of_any_size(max(squared, c.bank.least_jump**2), c)
+    size = _log_any_size(m, before, c)
     if before.fault[source] == IS_SOUND:
         if update.outcome != _GATED:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
-        _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
-        _child(window, p, k, OFFSET, source, 0, False, now + size + log_rate(OFFSET, source, c), c)
+        if before.rests_on != source:
+            _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
+            _child(window, p, k, OFFSET, source, 0, False, now + size + log_rate(OFFSET, source, c), c)
     moved = now + log_rate(MOVED, source, c)
-    if before.rests_on == source:  # that fix may have been an outlier
+    if before.rests_on == source:  # on one fix, which is as likely to be the outlier as this one
         moved = max(moved, math.log(before.outlier_share[source]))
     _child(window, p, k, MOVED, source, 0, False, size + moved, c)
     if _driven_since(window, p, k) > c.bank.least_driven and update.stated <= c.events.skid_stddev:
         prior = now + log_rate(SKIDDED, source, c) - _correlated_penalty(window, p, k, c)
         _child(window, p, k, SKIDDED, source, 0, False, prior, c)
+
+
+@compiled
+def _log_any_size(m: MeasurementRecord, before: State, c: Config) -> float:
+    """ln of the density of a jump of any size to a fix, over that of the place that the event opens."""
+    squared = _squared_jump(m, before)
+    any_size = log_density_of_any_size(max(squared, c.bank.least_jump**2), c)
+    return any_size + math.log(2.0 * math.pi * reach(squared) ** 2)
+
+
+@compiled
+def _squared_jump(m: MeasurementRecord, before: State) -> float:
+    """Squared distance of a fix from where the machine was before it, m²."""
+    return float((m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2)
 
 
 @compiled
@@ -370,6 +389,8 @@ def _child(
     value = m.value[0]
     if event == SKIDDED:
         value = c.events.skid_share * _driven_since(window, p, k)
+    elif m.kind == POSE and event in (OFFSET, MOVED):
+        value = reach(_squared_jump(m, window.states[p, k - 1]))
     remember(branch, event, source, part, value, m, window.measurements[first], 0)
     update.opened = event
     update.renewed = apply_event(state, event, source, part, value, c)
