@@ -99,7 +99,10 @@ def use_weighed(
     predicted = predicted_covariance(P, o.jacobian)
     outside = _density_of_outlier(kind, o, predicted, c)
     if fault == IS_REPEATING:
-        _weigh_repeat(again, m, c, update)
+        if state.held_count[source] > 0:
+            _weigh_stay(state, measurement, o.noise, c, update)
+        else:
+            _weigh_repeat(again, m, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
@@ -291,6 +294,24 @@ def _weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
     heading = _LOG_TURN if m > YAW else 0.0
     update.evidence = -(squared + 4.0 * math.log(c.bank.repeat_stddev)) / 2.0 - _LOG_TURN - heading
     update.outcome = _GATED
+
+
+@compiled
+def _weigh_stay(
+    state: State, measurement: MeasurementRecord, R: FloatArray, c: Config, update: Update
+) -> None:
+    """Evidence of a source whose fixes, of covariance R (m, m), stay where they were but for their noise."""
+    source, m = measurement.source, len(R)
+    held, noise = state.held[source], R[:YAW, :YAW].copy()
+    off, unknown = measurement.value[:YAW] - held, noise / state.held_count[source]
+    update.dof, update.gate = YAW, c.gate_limits[YAW]
+    update.nis = weighted_square(root(unknown + noise), off)
+    heading = _LOG_TURN if m > YAW else 0.0
+    update.evidence = density_of_fix(state.adaptation, source, off, unknown, noise, c) - heading
+    update.outcome = _GATED
+    state.held_count[source] += 1
+    for axis in (X, Y):
+        held[axis] += off[axis] / state.held_count[source]
 
 
 @compiled

@@ -34,6 +34,7 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     SOUND,
+    STAYS,
     STRAYS,
     SWUNG,
     TURNED,
@@ -299,6 +300,8 @@ def _have_earlier_children(
             )
     if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
+        if drove:
+            _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
     if before.fault[source] != IS_REPEATING and update.coarse == 0:
