@@ -33,13 +33,18 @@ from trackslip_estimation.slip.adaptation import (
 )
 from trackslip_estimation.slip.correlated_errors import is_coarse, student_inflation
 from trackslip_estimation.slip.events import (
-    AREA,
     IS_IGNORED,
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
     IS_SOUND,
     latest_pose_source,
+)
+from trackslip_estimation.slip.faulty_sources import (
+    density_of_outlier,
+    density_of_scatter,
+    weigh_repeat,
+    weigh_stay,
 )
 from trackslip_estimation.slip.levers import lever, turn_about
 from trackslip_estimation.slip.measurements import Outcome
@@ -72,12 +77,6 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 _LOG_TURN = math.log(2.0 * math.pi)
 
 
-@compiled
-def log_density_of_any_size(squared: float, c: Config) -> float:
-    """ln of the density of a place (2,) that errs by ``squared`` m², any logarithm of which is as likely."""
-    return -math.log(2.0 * math.pi * c.bank.outlier_sizes * squared)
-
-
 @inlined
 def use_weighed(
     state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
@@ -97,12 +96,12 @@ def use_weighed(
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
-    outside = _density_of_outlier(kind, o, predicted, c)
+    outside = density_of_outlier(kind, o, predicted, c)
     if fault == IS_REPEATING:
         if state.held_count[source] > 0:
-            _weigh_stay(state, measurement, o.noise, c, update)
+            weigh_stay(state, measurement, o.noise, c, update)
         else:
-            _weigh_repeat(again, m, c, update)
+            weigh_repeat(again, m, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
@@ -218,7 +217,7 @@ def _weigh(
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
     alone = not stands_still(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
-        update.evidence, update.outcome = _density_of_scatter(measurement.kind, o.innovation, c), _GATED
+        update.evidence, update.outcome = density_of_scatter(measurement.kind, o.innovation, c), _GATED
         return R, False, alone
     density = density_of_one(L, o.innovation)
     if not coarse:
@@ -253,65 +252,6 @@ def _compare_with_last(state: State, measurement: MeasurementRecord, update: Upd
     update.repeated = 1 if z[X] == last[X] and z[Y] == last[Y] else 0
     last[X], last[Y] = z[X], z[Y]
     return float(again)
-
-
-@compiled
-def _density_of_outlier(kind: int, o: Observation, predicted: FloatArray, c: Config) -> float:
-    """ln of the density of an outlier: any angle, or a place or a velocity off by no less than expected."""
-    if kind not in (POSE, VELOCITY):
-        return -_LOG_TURN
-    squared, expected, m = 0.0, 0.0, o.innovation.size
-    for axis in range(min(m, YAW)):
-        squared += o.innovation[axis] ** 2
-        expected += predicted[axis, axis] + o.noise[axis, axis]
-    if m == 1:
-        return -math.log(2.0 * c.bank.outlier_sizes * math.sqrt(max(squared, expected)))
-    return log_density_of_any_size(max(squared, expected), c) - (_LOG_TURN if m > YAW else 0.0)
-
-
-@compiled
-def _density_of_scatter(kind: int, innovation: FloatArray, c: Config) -> float:
-    """ln of the density of a measurement of a source that scatters: any place, angle or speed.
-
-    Places are those of an area; farther ones err by any size.
-    """
-    m = innovation.size
-    if kind == VELOCITY:
-        return -math.log(math.pi * c.unknown_speed**2 if m > 1 else 2.0 * c.unknown_speed)
-    if kind != POSE:
-        return -_LOG_TURN
-    squared = innovation[X] ** 2 + innovation[Y] ** 2
-    place = log_density_of_any_size(squared, c) if squared > AREA else -math.log(AREA)
-    return place - (_LOG_TURN if m > YAW else 0.0)
-
-
-@compiled
-def _weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
-    """Evidence of a source that repeats itself, by the squared distance to its fix before."""
-    limit = c.gate_limits[YAW]
-    update.dof, update.gate, update.nis = YAW, limit, again / c.bank.repeat_stddev**2
-    squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
-    heading = _LOG_TURN if m > YAW else 0.0
-    update.evidence = -(squared + 4.0 * math.log(c.bank.repeat_stddev)) / 2.0 - _LOG_TURN - heading
-    update.outcome = _GATED
-
-
-@compiled
-def _weigh_stay(
-    state: State, measurement: MeasurementRecord, R: FloatArray, c: Config, update: Update
-) -> None:
-    """Evidence of a source whose fixes, of covariance R (m, m), stay where they were but for their noise."""
-    source, m = measurement.source, len(R)
-    held, noise = state.held[source], R[:YAW, :YAW].copy()
-    off, unknown = measurement.value[:YAW] - held, noise / state.held_count[source]
-    update.dof, update.gate = YAW, c.gate_limits[YAW]
-    update.nis = weighted_square(root(unknown + noise), off)
-    heading = _LOG_TURN if m > YAW else 0.0
-    update.evidence = density_of_fix(state.adaptation, source, off, unknown, noise, c) - heading
-    update.outcome = _GATED
-    state.held_count[source] += 1
-    for axis in (X, Y):
-        held[axis] += off[axis] / state.held_count[source]
 
 
 @compiled

@@ -46,6 +46,7 @@ from trackslip_estimation.slip.events import (
     reach,
     wanders,
 )
+from trackslip_estimation.slip.faulty_sources import log_density_of_any_size
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -63,7 +64,6 @@ from trackslip_estimation.slip.records import (
     TRACKS,
     VELOCITY,
 )
-from trackslip_estimation.slip.weighing import log_density_of_any_size
 from trackslip_estimation.slip.window import POOL, Window
 
 if TYPE_CHECKING:
