@@ -300,8 +300,6 @@ def _have_earlier_children(
             )
     if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
-        if drove:
-            _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
     if before.fault[source] != IS_REPEATING and update.coarse == 0:
@@ -317,14 +315,22 @@ def _have_earlier_children(
 
 @compiled
 def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
-    """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time.
+    """Children in which sprockets, gyros or fixes have not shown the motion; ``since``: ln of the time.
 
     While the heading is unknown nothing tells them from it.
     """
-    before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
+    m, before, strays = window.measurements[k], window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
     is_unknown = before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2
     if is_unknown or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
+    drove = _driven_since(window, p, k) > c.bank.least_driven
+    if (
+        drove
+        and m.kind == POSE
+        and before.fault[m.source] == IS_SOUND
+        and update_of(window, p, k).coarse == 0
+    ):
+        _child(window, p, k, STAYS, m.source, 0, True, since + log_rate(STAYS, m.source, c), c)
     if before.fault[TRACKS] == IS_SOUND:
         _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
     if before.fault[GYROS] == IS_SOUND and c.gyros > 0:
