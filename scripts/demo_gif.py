@@ -3,6 +3,7 @@
 """The demo's drive as a moving picture: the machine on the map, its slips as they are estimated."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,7 +14,8 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Kinematics
-from trackslip_sim.demo.results import DemoResult
+from trackslip_tools.replay.dead_reckoning import Path as Reckoned
+from trackslip_tools.replay.series import Series
 
 FloatArray = NDArray[np.float64]
 
@@ -24,14 +26,23 @@ ESTIMATE, TRUTH, ENCODERS = "#0072b2", "#222222", "#d55e00"
 RANGE = (-0.05, 0.2)  # of the axis of slips
 
 
-def animate(result: DemoResult, kinematics: Kinematics, file: Path) -> None:
+class Run(NamedTuple):
+    """A drive as it was estimated, with its truth."""
+
+    estimates: Series  # pose, slips, slip_covariance
+    truth: Series  # x, y
+    true_slips: Series
+    encoders: Reckoned  # alone
+
+
+def animate(run: Run, kinematics: Kinematics, file: Path) -> None:
     """Write the drive as GIF: the path with each track coloured by its slip, and the slips."""
-    start, end = int(result.odometry.stamps_ns[0]), int(result.odometry.stamps_ns[-1])
+    start, end = int(run.estimates.stamps_ns[0]), int(run.estimates.stamps_ns[-1])
     moments = np.linspace(start, end, FRAMES).astype(np.int64)
     figure = plt.figure(figsize=(8.4, 3.6), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
-    path = _Map(figure.add_subplot(grid[:, 0]), result, kinematics)
-    slips = [_Slip(figure.add_subplot(grid[row, 1]), result, row) for row in (0, 1)]
+    path = _Map(figure.add_subplot(grid[:, 0]), run, kinematics)
+    slips = [_Slip(figure.add_subplot(grid[row, 1]), run, row) for row in (0, 1)]
     slips[1].axes.set_xlabel("time, s")
 
     def draw(frame: int) -> None:
@@ -47,11 +58,11 @@ def animate(result: DemoResult, kinematics: Kinematics, file: Path) -> None:
 class _Map:
     """Paths up to a moment, and the machine."""
 
-    def __init__(self, axes: Axes, result: DemoResult, kinematics: Kinematics) -> None:
-        self.result, self.kinematics = result, kinematics
-        self.truth, self.encoders = result.truth, result.paths["dead_reckoning"]
-        both = np.concatenate((self.truth.poses[:, :2], self.encoders.poses[:, :2]))
-        axes.plot(*self.truth.poses[:, :2].T, color="0.85", lw=1.0)
+    def __init__(self, axes: Axes, run: Run, kinematics: Kinematics) -> None:
+        self.run, self.kinematics = run, kinematics
+        self.truth = run.truth.columns("x", "y")
+        both = np.concatenate((self.truth, run.encoders.poses[:, :2]))
+        axes.plot(*self.truth.T, color="0.85", lw=1.0)
         (self.ran,) = axes.plot([], [], color=ENCODERS, lw=1.2, ls="--", label="encoders alone")
         (self.true,) = axes.plot([], [], color=TRUTH, lw=2.5, label="truth")
         (self.found,) = axes.plot([], [], color=ESTIMATE, lw=1.2, label="estimate")
@@ -62,14 +73,15 @@ class _Map:
         axes.legend(loc="lower left", fontsize="small")
 
     def draw(self, now: int) -> None:
-        odometry = self.result.odometry
+        estimates = self.run.estimates
         for line, stamps, points in (
-            (self.ran, self.encoders.stamps_ns, self.encoders.poses),
-            (self.true, self.truth.stamps_ns, self.truth.poses),
-            (self.found, odometry.stamps_ns, odometry.columns("x", "y")),
+            (self.ran, self.run.encoders.stamps_ns, self.run.encoders.poses),
+            (self.true, self.run.truth.stamps_ns, self.truth),
+            (self.found, estimates.stamps_ns, estimates["pose"]),
         ):
             line.set_data(*points[: int(np.searchsorted(stamps, now, "right")), :2].T)
-        x, y, yaw = self.result.paths["filter"].at(np.array([now]))[0]
+        row = min(int(np.searchsorted(estimates.stamps_ns, now)), len(estimates) - 1)
+        x, y, yaw = estimates["pose"][row]
         half = self.kinematics.contact_length / 2.0
         for side, (track, sign) in enumerate(zip(self.tracks, (1.0, -1.0), strict=True)):
             middle = sign * self.kinematics.tread / 2.0
@@ -78,20 +90,20 @@ class _Map:
             )
             turned = corners @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
             track.set_xy(turned + np.array((x, y)))
-            track.set_facecolor(colormaps["YlOrRd"](min(1.0, abs(_slip_at(self.result, side, now)) / MOST)))
+            track.set_facecolor(colormaps["YlOrRd"](min(1.0, abs(estimates["slips"][row, side]) / MOST)))
 
 
 class _Slip:
     """Slip of one track up to a moment, with two standard deviations."""
 
-    def __init__(self, axes: Axes, result: DemoResult, side: int) -> None:
-        self.axes, self.start = axes, int(result.truth.stamps_ns[0])
+    def __init__(self, axes: Axes, run: Run, side: int) -> None:
+        self.axes, self.start = axes, int(run.truth.stamps_ns[0])
         name = ("left_slip", "right_slip")[side]
-        self.t = (result.slips.stamps_ns - self.start) * 1e-9
-        self.slip = np.asarray(result.slips[name])
-        self.sigma = np.sqrt(result.slips["covariance"][:, side, side])
-        self.true_t = (result.true_slips.stamps_ns - self.start) * 1e-9
-        self.true = np.asarray(result.true_slips[name])
+        self.t = (run.estimates.stamps_ns - self.start) * 1e-9
+        self.slip = run.estimates["slips"][:, side]
+        self.sigma = np.sqrt(run.estimates["slip_covariance"][:, side, side])
+        self.true_t = (run.true_slips.stamps_ns - self.start) * 1e-9
+        self.true = np.asarray(run.true_slips[name])
         (self.truth,) = axes.plot([], [], color=TRUTH, lw=1.5, label="truth")
         (self.line,) = axes.plot([], [], color=ESTIMATE, lw=1.2, label="estimate, ±2σ")
         self.band = axes.fill_between([0.0], [0.0], [0.0], color=ESTIMATE, alpha=0.2, lw=0.0)
@@ -108,8 +120,3 @@ class _Slip:
         self.band.remove()
         low, high = self.slip[:n] - 2.0 * self.sigma[:n], self.slip[:n] + 2.0 * self.sigma[:n]
         self.band = self.axes.fill_between(self.t[:n], low, high, color=ESTIMATE, alpha=0.2, lw=0.0)
-
-
-def _slip_at(result: DemoResult, side: int, now: int) -> float:
-    n = int(np.searchsorted(result.slips.stamps_ns, now))
-    return float(result.slips[("left_slip", "right_slip")[side]][min(n, len(result.slips) - 1)])

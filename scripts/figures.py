@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the figures of the thesis and the pictures of the demo into docs/figures (``make figures``)."""
+"""Draws the figures of the thesis and the picture of the demo into docs/figures (``make figures``)."""
 
 from __future__ import annotations
 
 import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from heapq import merge
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,16 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from demo_gif import animate
+from demo_gif import Run, animate
+from trackslip_bags.input_filters import InputFilters
+from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.soils import Soil, load_soils
+from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_estimation.terramechanics.domain import FloatArray
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
 from trackslip_estimation.terramechanics.strength import thrust_limit
@@ -33,9 +35,7 @@ from trackslip_estimation.terramechanics.turning import (
     moment_with_centrifugal_force,
     triangular_moment,
 )
-from trackslip_sim.demo.picture import draw
 from trackslip_sim.demo.plots import COLOURS, DASHES, STYLE, label, panels, save
-from trackslip_sim.demo.results import evaluate
 from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import load_emulator_parameters
@@ -44,12 +44,14 @@ from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
-from trackslip_tools.cli.main import main as cli
+from trackslip_tools.replay.growing import GrowingRows
+from trackslip_tools.replay.run import replay
+from trackslip_tools.replay.scoring import in_order
+from trackslip_tools.replay.series import Series
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 FAST_TURN = 1.37  # rad/s, one track braked
-_JOURNAL = "/measurement_reports"
 NORMAL_MU_L = (0.5, 1.3)
 DEMO_SCENARIO, DEMO_SOIL, DEMO_DURATION = "thesis", "sand", 40.0  # s; what make demo does by default
 
@@ -202,34 +204,28 @@ FIGURES: Mapping[str, Callable[[Vehicle], Figure]] = {
 
 
 def draw_demo(output: Path) -> None:
-    """The pictures of ``make demo``, of the same drive without its graph: no host is too busy for it.
-
-    Raises:
-        RuntimeError: the drive gave no estimates.
-    """
+    """The moving picture of what ``make demo`` drives, without its graph: no host is too busy for it."""
     p = load_emulator_parameters({"duration": DEMO_DURATION, "scenario": DEMO_SCENARIO, "soil": DEMO_SOIL})
+    estimates = GrowingRows(ESTIMATE)
     with tempfile.TemporaryDirectory() as folder:
-        sensed, estimated, whole = (Path(folder) / name for name in ("sensed", "estimated", "whole"))
-        record_drive(p, drive(p), sensed)
-        cli(["replay", str(sensed), "--output", str(estimated)])
-        with open_bag(sensed) as inputs, open_bag(estimated) as estimates, BagWriter(whole) as bag:
-            live = (each for each in estimates.messages() if each.topic != _JOURNAL)  # it is by stamps there
-            for message in merge(inputs.messages(), live, key=lambda m: m.log_time_ns):
-                bag.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-        with open_bag(whole) as bag:
-            result = evaluate(bag, {}, {}, START_NS + round(p.lead_in * 1e9))
-    if result is None or result.soil is None:
-        raise RuntimeError(f"{DEMO_SCENARIO} on {DEMO_SOIL}: no estimates of motion or soil")
-    draw(result, f"{result.vehicle}: {DEMO_SCENARIO}, {DEMO_SOIL}, {DEMO_DURATION:g} s", output / "demo.png")
-    animate(result, load_vehicle().kinematics, output / "demo.gif")
-    print(output / "demo.png", output / "demo.gif", sep="\n")
+        record_drive(p, drive(p), path := Path(folder) / "demo")
+        with open_bag(path) as bag:
+            estimator = load_slip_parameters(bag_parameters(bag))
+            collect = lambda part: estimates.add(part.estimates)  # noqa: E731
+            result = replay(bag, estimator, InputFilters(), TRUE_ODOMETRY, None, collect)
+    start_ns = START_NS + round(p.lead_in * 1e9)
+    driven = {name: series.since(start_ns) for name, series in result.series.items()}
+    found = Series(in_order(estimates.rows())).since(start_ns)
+    run = Run(found, driven[TRUE_ODOMETRY], driven[TRUE_SLIP], result.paths["dead_reckoning"])
+    animate(run, load_vehicle().kinematics, output / "demo.gif")
+    print(output / "demo.gif")
 
 
 def main() -> None:
-    """Draw all figures, or the demo's pictures alone."""
+    """Draw all figures, or the demo's picture alone."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the PNG files")
-    parser.add_argument("--demo", action="store_true", help="the demo's pictures alone")
+    parser.add_argument("--demo", action="store_true", help="the demo's picture alone")
     options = parser.parse_args()
     output: Path = options.output
     output.mkdir(parents=True, exist_ok=True)

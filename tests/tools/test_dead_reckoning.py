@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
-from trackslip_tools.replay.dead_reckoning import DrivenCollector, Path, dead_reckon
+from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
 
 MS = 1_000_000
 EPOCH_NS = 1_700_000_000_000_000_000  # where float seconds are 240 ns apart
@@ -38,12 +38,13 @@ def reckoned(
     sprockets: list[Sprockets], start_ns: int, start: NDArray[np.float64], gyro: list[YawRate] | None = None
 ) -> Path:
     """From measurements that come in two batches, those of the gyro last."""
-    collector = DrivenCollector()
+    reckoner = DeadReckoner(vehicle(), with_gyro=gyro is not None)
     for batch in (sprockets[: len(sprockets) // 2], [*sprockets[len(sprockets) // 2 :], *(gyro or ())]):
-        collector.add(rows_of([(0, m) for m in batch], ("sprockets", "imu")))
-    driven = collector.sprockets()
-    assert driven is not None
-    return dead_reckon(vehicle(), driven, start_ns, start, collector.gyro())
+        reckoner.add(rows_of([(0, m) for m in batch], ("sprockets", "imu")))
+    reckoner.begin(start_ns, start)
+    path = reckoner.advance(whole=True)
+    assert path is not None
+    return path
 
 
 @pytest.mark.parametrize("positions", [True, False])
@@ -134,8 +135,3 @@ def test_what_is_not_finite_is_left_out() -> None:
     path = reckoned([*samples(0.0, 0.0, 1.0), bad], EPOCH_NS, ORIGIN, gyro)
     assert len(path.stamps_ns) == 101
     assert path.poses[-1, 2] == pytest.approx(0.3)
-
-
-def test_without_sprockets_or_gyro_there_is_nothing_to_drive_by() -> None:
-    assert DrivenCollector().sprockets() is None
-    assert DrivenCollector().gyro() is None

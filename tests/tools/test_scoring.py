@@ -18,7 +18,7 @@ from trackslip_tools.replay.scoring import (
     moving_slips,
     path_of,
     score,
-    slip_rmse,
+    slip_errors,
 )
 from trackslip_tools.replay.series import Series, series_of
 
@@ -152,8 +152,8 @@ def slips(stamps_ns: Any, left: Any, right: Any) -> Series:
 def test_slips_are_compared_between_samples_left_and_right_together() -> None:
     own = slips(stamps(0, 100), (0.0, 0.2), (0.0, 0.1))
     true = slips(stamps(-50, 50, 100), (9.0, 0.1, 0.5), (9.0, 0.05, 0.5))
-    assert slip_rmse(own, true) == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 4.0))
-    assert slip_rmse(own, slips(stamps(200), (0.0,), (0.0,))) is None
+    np.testing.assert_allclose(slip_errors(own, true), (0.0, -0.3, 0.0, -0.4), atol=1e-12)
+    assert not slip_errors(own, slips(stamps(200), (0.0,), (0.0,))).size
 
 
 def test_slips_are_scored_only_where_a_track_moves() -> None:
@@ -180,7 +180,7 @@ def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
     np.testing.assert_array_equal(kept["left_slip"], (np.nan, left[2]))
     np.testing.assert_array_equal(kept["right_slip"], right[[0, 2]])
     own = slips(stamps(0, 200), (0.0, left[2] + 0.03), (right[0] + 0.03, right[2]))
-    assert slip_rmse(own, kept) == pytest.approx(0.03 * math.sqrt(2.0 / 3.0))
+    np.testing.assert_allclose(slip_errors(own, kept), (0.03, 0.03, 0.0), atol=1e-12)
 
 
 # The covariance of the reference

@@ -5,6 +5,8 @@
 Each drive is recorded faster than real time and replayed three times: as it is, with the laser silent for
 half a minute, and with laser and gyro silent. What is withheld comes back at the end, unscored.
 
+Errors are those of ``trackslip replay``, over the whole bag.
+
 e       distance of the estimated position from the true one        m
 e_φ     error of the heading                                        rad
 e_i     error of the slip of each driven track, while turning       1
@@ -18,27 +20,25 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode
-from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
+from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_sim.machine.excavator import drive
-from trackslip_sim.machine.offline import START_NS, record_drive
-from trackslip_sim.parameters import EmulatorParameters, load_emulator_parameters
-from trackslip_sim.truth.record import Truth
-from trackslip_tools.replay.dead_reckoning import DrivenCollector, dead_reckon
+from trackslip_sim.machine.offline import record_drive
+from trackslip_sim.parameters import load_emulator_parameters
+from trackslip_tools.replay.parts import Part
+from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.scoring import MOVING, in_order
-from trackslip_tools.replay.whole_inputs import read_inputs
-
-FloatArray = NDArray[np.float64]
+from trackslip_tools.replay.scoring import errors_of, in_order, moving_slips, path_of_series, slip_errors
+from trackslip_tools.replay.series import Series, reduced, series_of
 
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 OUTAGE = 30.0  # s
-UNEQUAL = 0.1  # of the faster sprocket, by which the other is slower in a turn
+UNEQUAL = 0.1  # of the faster track, by which the other is slower in a turn
 
 
 @dataclass(frozen=True)
@@ -77,88 +77,69 @@ def measure(trial: Trial, soil: str, seed: int, directory: Path) -> Accuracy:
     """Drive, record into ``directory``, replay, compare with the truth."""
     given = {"scenario": trial.scenario, "duration": trial.duration, "soil": soil, "seed": seed}
     emulated = load_emulator_parameters(given)
-    truth = drive(emulated)
     path = directory / f"{trial.scenario}_{soil}_{seed}"
-    record_drive(emulated, truth, path)
+    record_drive(emulated, drive(emulated), path)
     with open_bag(path) as bag:
-        return _Comparison(bag, emulated, truth).accuracy(trial)
+        return _Comparison(bag, emulated.lead_in + trial.silent_from).accuracy()
 
 
 class _Comparison:
-    """One bag and its truth."""
+    """One bag with its truth; the silence begins ``begin`` s after the bag."""
 
-    def __init__(self, bag: Bag, emulated: EmulatorParameters, truth: Truth) -> None:
-        self._bag = bag
-        self._truth = truth
-        self._lead_in = emulated.lead_in
-        self._p: SlipEstimatorParameters = load_slip_parameters()
+    def __init__(self, bag: Bag, begin: float) -> None:
+        self._bag, self._silence = bag, (begin, begin + OUTAGE)
+        self._p = load_slip_parameters()
+        self._sprockets_alone = Reckoning(self._p.vehicle.kinematics, with_gyro=False)
 
-    def accuracy(self, trial: Trial) -> Accuracy:
+    def accuracy(self) -> Accuracy:
         """All of them."""
-        whole, end = self._replay(()), trial.silent_from + OUTAGE
-        begin = self._lead_in + trial.silent_from
-
-        def lost(*topics: str) -> float:
-            hidden = tuple(Withhold(topic, begin, begin + OUTAGE) for topic in topics)
-            times, errors = self._errors(self._replay(hidden))
-            return float(np.hypot(*errors[np.searchsorted(times, end, side="right") - 1, :2]))
-
-        _, errors = self._errors(whole)
-        blind = lost("box_pose", "imu/data_raw")
+        whole = replay(self._bag, self._p, InputFilters(), TRUE_ODOMETRY, None, self._reckon)
+        score, blind = whole.scores["filter"], self._error_after_silence("box_pose", "imu/data_raw")
+        assert score is not None
+        assert score.heading is not None
         return Accuracy(
-            _rms(np.hypot(errors[:, 0], errors[:, 1])),
-            _rms(errors[:, 2]),
+            score.position,
+            score.heading,
             self._turn_slip(whole),
-            lost("box_pose"),
+            self._error_after_silence("box_pose"),
             blind,
-            blind / self._dead_reckoning_error(trial.silent_from, end),
+            blind / self._dead_reckoning_error(whole),
         )
 
-    def _replay(self, withheld: tuple[Withhold, ...]) -> Replay:
-        return replay(self._bag, self._p, InputFilters(withhold=withheld), None)
+    def _error_after_silence(self, *topics: str) -> float:
+        """m, at the end of ``OUTAGE`` without these topics."""
+        filters = InputFilters(withhold=tuple(Withhold(topic, *self._silence) for topic in topics))
+        end = replay(self._bag, self._p, filters, TRUE_ODOMETRY).withheld[0].end
+        assert end is not None
+        return end
 
-    def _time(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
-        """Seconds of the drive."""
-        return np.asarray((stamps_ns - START_NS) * 1e-9 - self._lead_in, dtype=np.float64)
+    def _turn_slip(self, whole: Replay) -> float:
+        odometry, tread = whole.series[TRUE_ODOMETRY], self._p.vehicle.kinematics.tread
+        true = moving_slips(odometry, whole.series[TRUE_SLIP], tread)
+        at = np.searchsorted(odometry.stamps_ns, true.stamps_ns)
+        v_x, turning = odometry["v_x"][at], odometry["yaw_rate"][at] * tread / 2.0
+        ground = np.column_stack((v_x - turning, v_x + turning))
+        tracks = np.nan_to_num(ground / (1.0 - true.columns("left_slip", "right_slip")))
+        turns = np.abs(np.diff(tracks)[:, 0]) > UNEQUAL * np.abs(tracks).max(axis=1)
+        estimates = in_order(whole.estimates)
+        left, right = estimates["slips"][:, 0], estimates["slips"][:, 1]
+        own = series_of(stamp_ns=estimates["stamp_ns"], left_slip=left, right_slip=right)
+        return float(np.sqrt(np.mean(slip_errors(own, Series(true.rows[turns])) ** 2)))
 
-    def _errors(self, result: Replay) -> tuple[FloatArray, FloatArray]:
-        """(n,) times and (n, 3) errors of x, y, heading, at the estimates made during the drive."""
-        estimates = in_order(result.estimates)
-        times = self._time(estimates["stamp_ns"])
-        driving = (times >= 0.0) & (times <= self._truth.duration)
-        at = self._truth.interpolate(times[driving])
-        errors = estimates["pose"][driving] - np.column_stack((at.x, at.y, at.yaw))
-        errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
-        return times[driving], errors
+    def _reckon(self, part: Part) -> None:
+        """Let the sprockets alone drive on from the true pose at the silence's beginning."""
+        true = reduced(part.tables[TRUE_ODOMETRY].rows) if TRUE_ODOMETRY in part.tables else None
+        begin_ns = self._bag.start_ns + round(self._silence[0] * 1e9)
+        self._sprockets_alone.add(part.arrivals, None if true is None else true[true["stamp_ns"] >= begin_ns])
 
-    def _turn_slip(self, result: Replay) -> float:
-        estimates = in_order(result.estimates)
-        at = self._truth.interpolate(self._time(estimates["stamp_ns"]))
-        p = self._p.vehicle.kinematics
-        moving = np.abs(at.v_x) + np.abs(at.yaw_rate) * p.tread / 2.0 > MOVING
-        speeds = np.column_stack((at.left_speed, at.right_speed))
-        turning = np.abs(speeds[:, 1] - speeds[:, 0]) > UNEQUAL * np.abs(speeds).max(axis=1)
-        driven = np.abs(speeds) * p.rolling_radius > MOVING
-        scored = driven & (moving & turning)[:, np.newaxis]
-        slips = estimates["slips"][:, :2]
-        return _rms((slips - np.column_stack((at.left_slip, at.right_slip)))[scored])
-
-    def _dead_reckoning_error(self, begin: float, end: float) -> float:
-        """m, of driving by the sprockets alone from the true pose at ``begin`` to ``end``, s of the drive."""
-        driven = DrivenCollector()
-        driven.add(read_inputs(self._bag, self._p, InputFilters(), ()).rows)
-        sprockets = driven.sprockets()
-        assert sprockets is not None
-        stamps = [START_NS + round((self._lead_in + t) * 1e9) for t in (begin, end)]
-        start, goal = (self._truth.at(t) for t in (begin, end))
-        pose = np.array((start.x[0], start.y[0], start.yaw[0]))
-        path = dead_reckon(self._p.vehicle.kinematics, sprockets, stamps[0], pose)
-        x, y, _ = path.at(np.array(stamps[1:], dtype=np.int64))[0]
-        return float(np.hypot(x - goal.x[0], y - goal.y[0]))
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    def _dead_reckoning_error(self, whole: Replay) -> float:
+        """m, at the end of the silence."""
+        path, _ = self._sprockets_alone.result()
+        assert path is not None
+        end_ns = self._bag.start_ns + round(self._silence[1] * 1e9)
+        odometry = whole.series[TRUE_ODOMETRY]
+        truth = path_of_series(Series(odometry.rows[odometry.stamps_ns <= end_ns]))
+        return float(np.hypot(*errors_of(path, truth)[-1, :2]))
 
 
 def table(seeds: int) -> Iterator[tuple[str, Accuracy]]:

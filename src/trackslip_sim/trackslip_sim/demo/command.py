@@ -5,7 +5,7 @@
 import argparse
 import shlex
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from trackslip_common.errors import ExitCode, InputError, show
@@ -43,15 +43,26 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.soil not in load_soils():
         raise InputError(f"--soil: '{arguments.soil}' is unknown; accepted: {', '.join(load_soils())}")
     output.mkdir(parents=True)
-    for line in _lines(arguments):
-        show(f"$ trackslip {shlex.join(line)}")
-        args = main.parse(line)
-        if (code := int(args.run(args))) != ExitCode.DONE:
-            return code
+    if (code := run_commands(_lines(arguments))) != ExitCode.DONE:
+        return code
     page = output / "report.html"
     if arguments.browser:
         webbrowser.open(page.resolve().as_uri())
     show(f"next: trackslip check {output / 'bag'}, or a log of your own: docs/import.md")
+    return int(ExitCode.DONE)
+
+
+def run_commands(lines: Iterable[Sequence[str]]) -> int:
+    """Run commands of ``trackslip``, each printed before; returns the exit code of the first that fails.
+
+    Raises:
+        InputError: one is refused.
+    """
+    for line in lines:
+        show(f"$ trackslip {shlex.join(line)}")
+        args = main.parse(line)
+        if (code := int(args.run(args))) != ExitCode.DONE:
+            return code
     return int(ExitCode.DONE)
 
 

@@ -37,7 +37,7 @@ LOGS = (
     *("box_localizer.log", "gnss_localizer.log", "slip_estimator.log", "soil_estimator.log"),
     *("record.log", "live.log"),
 )
-DEMO = Results("demo", ("bag", "dev", *LOGS, "summary.json", "demo.png"), "--output: ")
+DEMO = Results("demo", ("bag", "dev", *LOGS, "summary.json", "report.html"), "--output: ")
 
 
 def claim(output: Path, results: Results = DEMO) -> AbstractContextManager[None]:

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the demo: start the graph, turn the key, watch, stop, replay, score, draw."""
+"""Runs the demo: start the graph, turn the key, watch, stop, replay, report."""
 
 import argparse
+import json
 import math
 import os
 import shutil
 import socket
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -24,15 +24,15 @@ from trackslip_common.errors import ExitCode, InputError, printable, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle
+from trackslip_sim.demo.command import run_commands
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
 from trackslip_sim.demo.output import claim
-from trackslip_sim.demo.picture import draw
 from trackslip_sim.demo.processes import DemoFailure, Processes, interrupts_noted
-from trackslip_sim.demo.results import evaluate
+from trackslip_sim.demo.results import counts_of, shortfalls
 from trackslip_sim.demo.session import Session
-from trackslip_sim.demo.show import report
+from trackslip_sim.demo.show import counts_table
 from trackslip_sim.scenarios.scenario import load_scenario
-from trackslip_tools.cli.progress import counted, following
+from trackslip_tools.cli.outputs import write_json
 from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
 _LONGEST = 3600.0  # s
@@ -137,28 +137,27 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
         finally:
             processes.stop()
             shutil.rmtree(nodes.devices, ignore_errors=True)
-    return _conclude(options, session, nodes.bag, console)
+    return _conclude(output, session, output / "bag", console)
 
 
-def _conclude(options: argparse.Namespace, session: Session, path: Path, console: Console) -> int:
-    output: Path = options.output
-    began = time.monotonic()
-    with open_bag(path) as bag, counted(bag.duration_s, "replaying") as advance:
-        watch = following(bag, advance)
-        result = evaluate(bag, session.emitted, session.received, session.drive_start_ns, watch)
-    if result is None:
-        print(f"no estimates in {path}; the nodes' logs are in {output}/*.log", file=sys.stderr)
-        return ExitCode.FAILED
-    report(console, result)
-    result.save(output / "summary.json")
-    picture = output / "demo.png"
-    draw(result, f"{options.machine}: {options.scenario}, {options.soil}, {options.duration:g} s", picture)
-    console.print(f"replayed and plotted in {time.monotonic() - began:.1f} s")
-    for name, file in (("picture", picture), ("numbers", output / "summary.json"), ("bag", path)):
-        console.print(f"{name:<8} {file}", soft_wrap=True)
-    for miss in result.misses:
-        print(f"missed: {miss}", file=sys.stderr)
-    return ExitCode.FAILED if result.misses else ExitCode.DONE
+def _conclude(output: Path, session: Session, path: Path, console: Console) -> int:
+    """Replay and report as a user would, count what came through; returns the exit code."""
+    numbers, page = output / "summary.json", output / "report.html"
+    code = run_commands(
+        (["replay", str(path), "--json", str(numbers)], ["report", str(path), "--output", str(page)])
+    )
+    if code != ExitCode.DONE:
+        print(f"the nodes' logs are in {output}/*.log", file=sys.stderr)
+        return code
+    with open_bag(path) as bag:
+        counts = counts_of(bag, session.emitted, session.received)
+    console.print(counts_table(counts))
+    summary = json.loads(numbers.read_text(encoding="utf-8"))
+    write_json(numbers, {**summary, "topics": {topic: vars(count) for topic, count in counts.items()}})
+    missed = shortfalls(summary, counts)
+    for line in missed:
+        print(f"missed: {line}", file=sys.stderr)
+    return ExitCode.FAILED if missed else ExitCode.DONE
 
 
 def _free_tcp_port() -> int:

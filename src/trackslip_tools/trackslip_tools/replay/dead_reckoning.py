@@ -16,17 +16,12 @@ from numpy.typing import NDArray
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.arrivals import Rows
-from trackslip_tools.replay.growing import GrowingRows
 
 FloatArray = NDArray[np.float64]
 
 _REORDERED_NS = 2_000_000_000  # by which stamps may be out of order: the estimator's window
 _SILENT_NS = 60_000_000_000  # of the gyro, after which its rate is held
 _LARGEST = 1e9  # rad, rad/s: beyond it is no measurement
-_SPROCKETED = np.dtype(
-    [("stamp_ns", np.int64), ("speeds", np.float64, (2,)), ("positions", np.float64, (2,))]
-)
-_GYRO = np.dtype([("stamp_ns", np.int64), ("rate", np.float64)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,28 +53,6 @@ class Gyro(NamedTuple):
 
     stamps_ns: NDArray[np.int64]  # (n,)
     rates: FloatArray  # (n,) rad/s
-
-
-class DrivenCollector:
-    """What dead reckoning needs of arrivals that come piece by piece; what is not finite is left out."""
-
-    def __init__(self) -> None:
-        self._sprockets, self._gyro = GrowingRows(_SPROCKETED), GrowingRows(_GYRO)
-
-    def add(self, rows: Rows) -> None:
-        """More rows of ``ARRIVAL``."""
-        self._sprockets.add(_sprocketed(rows))
-        self._gyro.add(_yaw_rates(rows))
-
-    def sprockets(self) -> Sprocketed | None:
-        """None where there are none."""
-        rows = _by_stamp(self._sprockets.rows())
-        return _samples(rows) if len(rows) else None
-
-    def gyro(self) -> Gyro | None:
-        """None where there is none."""
-        rows = _by_stamp(self._gyro.rows())
-        return Gyro(rows["stamp_ns"], rows["rate"]) if len(rows) else None
 
 
 class DeadReckoner:

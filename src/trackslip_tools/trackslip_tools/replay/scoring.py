@@ -134,12 +134,6 @@ def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
     return Series(rows)
 
 
-def slip_rmse(estimated: Series, true: Series) -> float | None:
-    """RMS error of left and right slip together, at the stamps of the truth where it knows them."""
-    errors = slip_errors(estimated, true)
-    return _rms(errors) if errors.size else None
-
-
 def slip_errors(estimated: Series, true: Series) -> FloatArray:
     """(k,) of left and right slip, at the samples that the estimate covers; none where the truth is nan."""
     own = estimated.stamps_ns
