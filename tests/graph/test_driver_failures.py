@@ -33,7 +33,7 @@ class QueuePort:
         pass
 
 
-class FragileDriver(DriverNode[NoParameters]):
+class FragileDriver(DriverNode[NoParameters, bytes]):
     """Fails on the bytes ``bad``."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from trackslip_bags.messages import make
 from trackslip_common.errors import ExitCode
 from trackslip_common.message_fields import SoilFields
 from trackslip_tools.cli.main import main
-from trackslip_tools.report.numbers import numbers_of
+from trackslip_tools.report.numbers import NumbersCollector
 
 Refuse = Callable[..., str]
 WriteBag = Callable[..., Path]
@@ -40,8 +40,10 @@ def test_wrong_types_of_the_soils_topics(
 
 def test_class_names_that_change_in_a_bag() -> None:
     classes = [(["a"], [0.5]), ([], []), (["b", "a"], [0.25, 0.75]), (["a", "b"], [1.0]), (["a"], [1.0, 2.0])]
-    messages = [make(SOIL, class_names=names, class_probabilities=p) for names, p in classes]
-    found = numbers_of(messages, SoilFields, 0).classes
+    collector = NumbersCollector(SoilFields, 0)
+    for names, p in classes:
+        collector.add(make(SOIL, class_names=names, class_probabilities=p))
+    found = collector.numbers().classes
     nan = float("nan")
     np.testing.assert_array_equal(found["a"], [0.5, nan, 0.75, nan, nan])
     np.testing.assert_array_equal(found["b"], [nan, nan, 0.25, nan, nan])

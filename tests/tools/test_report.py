@@ -18,7 +18,7 @@ from trackslip_common.topics import FORCES, SOIL, TRUE_SOIL
 from trackslip_tools.cli.main import main
 from trackslip_tools.report.ground_panels import ground_panels
 from trackslip_tools.report.motion_panels import error_panels, errors_of, motion_panels
-from trackslip_tools.report.numbers import numbers_of
+from trackslip_tools.report.numbers import NumbersCollector
 from trackslip_tools.report.page import render
 from trackslip_tools.report.panel import INK, MOST_RUNS, Form, Panel
 from trackslip_tools.report.path_plot import boxes, ellipses, path_plot
@@ -144,7 +144,12 @@ def soil_messages(count: int) -> dict[str, list[Any]]:
 def test_forces_and_soil_of_a_bag_are_shown_with_their_intervals(run: Run) -> None:
     assert [panel.title for panel in ground_panels([run])] == []
     kinds = {FORCES: ForceFields, SOIL: SoilFields}
-    numbers = {topic: numbers_of(found, kinds[topic], 0) for topic, found in soil_messages(10).items()}
+    numbers = {}
+    for topic, messages in soil_messages(10).items():
+        collector = NumbersCollector(kinds[topic], 0)
+        for message in messages:
+            collector.add(message)
+        numbers[topic] = collector.numbers()
     numbers[TRUE_SOIL] = numbers[SOIL]
     recording = dataclasses.replace(run.recording, numbers=numbers)
     panels = ground_panels([dataclasses.replace(run, recording=recording)])

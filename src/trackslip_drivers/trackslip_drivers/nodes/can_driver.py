@@ -28,7 +28,7 @@ _MESSAGES = {
 }
 
 
-class CanDriverNode(DriverNode[CanDriverParameters]):
+class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
     """Frames in, ``sprockets``, ``hydraulics`` and ``swing`` out: those that have roles."""
 
     carries, advice = "frames", "check power, wiring and bitrate"

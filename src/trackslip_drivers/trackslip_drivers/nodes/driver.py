@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType
 
@@ -30,6 +30,7 @@ from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
+D = TypeVar("D")  # what the port gives: bytes, or a frame
 S = TypeVar(
     "S",
     SprocketSample,
@@ -56,7 +57,7 @@ def _date(seconds: float) -> str:
     return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if seconds else ""
 
 
-class DriverNode(TrackslipNode[P]):
+class DriverNode(TrackslipNode[P], Generic[P, D]):
     """Opens its link while active; subclasses override ``open_port``, ``begin``, ``receive``, ``on_silence``.
 
     Reports whether data come, how fast, and what was rejected: at 1 Hz, and at once when data begin or cease.
@@ -75,7 +76,7 @@ class DriverNode(TrackslipNode[P]):
         self._rate = 0.0
         self._looked_at = (time.monotonic(), 0)
         self._last_s = -math.inf
-        self._link: Link[Any] | None = None
+        self._link: Link[D] | None = None
         self._reported: bytes | None = None  # level
         self._rejected = ("", -math.inf, "")  # why most were, when (steady, s), and its date
         self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -84,14 +85,14 @@ class DriverNode(TrackslipNode[P]):
         """The serial port, where it has one."""
         return str(getattr(self.settings, "serial_port", self.full_name))
 
-    def open_port(self) -> Port[Any]:
+    def open_port(self) -> Port[D]:
         """Open the port to the sensor, or raise; in the link's thread, as all that follow."""
         raise NotImplementedError
 
     def begin(self) -> None:
         """A port was opened, or decoding failed: what was half received is not continued."""
 
-    def receive(self, data: Any, arrival_ns: int) -> None:
+    def receive(self, data: D, arrival_ns: int) -> None:
         """Decode what the port received, and publish."""
         raise NotImplementedError
 
@@ -150,7 +151,7 @@ class DriverNode(TrackslipNode[P]):
         if now_s - then_s >= _RATE_OVER:
             self._rate = (self._published - then) / (now_s - then_s)
             self._looked_at = (now_s, self._published)
-        values: dict[str, Any] = {
+        values: dict[str, object] = {
             "published": self._published,
             "rate (Hz)": f"{self._rate:.1f}",
             "age (s)": f"{now_s - self._last_s:.2f}",
@@ -180,7 +181,7 @@ class DriverNode(TrackslipNode[P]):
         """What comes whole but is of no use, and what to do; empty where nothing does."""
         return ""
 
-    def _condition(self, link: Link[Any]) -> tuple[bytes, str]:
+    def _condition(self, link: Link[D]) -> tuple[bytes, str]:
         """Whether data come, or why not and what to do; numbers that change are in the values."""
         state, where = link.state(), self.where()
         if not state.openings and not state.errors:

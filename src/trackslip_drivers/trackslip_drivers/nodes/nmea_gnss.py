@@ -33,7 +33,7 @@ from trackslip_drivers.transports.serial_port import SerialPort
 _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
 
 
-class NmeaNode(DriverNode[NmeaParameters]):
+class NmeaNode(DriverNode[NmeaParameters, bytes]):
     """Bytes in, ``fix``, ``fix_velocity`` and ``heading`` out."""
 
     device = "GNSS receiver"

@@ -23,7 +23,7 @@ _WATCH = 0.1  # s while scans come: only a scanner that falls silent is to be no
 _STOP = 0.3  # s that the scanner is given to stop streaming
 
 
-class SickNode(DriverNode[SickParameters]):
+class SickNode(DriverNode[SickParameters, bytes]):
     """Bytes in, ``scan`` out; the dialogue with the scanner is the session's."""
 
     device = "SICK"

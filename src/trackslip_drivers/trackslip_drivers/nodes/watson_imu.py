@@ -17,7 +17,7 @@ from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_drivers.watson_parameters import WatsonParameters
 
 
-class WatsonNode(DriverNode[WatsonParameters]):
+class WatsonNode(DriverNode[WatsonParameters, bytes]):
     """Bytes in, ``imu/data_raw`` and ``imu/mag`` out."""
 
     device = "Watson"

@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from enum import Enum
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_cycle import PROMPT, CycleMeter
@@ -53,7 +53,7 @@ class Frame(NamedTuple):
 
 class _Arrival(NamedTuple):
     arrival_ns: int
-    values: Any
+    values: Mapping[str, Value]
     number: int = 0  # the sender's counter
 
 
@@ -94,10 +94,10 @@ class FrameTiming(ABC):
         self._filter = None
 
     @abstractmethod
-    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
+    def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """A frame that passed all checks; returns those whose times are known now."""
 
-    def _place(self, arrival_ns: int, values: Any, cycles: int | None) -> Frame:
+    def _place(self, arrival_ns: int, values: Mapping[str, Value], cycles: int | None) -> Frame:
         """``cycles``: since the frame before; 0 if unknown, None of a sender that does not count."""
         cycle_ns = self._meter.cycle_ns
         stamp_ns = self._stamp(arrival_ns, cycles)
@@ -142,7 +142,7 @@ class CountedFrames(FrameTiming):
             self._report(TimingEvent.CUT_OFF, len(self._held))
         self._held, self._count = [], None
 
-    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
+    def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """As in ``FrameTiming``."""
         assert count is not None
         placed = []
@@ -199,7 +199,7 @@ class CountedFrames(FrameTiming):
         self._held = []
         return placed
 
-    def _accept(self, arrival_ns: int, values: Any, count: int, cycles: int) -> Frame:
+    def _accept(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
         """A frame ``cycles`` after the one before; 0 if unknown."""
         if cycles > 1:
             self._report(TimingEvent.LOST, cycles - 1)
@@ -223,7 +223,7 @@ class UncountedFrames(FrameTiming):
             self._report(TimingEvent.CUT_OFF, 1)
         self._held = None
 
-    def add(self, count: int | None, arrival_ns: int, values: Any) -> list[Frame]:
+    def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
         """As in ``FrameTiming``."""
         frame = _Arrival(arrival_ns, values)
         since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns

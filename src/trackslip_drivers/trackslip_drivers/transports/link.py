@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from trackslip_drivers.stamping import Look
 
@@ -58,7 +58,8 @@ class LinkState:
     has_heard: bool  # something has come since the driver was started
 
 
-class Handlers(NamedTuple):
+@dataclass(frozen=True)
+class Handlers(Generic[T]):
     """What a link calls, in its own thread.
 
     on_data: with what arrived and its arrival in ns. on_open: after each opening, before any data, the moment
@@ -66,7 +67,7 @@ class Handlers(NamedTuple):
     READ_TIMEOUT_S; only such a read proves that nothing is there: on a busy host, bytes wait in the kernel.
     """
 
-    on_data: Callable[[Any, int], None]
+    on_data: Callable[[T, int], None]
     on_open: Callable[[], None]
     on_silence: Callable[[], None] = lambda: None
 
@@ -89,7 +90,7 @@ class Link(Generic[T]):
         self,
         name: str,
         open_port: Callable[[], Port[T]],
-        handlers: Handlers,
+        handlers: Handlers[T],
         silence_s: float = math.inf,
     ) -> None:
         self._open_port = open_port

@@ -11,7 +11,7 @@ and a wrong altitude of 50 m moves a fix by 8 mm; at 100 m by 0.8 mm.
 
 import math
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pymap3d
@@ -21,6 +21,7 @@ from trackslip_common.tally import Tally
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 
 FloatArray = NDArray[np.float64]
+Number = float | FloatArray
 
 FIX = "fix"
 _UNKNOWN = 0  # covariance type
@@ -160,7 +161,9 @@ def why_far(datum: Datum, latitude: float, longitude: float) -> Reason:
     return Reason.HEMISPHERE if other else Reason.FAR
 
 
-def east_north_up(datum: Datum, latitude: Any, longitude: Any, altitude: Any) -> tuple[Any, Any, Any]:
+def east_north_up(
+    datum: Datum, latitude: Number, longitude: Number, altitude: Number
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """E, N, U of positions (°, °, m; nan: that of the datum), numbers or arrays.
 
     E and N are infinite on the far side of the earth, whose tangent plane is parallel.

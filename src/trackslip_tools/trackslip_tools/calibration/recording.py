@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,15 @@ from trackslip_common.message_fields import (
 )
 from trackslip_common.message_reading import RecordClass, dtype_of
 from trackslip_common.orientations import headings_of, poses_of
+from trackslip_common.record_types import Table, make_table
 from trackslip_estimation.slip.motion import (
     MOTION,
     SPEEDS,
+    LimitsRecord,
     Motion,
     MotionParameters,
+    MotionRecord,
+    SpeedsRecord,
     limits_record,
     update_motion,
 )
@@ -173,14 +177,20 @@ def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
 def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
     """(n,) standing, straight or turning at each sample; unknown at the first."""
     found = np.full(len(sprockets.t), int(Motion.UNKNOWN))
-    records = np.zeros(1, MOTION), np.zeros(1, SPEEDS), limits_record(limits)
-    _motions(sprockets.t, sprockets.values, records, found)
+    motion, speeds = make_table(MotionRecord, MOTION, 1), make_table(SpeedsRecord, SPEEDS, 1)
+    _motions(sprockets.t, sprockets.values, motion, speeds, limits_record(limits), found)
     return found
 
 
 @compiled
-def _motions(t: FloatArray, angles: FloatArray, records: Any, found: NDArray[np.int64]) -> None:
-    motion, speeds, limits = records
+def _motions(
+    t: FloatArray,
+    angles: FloatArray,
+    motion: Table[MotionRecord],
+    speeds: Table[SpeedsRecord],
+    limits: Table[LimitsRecord],
+    found: NDArray[np.int64],
+) -> None:
     motion[0].changing = speeds[0].differenced = True
     for k in range(1, len(t)):
         dt = t[k] - t[k - 1]

@@ -3,7 +3,6 @@
 """What is drawn about the machine: ellipse, tracks, where it looks, upper structure, the laser's box."""
 
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +44,7 @@ def _machine(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArr
 
 def _upper(pose: FloatArray, angle: float, vehicle: VehicleParameters) -> FloatArray:
     """From the swing axis the way the upper structure looks."""
-    upper: Any = vehicle.upper_structure
+    upper = vehicle.upper_structure
     axis = np.array((upper.swing_axis_x, upper.swing_axis_y)) if upper is not None else np.zeros(2)
     reach = vehicle.kinematics.contact_length * np.array((np.cos(angle), np.sin(angle)))
     return placed(pose, np.array((axis, axis + reach)))

@@ -73,12 +73,15 @@ ARRIVAL = np.dtype(
 )
 
 
+Stated = YawRateSource | HeadingSource | SwingSource | OdometrySource | VelocitySource
+
+
 class SourceReader(NamedTuple):
     """How the messages of a source become rows."""
 
     kind: int
     fields: RecordClass  # record class that is read
-    stated: Any = None  # group of parameters of an IMU or a heading source
+    stated: Stated | None = None  # group of parameters of an IMU or a heading source
     absent: tuple[str, Refusal] | None = None  # field whose ABSENT refuses a message, and the name of that
 
     def rows(self, read: Rows) -> Rows:
@@ -132,7 +135,7 @@ def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, in
     return found
 
 
-def _fill_sprockets(rows: Rows, read: Rows, _: Any) -> None:
+def _fill_sprockets(rows: Rows, read: Rows, _: object) -> None:
     for side in ("left", "right"):
         rows[f"{side}_speed"] = read[f"{side}_speed"]
         rows[f"{side}_angle"] = np.where(read["has_positions"], read[f"{side}_position"], np.nan)
@@ -161,12 +164,12 @@ def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
         rows["up_variances"] = np.where(stated[0][:, None] != ABSENT, of_up, ABSENT)
 
 
-def _fill_poses(rows: Rows, read: Rows, _: Any) -> None:
+def _fill_poses(rows: Rows, read: Rows, _: object) -> None:
     rows["value"], rows["noise"] = poses_of(read), read["covariance"]
     rows["altitude"], rows["altitude_variance"] = read["z"], read["z_variance"]
 
 
-def _fill_slips(rows: Rows, read: Rows, _: Any) -> None:
+def _fill_slips(rows: Rows, read: Rows, _: object) -> None:
     rows["value"][:, :2] = np.column_stack((read["left_slip"], read["right_slip"]))
     rows["noise"][:, :2, :2] = read["slips_covariance"]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, Withhold
 from trackslip_tools.replay.errors import PathErrors
@@ -14,6 +15,8 @@ from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.scoring import Score
 from trackslip_tools.replay.series import reduced
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -64,5 +67,5 @@ class WithheldErrors:
             for given, errors, count in zip(self._given, self._errors, counts, strict=True)
         ]
 
-    def _times(self, logged: Logged) -> Any:
-        return (logged.log_times_ns - self._start_ns) * 1e-9
+    def _times(self, logged: Logged) -> FloatArray:
+        return np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forces and soil over time, as columns: of a bag, or of what a replay computes."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.tables import TopicTable
-from trackslip_common.message_fields import ForceFields, SoilFields
+from trackslip_common.message_fields import SoilFields
 from trackslip_common.message_reading import RecordClass, dtype_of, read
 
 FloatArray = NDArray[np.float64]
@@ -35,7 +34,7 @@ class NumbersCollector:
     def __init__(self, kind: RecordClass, start_ns: int) -> None:
         self._kind, self._start_ns = kind, start_ns
         self._parts = [np.empty(0, dtype_of(kind))]
-        self._waiting: list[Any] = []  # records
+        self._waiting: list[tuple[object, ...]] = []  # records
         self._classes: list[tuple[tuple[str, ...], FloatArray]] = []
         self._reason = ""
 
@@ -78,11 +77,3 @@ class NumbersCollector:
         fit = len(names) == len(values)  # else nobody knows whose probability is which
         self._classes.append((names, values) if fit else ((), values[:0]))
         self._reason = message.reason
-
-
-def numbers_of(messages: Iterable[Any], kind: type[ForceFields | SoilFields], start_ns: int) -> Numbers:
-    """All messages of one topic."""
-    collector = NumbersCollector(kind, start_ns)
-    for message in messages:
-        collector.add(message)
-    return collector.numbers()

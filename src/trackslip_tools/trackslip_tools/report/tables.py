@@ -5,7 +5,6 @@
 import math
 from collections.abc import Sequence
 from datetime import datetime, timezone
-from typing import Any
 
 from trackslip_common.parameters import Parameters, flat_fields, to_flat
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -99,7 +98,7 @@ def _number(value: float, form: str) -> str:
     return f"{value:{form}}" if math.isfinite(value) else "–"
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return ", ".join(map(_value, value)) if isinstance(value, list) else str(value)
