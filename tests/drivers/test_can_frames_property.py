@@ -64,11 +64,3 @@ def test_no_bus_breaks_the_decoder(received):
         excavator.receive(arbitration_id, data, stamp_ns)
     counted = sum(excavator.tally.total.values()) + excavator.decoder.others
     assert counted >= len([1 for identifier, _, _ in received if identifier not in IDS])
-
-
-@seeded
-@given(st.lists(st.tuples(READINGS, st.integers(0, 15), st.integers(-(2**62), 2**62)), max_size=40))
-def test_no_order_of_good_frames_breaks_the_records(received):
-    excavator = ExcavatorCan(PARAMETERS, FRAMES, Tally())
-    for (name, values, _), alive, stamp_ns in received:
-        excavator.receive(*FRAMES.encode(name, values, alive), stamp_ns)

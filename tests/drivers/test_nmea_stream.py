@@ -15,7 +15,6 @@ from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.nmea_parameters import NmeaParameters
-from trackslip_drivers.protocols.gnss_frames import LONGEST
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
@@ -319,16 +318,6 @@ def test_rejections_are_counted_and_other_sentences_are_not():
     parser.feed(b"$GPGSV,3,1*4B\r\n" + gga(at(0, quality=6)) + b"noise\r\n" + b"x" * 2000 + b"\n", S)
     assert parser.tally.by_source()["fix"] == {"dead reckoning": 1, "no line end": 1, "no sentence": 1}
     assert parser.others == 1
-
-
-@given(st.lists(st.binary(max_size=700), max_size=8), st.integers(0, 2**62))
-def test_any_bytes_are_survived_in_bounded_memory_and_the_next_fix_is_read(chunks, arrival_ns):
-    parser = stream()
-    for chunk in chunks:
-        parser.feed(chunk, arrival_ns)
-        assert parser.bytes_held <= LONGEST
-    samples = parser.feed(b"\n" + gga(at(S)) + gst(at(S)), arrival_ns + S)
-    assert any(isinstance(s, FixSample) for s in samples)
 
 
 @given(st.integers(1, 40))

@@ -3,7 +3,6 @@
 """Whatever comes down the line: no exception, bounded memory, every byte accounted for, no wrong scan."""
 
 import itertools
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.sick_commands import parse_reply
 from trackslip_drivers.protocols.sick_crc import sick_crc
 from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan, encode_scan, parse_scan
-from trackslip_drivers.protocols.sick_session import SickSession
 from trackslip_drivers.protocols.sick_telegram import (
     FROM_SENSOR,
     MAX_TELEGRAM,
@@ -194,15 +192,3 @@ def test_any_payload_is_understood_or_refused(payload: bytes) -> None:
     parse_reply(payload)
     parse_scan(payload)
     decode_scan(Telegram(payload, 0, 0), PLS)
-
-
-def test_a_session_outlives_noise() -> None:
-    rng = random.Random(5)
-    session = SickSession(PLS, Tally())
-    now_ns = 0
-    for _ in range(3000):
-        now_ns += rng.randrange(1, 20) * MS
-        kind = rng.randrange(4)
-        data = [b"", rng.randbytes(rng.randrange(50)), b"\x06", frame(rng.randbytes(3), FROM_SENSOR)][kind]
-        assert session.receive(data, now_ns) == []
-        session.step(now_ns)
