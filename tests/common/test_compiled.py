@@ -3,16 +3,21 @@
 """Machine code on disk: found again by another process, and never older than its sources."""
 
 import os
+import queue
 import shutil
 import subprocess
 import sys
+import threading
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numba
 import pytest
+from numba.core import event
 
-from trackslip_common import machine_code
-from trackslip_common.compiling import DESK_TEXT, compilation_announced
+from trackslip_common import compiling, machine_code
+from trackslip_common.compiling import DESK_TEXT, compilation_announced, compilation_reported
 from trackslip_common.errors import collected
 
 CALLEE = """
@@ -147,3 +152,41 @@ def test_a_compilation_is_announced_at_once_though_lines_are_collected(
         numba.njit(lambda x: x + 1.0)(1.0)
         assert capsys.readouterr().err == f"{DESK_TEXT}\n"
     assert lines == []
+
+
+def test_a_terminal_shows_how_long_compilation_still_takes_and_then_nothing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    shown = queue.Queue[str]()
+    with compilation_announced(shown.put):
+        with event.trigger_event("numba:compile"):
+            assert shown.get(timeout=30.0).startswith("compiling, about 120 s left")
+        assert shown.get(timeout=30.0) == ""
+    assert shown.empty()
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("elapsed", "used", "text"),
+    [(30.0, 30.0, "about 30 s left"), (70.0, 30.0, "about 60 s left"), (100.0, 70.0, "almost done")],
+)
+def test_time_left_is_longer_where_other_programs_have_the_processor(
+    monkeypatch: pytest.MonkeyPatch, elapsed: float, used: float, text: str
+) -> None:
+    begun, times = threading.Event(), {"monotonic": 7.0, "process_time": 3.0}
+    clock = SimpleNamespace(**{name: partial(times.__getitem__, name) for name in times})
+    monkeypatch.setattr(compiling, "time", clock)
+    monkeypatch.setattr(compiling, "_PERIOD", 0.01)
+    shown = queue.Queue[str]()
+
+    def report(line: str) -> None:
+        begun.set()
+        shown.put(line)
+
+    with compilation_reported(lambda _: None, report), event.trigger_event("numba:compile"):
+        assert begun.wait(30.0)
+        times["monotonic"] += elapsed
+        times["process_time"] += used
+        while text not in shown.get(timeout=30.0):
+            pass

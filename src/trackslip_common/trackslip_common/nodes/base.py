@@ -140,7 +140,8 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self._status.publish(diagnostics(self.full_name, stamp, entries, self.hardware()))
 
     def _report_compilation(self, text: str) -> None:
-        self._report([Health(WARN, text)])
+        if text:
+            self._report([Health(WARN, text)])
 
     def _configure(self) -> None:
         self.inputs.clear()

@@ -17,6 +17,7 @@ from trackslip_common.compiling import compilation_announced
 from trackslip_common.console import end_of_output, escape_unencodable
 from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
+from trackslip_tools.cli import progress
 from trackslip_tools.cli.commands import Command, commands
 
 
@@ -46,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
-        with compilation_announced():
+        with compilation_announced(progress.say):
             code: int = args.run(args)
         sys.stdout.flush()
         return code

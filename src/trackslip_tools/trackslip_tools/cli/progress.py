@@ -7,11 +7,15 @@ from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
+from trackslip_common.compiling import say_in_place
+
 if TYPE_CHECKING:
     from trackslip_bags.reader import Bag
     from trackslip_tools.replay.parts import Part
 
 T = TypeVar("T")
+
+_relabel: list[Callable[[str], None]] = []  # of the bars that are shown, the last one before all
 
 
 def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
@@ -39,7 +43,16 @@ def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]
     columns += [] if total is None else [TaskProgressColumn(), TimeRemainingColumn()]
     with Progress(*columns, console=Console(file=sys.stderr), transient=True) as bar:
         task = bar.add_task(label, total=total)
-        yield lambda done: bar.advance(task, done)
+        _relabel.append(lambda text: bar.update(task, description=text or label))
+        try:
+            yield lambda done: bar.advance(task, done)
+        finally:
+            _relabel.pop()
+
+
+def say(text: str) -> None:
+    """For now in place of the bar's label, or on the cursor's line of a terminal; empty: no more."""
+    (_relabel[-1] if _relabel else say_in_place)(text)
 
 
 def in_shares(advance: Callable[[float], None], whole: float) -> Callable[[float], None]:
