@@ -35,11 +35,11 @@ from trackslip_estimation.terramechanics.turning import (
     moment_with_centrifugal_force,
     triangular_moment,
 )
-from trackslip_sim.demo.plots import COLOURS, DASHES, STYLE, label, panels, save
 from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import START_NS, record_drive
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import load_scenario
+from trackslip_sim.study.plots import COLOURS, DASHES, STYLE, label, panels, save
 from trackslip_sim.study.slip.figures import runs
 from trackslip_sim.study.slip.parameters import load_study_parameters
 from trackslip_sim.truth.record import Truth
