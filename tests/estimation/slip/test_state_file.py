@@ -347,14 +347,3 @@ def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:
     (aside,) = path.parent.iterdir()
     assert aside != path
     assert aside.read_bytes() == first
-
-
-@pytest.mark.parametrize("name", [".slip_estimator.yaml.new", "slip_estimator.yaml.new"])
-def test_link_planted_beside_the_state_file_is_not_followed(path: Path, tmp_path: Path, name: str) -> None:
-    victim = tmp_path / "victim"
-    put(victim, "of another user")
-    path.parent.mkdir()
-    path.with_name(name).symlink_to(victim)
-    assert written(path).failures == 0
-    assert path.read_text(encoding="utf-8").startswith("# What the slip estimator has learned")
-    assert victim.read_text(encoding="utf-8") == "of another user"
