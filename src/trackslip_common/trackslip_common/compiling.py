@@ -17,13 +17,13 @@ _SURE = 10.0  # s, of a free processor, before what others take of it counts
 _CLEAR = "\r\x1b[2K"  # the line of a terminal
 
 
-def say_in_place(text: str) -> None:
+def show_in_place(text: str) -> None:
     """On the line of the cursor of a terminal."""
     print(f"{_CLEAR}{text}", end="", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def compilation_announced(show: Callable[[str], None] = say_in_place) -> Iterator[None]:
+def compilation_announced(show: Callable[[str], None] = show_in_place) -> Iterator[None]:
     """What is done inside compiles: a countdown on a terminal, elsewhere one line on stderr.
 
     ``show`` puts the countdown in place, and takes it away for an empty text. The one line comes at once,
@@ -112,7 +112,7 @@ class _Countdown:
 
 
 def _ignore(_: str) -> None:
-    """Say nothing."""
+    """For where nothing is shown."""
 
 
 def _print_desk_text(_: str) -> None:

@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
-        with compilation_announced(progress.say):
+        with compilation_announced(progress.show_status):
             code: int = args.run(args)
         sys.stdout.flush()
         return code

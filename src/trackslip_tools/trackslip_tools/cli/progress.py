@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
-from trackslip_common.compiling import say_in_place
+from trackslip_common.compiling import show_in_place
 
 if TYPE_CHECKING:
     from trackslip_bags.reader import Bag
@@ -50,9 +50,9 @@ def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]
             _relabel.pop()
 
 
-def say(text: str) -> None:
+def show_status(text: str) -> None:
     """For now in place of the bar's label, or on the cursor's line of a terminal; empty: no more."""
-    (_relabel[-1] if _relabel else say_in_place)(text)
+    (_relabel[-1] if _relabel else show_in_place)(text)
 
 
 def in_shares(advance: Callable[[float], None], whole: float) -> Callable[[float], None]:
