@@ -86,7 +86,10 @@ def _check(log: Log, found: _Found) -> list[str]:
     rough = speeds.rough_scale(grid, fixes) if fixes is not None else float("nan")
     unit = speeds.unit_of(rough)
     scaled = log.with_tracks(np.eye(2) / unit)
-    state = _inertial(scaled, fixes, compass, found)
+    state = _inertial(scaled, fixes, compass, found, is_unit_known=bool(np.isfinite(rough)))
+    if state.is_contradicted:
+        drive = Drive(state.grid, log.machine, fixes, compass)
+        return facts_of(log, drive, np.eye(2))
     compass = _in_radians(compass, state, found)
     drive = Drive(state.grid, log.machine, fixes, compass, state.gyro is not None)
     causes = sides.judge_fixes(drive, unit)
@@ -127,7 +130,9 @@ def _primary(log: Log) -> tuple[Fixes | None, Compass | None]:
     return fixes, next(iter([*own, *used, *usable]), None)
 
 
-def _inertial(log: Log, fixes: Fixes | None, compass: Compass | None, found: _Found) -> inertial.Inertial:
+def _inertial(
+    log: Log, fixes: Fixes | None, compass: Compass | None, found: _Found, *, is_unit_known: bool
+) -> inertial.Inertial:
     grid = make_grid(log, None)
     assert grid is not None
     turned = None
@@ -136,7 +141,7 @@ def _inertial(log: Log, fixes: Fixes | None, compass: Compass | None, found: _Fo
     for gyro in log.gyros:
         if len(gyro.t) < 10:
             continue
-        state = inertial.examine(log, gyro, 1.0, turned, fixes)
+        state = inertial.examine(log, gyro, turned, fixes, is_unit_known=is_unit_known)
         if state is not None:
             found.add(state.causes, state.undetermined)
             return state
@@ -191,14 +196,12 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
     names["heading"] = compass.name if compass else ""
     found.measured += [_delay(late, names) for late in lates if late.first == "tracks" and late.stddev < 0.2]
     causes, open_ones = ([], []) if found.has("time_unit") else clocks.judge(lates, names)
-    path = _path(grid, gyro, fit.bias, log)
-    lever = places.lever_of(path, fixes) if fixes is not None else None
+    lever = _lever(grid, gyro, fit.bias, log, fixes, lates, compass)
+    rival = lever.log_ratio if lever is not None else 0.0
     for cause in causes:
         late = clocks.value_of(cause, lates, names)
-        rival = lever.log_ratio if lever is not None and cause.source == names["fixes"] else 0.0
-        if (
-            late.gain is not None and rival > late.gain - _UNIT_GAIN
-        ):  # both move fixes along the path in turns
+        # both move fixes along the path in turns
+        if late.gain is not None and cause.source == names["fixes"] and rival > late.gain - _UNIT_GAIN:
             causes = []
             if rival < late.gain + _UNIT_GAIN:
                 what = f"{cause.source}: late, or a lever arm"
@@ -211,31 +214,17 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
         grid = make_grid(log, gyro) or grid
     found.add(causes, open_ones)
     if fixes is None:
-        found.add(
-            [],
-            [
-                Undetermined(
-                    "rolling radius and unit of the speeds", "record fixes while driving 10 m straight"
-                )
-            ],
-        )
+        needed = "record fixes while driving 10 m straight"
+        found.add([], [Undetermined("rolling radius and unit of the speeds", needed)])
         return
-    path = _path(grid, gyro, fit.bias, log)
-    noise = float(np.median(fixes.stddevs))
-    thin = thinned(fixes, 0.2)
-    all_scales = [scales(path, thin, length, noise) for length in _SEGMENTS]
-    best = max((s for s in all_scales if s is not None), key=speeds.worth, default=None)
     turned = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit
     is_known = gyro is not None and fit.logs.max() > LEAST_LOG and not found.has("gyro_unit")
-    way = speeds.distance_of(fixes, grid)
-    own, open_ones = speeds.judge(best, log.machine, unit, way, turned if is_known else float("nan"))
+    own, open_ones = _distances(grid, gyro, fit.bias, log, fixes, unit, turned if is_known else float("nan"))
     found.add(own, open_ones)
     if any(one.is_wrong for one in open_ones):  # an arm is in the unit of the fixes
         return
-    by_delay = max((late.gain for late in lates if late.gain is not None), default=0.0)
-    clear = any(late.gain is None and "fixes" in _parties(late, compass, fixes) for late in lates)
-    if not causes:
-        found.add(*places.judge_lever(path, fixes, log, 0.0 if clear else by_delay + _UNIT_GAIN))
+    if gyro is not None and not causes:
+        found.add(*places.judge_lever(lever, fixes, log.machine))
     if lever is not None and max(lever.stddevs) < 0.3:
         found.measured += _arms(lever, fixes)
     if compass is not None:
@@ -243,6 +232,33 @@ def _continuous(log: Log, gyro: Gyro | None, directions: Directions, unit: float
         offsets, open_ones, offset = places.judge_offset(grid, turn, fixes, compass)
         found.add(offsets, open_ones)
         found.measured += [] if offset is None else [offset]
+
+
+def _lever(
+    grid: Grid,
+    gyro: Gyro | None,
+    bias: float,
+    log: Log,
+    fixes: Fixes | None,
+    lates: Sequence[clocks.Late],
+    compass: Compass | None,
+) -> Lever | None:
+    """Of the fixes, by the turns of a gyro: those of tracks depend on the ground."""
+    if fixes is None or gyro is None:
+        return None
+    is_on_time = any(late.gain is None and "fixes" in _parties(late, compass, fixes) for late in lates)
+    path = _path(grid, gyro, bias, log)
+    return places.lever_of(path, fixes, log.machine.tread, is_on_time=is_on_time)
+
+
+def _distances(
+    grid: Grid, gyro: Gyro | None, bias: float, log: Log, fixes: Fixes, unit: float, turned: float
+) -> tuple[list[Cause], list[Undetermined]]:
+    path, thin = _path(grid, gyro, bias, log), thinned(fixes, 0.2)
+    noise = float(np.median(fixes.stddevs))
+    all_scales = [scales(path, thin, length, noise) for length in _SEGMENTS]
+    best = max((one for one in all_scales if one is not None), key=speeds.worth, default=None)
+    return speeds.judge(best, log.machine, unit, speeds.distance_of(fixes, grid), turned)
 
 
 def _delay(late: clocks.Late, names: dict[str, str]) -> Measured:

@@ -21,7 +21,7 @@ from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyr
 from trackslip_estimation.setup_check.path import dead_reckoning, thinned
 
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
-_SURE = 3.0  # standard deviations
+_SURE = 2.0  # standard deviations, by which a delay is longer
 _FINE = 0.15  # s, of a delay by turn rates
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
@@ -42,7 +42,10 @@ class Late:
 
 
 def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
-    """The log in s, and the sources whose stamps were in another unit."""
+    """The log in s, and the sources whose stamps were in another unit.
+
+    One that is alone in that is left out: where its stamps begin is unknown.
+    """
     series: list[tuple[str, str, FloatArray]] = [("sprockets", "tracks", log.tracks.t)]
     series += [(g.name, "gyro", g.t) for g in log.gyros]
     series += [(f.name, "fixes", f.t) for f in log.fixes]
@@ -71,20 +74,21 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
 
 
 def _scaled(log: Log, factors: dict[str, float]) -> Log:
-    start = float(log.tracks.t[0])
+    start, common = float(log.tracks.t[0]), factors["sprockets"]
 
-    def right(name: str, t: FloatArray) -> FloatArray:
-        return start + (t - start) * factors.get(name, 1.0)
+    def right(t: FloatArray) -> FloatArray:
+        return start + (t - start) * common
 
-    t = right("sprockets", log.tracks.t)
+    t = right(log.tracks.t)
     angles, speeds = log.tracks.angles, log.tracks.speeds
-    if factors["sprockets"] != 1.0 and np.isfinite(speeds).all():
+    if common != 1.0 and np.isfinite(speeds).all():
         angles = angles_of(t, speeds, np.full(speeds.shape, np.nan))
-    tracks = Tracks(t, speeds, angles)
-    gyros = tuple(replace(g, t=right(g.name, g.t)) for g in log.gyros)
-    fixes = tuple(replace(f, t=right(f.name, f.t)) for f in log.fixes)
-    compasses = tuple(replace(c, t=right(c.name, c.t)) for c in log.compasses)
-    return replace(log, tracks=tracks, gyros=gyros, fixes=fixes, compasses=compasses)
+    alike = {name for name, factor in factors.items() if factor == common}
+    gyros = tuple(replace(g, t=right(g.t)) for g in log.gyros if g.name in alike)
+    fixes = tuple(replace(f, t=right(f.t)) for f in log.fixes if f.name in alike)
+    known = alike | ({c.name for c in log.compasses} - factors.keys())
+    compasses = tuple(replace(c, t=right(c.t)) for c in log.compasses if c.name in known)
+    return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
 
 
 def lates_of(
@@ -124,7 +128,8 @@ def _of_path(
         k = int(np.argmax(logs))
         near = np.flatnonzero(logs > logs[k] - 2.0)
         stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
-        if np.ptp(logs) > 2.0 and (best is None or stddev < best.stddev):
+        inside = 0 < k < len(_LATES) - 1  # else the top lies beyond
+        if inside and np.ptp(logs) > 2.0 and (best is None or stddev < best.stddev):
             gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
             best = Late("tracks", "fixes", float(_LATES[k]), stddev, gain)
     if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < LEAST_LOG):
@@ -146,7 +151,7 @@ def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[U
     values: dict[tuple[str, str], tuple[float, float]] = {}
     for late in sorted(lates, key=lambda one: (not (one.gain is None and one.stddev < _FINE), one.stddev)):
         values.setdefault((groups[late.first], groups[late.second]), (late.value, late.stddev))
-    off = {key: v for key, v in values.items() if abs(v[0]) > LEAST_DELAY and abs(v[0]) > _SURE * v[1]}
+    off = {key: v for key, v in values.items() if abs(v[0]) - _SURE * v[1] > LEAST_DELAY}
     if not off:
         return [], []
     scores = {}

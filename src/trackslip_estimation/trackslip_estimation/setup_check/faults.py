@@ -10,6 +10,7 @@ from trackslip_estimation.setup_check.grid import angles_of
 from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log, Tracks
 
 _LEAST_MISSING = 5  # readings
+_LEAST_PLACES = 3  # fixes at one place to the last digit, far from all others
 _LEAST_SHARE = 0.002  # of all
 _LONGEST_RUN = 3  # readings of the same value in a row
 _RETURN = 0.3  # of a jump, by which the readings before and after it differ at most
@@ -52,9 +53,11 @@ def missing_in(values: FloatArray) -> tuple[float, BoolArray] | None:
         return None
     found, counts = np.unique(values[jumps], return_counts=True)
     top = int(np.argmax(counts))
-    if counts[top] < max(_LEAST_MISSING, 0.5 * jumps.sum(), _LEAST_SHARE * count):
+    where = jumps & (values == found[top])
+    alike = jumps & (size > 0.5 * np.median(size[where]))  # what jumps as far
+    if counts[top] < max(_LEAST_MISSING, 0.5 * alike.sum(), _LEAST_SHARE * count):
         return None
-    return float(found[top]), np.asarray(jumps & (values == found[top]))
+    return float(found[top]), np.asarray(where)
 
 
 def _neighbours(values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -116,7 +119,7 @@ def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> Boo
     spread = float(np.median(np.hypot(*(places - usual).T)))
     unique, index, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     for k in np.argsort(-counts)[:3]:
-        if counts[k] < _LEAST_MISSING or counts[k] > 0.5 * len(places):
+        if counts[k] < _LEAST_PLACES or counts[k] > 0.5 * len(places):
             continue
         where = index.ravel() == k
         gaps = np.hypot(*(places[~where] - unique[k]).T)

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the path of the fixes shows of dead reckoning: scale of distance, lever arm, delay, with intervals.
 
-    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + e      in each segment s, with a place and a scale
-    of its own
+    e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + b ∫e^{iψ}|dψ| − τ q̇_k + e      in each segment s
 
-Δl is common to all segments: a_s and ρ_s are projected out of z and of e^{iψ}, and its covariance is the
-jackknife's over segments.
+Place a_s and scale ρ_s are those of the segment; Δl, b and τ are common to all. b is the distance that the
+tracks lose or gain in turns, m/rad: with turns to one side alone, a sensor off to a side shows the same. τ
+is a delay: in turns at one speed alone, a sensor ahead shows the same. a_s and ρ_s are projected out; the
+covariance is the jackknife's over segments, or that of the fit.
 """
 
 from typing import NamedTuple
@@ -17,6 +18,9 @@ from trackslip_estimation.setup_check.log import Fixes, FloatArray
 from trackslip_estimation.setup_check.path import ComplexArray, IntArray, Moments, Path, segments
 
 _LEAST_SEGMENTS = 3
+_FITS = 4
+_FEW = 3.0  # of few segments the standard deviation is larger by _FEW / (n − 1)
+_FOLLOWS = 0.95  # correlation of the fixes with the path, below which they show errors or slips, no scale
 
 
 class Scales(NamedTuple):
@@ -40,7 +44,7 @@ class Lever(NamedTuple):
 
 
 def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | None:
-    """Of segments of ``length`` s whose extent is six times the ``noise`` (m) of fixes."""
+    """Of segments of ``length`` s in which fixes follow the path over six times their ``noise``, m."""
     parts = segments(path, fixes, length)
     if not len(parts):
         return None
@@ -49,13 +53,14 @@ def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | No
     q = path.at(fixes.t, complex(*fixes.lever))
     moments = Moments(parts)
     of_q = np.maximum(moments.product(q, q).real, 1e-12)
+    of_z = np.maximum(moments.product(z, z).real, 1e-12)
     c = moments.product(q, z) / of_q
     extent = np.sqrt(of_q / moments.counts)
     begin, end = parts[:, 0], parts[:, 1] - 1
     distance = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.places)))))
     way = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
-    own = np.abs(z[end] - z[begin])
-    wide = (np.maximum(extent, own / 3.5) > max(6.0 * noise, 0.25)) & (way > 0.3)
+    wide = (np.sqrt(of_z / moments.counts) > max(6.0 * noise, 0.25)) & (way > 0.3)
+    wide &= np.abs(c) * np.sqrt(of_q) > _FOLLOWS * np.sqrt(of_z)
     if not wide.any():
         return None
     variances = (noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
@@ -66,69 +71,95 @@ def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | No
 
 
 class _Projected(NamedTuple):
-    """Sums of a segment, with place and scale projected out."""
+    """Sums of s segments over the columns of x, y, b and τ, with place and scale projected out."""
 
     zz: FloatArray  # (s,)
-    uz: ComplexArray
-    uu: FloatArray
-    free: FloatArray
+    products: FloatArray  # (s, 4, 4) of the columns with each other
+    of_z: FloatArray  # (s, 4) of the columns with the fixes
+    free: FloatArray  # (s,)
 
 
-def fit_lever(path: Path, fixes: Fixes, length: float) -> Lever | None:
-    """Δl, from segments of ``length`` s; None where too few turn."""
+def fit_lever(
+    path: Path, fixes: Fixes, length: float, slip_stddev: float, delay_stddev: float
+) -> Lever | None:
+    """Δl, from segments of ``length`` s; None where too few turn; σ of b, m/rad, and of τ, s."""
     parts = segments(path, fixes, length)
     if len(parts) < _LEAST_SEGMENTS:
         return None
+    sums, turned = _project(path, fixes, parts)
+    noise = float(np.median(fixes.stddevs)) ** 2 + 1e-6
+    prior = np.diag((1e-9, 1e-9, slip_stddev**-2, delay_stddev**-2))
+    value = np.zeros(4)
+    for _ in range(_FITS):  # each with the weights of what the last one leaves
+        weights = sums.free / _rests(sums, value, noise)
+        products = weights[:, np.newaxis, np.newaxis] * sums.products
+        of_z = weights[:, np.newaxis] * sums.of_z
+        total = products.sum(axis=0) + prior
+        value = np.linalg.solve(total, of_z.sum(axis=0))
+    uu = products[:, 0, 0]
+    if (uu > 0.05 * uu.sum()).sum() < _LEAST_SEGMENTS:
+        return None
+    count = float(uu.sum() ** 2 / np.sum(uu**2))  # of segments that turn alike
+    without = np.linalg.solve(total - products, (of_z.sum(axis=0) - of_z)[:, :, np.newaxis])[:, :, 0]
+    moved = (without - value) * np.sqrt((len(parts) - 1) / len(parts))
+    stddevs = np.maximum(np.sqrt(np.sum(moved**2, axis=0)), np.sqrt(np.diag(np.linalg.inv(total))))
+    stddevs = stddevs * (1.0 + _FEW / max(count - 1.0, 1e-3))
+    none = np.concatenate(((0.0, 0.0), np.linalg.solve(total[2:, 2:], of_z[:, 2:].sum(axis=0))))
+    gains = sums.free * np.log(_rests(sums, none, noise) / _rests(sums, value, noise))
+    gain = float(np.clip(gains, -4.0, 4.0).sum())
+    return Lever(complex(value[0], value[1]), (float(stddevs[0]), float(stddevs[1])), gain, turned)
+
+
+def _rests(sums: _Projected, value: FloatArray, noise: float) -> FloatArray:
+    """(s,) squares that (4,) values leave, and noise (m²)."""
+    left = sums.zz - 2.0 * sums.of_z @ value + np.einsum("i,sij,j->s", value, sums.products, value)
+    return np.asarray(np.maximum(left, 0.0) + sums.free * noise + 1e-9)
+
+
+def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, float]:
+    moments, q = Moments(parts), path.at(fixes.t, complex(*fixes.lever))
     z = fixes.places @ np.array((1.0, 1.0j))
     z = z - z.mean()
-    sums, turned = _project(path, fixes, parts, z)
-    noise = float(np.median(fixes.stddevs)) ** 2
-    weights = 1.0 / (sums.zz / np.maximum(sums.free, 1.0) + noise + 1e-6)
-    uz, uu = weights * sums.uz, weights * sums.uu
-    if uu.sum() <= 0.0 or (uu > 0.05 * uu.sum()).sum() < _LEAST_SEGMENTS:
-        return None
-    value = uz.sum() / uu.sum()
-    without = (uz.sum() - uz) / np.maximum(uu.sum() - uu, 1e-12)
-    count = len(uu)
-    moved = (without - value) * np.sqrt((count - 1) / count)
-    stddevs = float(np.sqrt(np.sum(moved.real**2))), float(np.sqrt(np.sum(moved.imag**2)))
-    rests = sums.zz - 2.0 * (np.conj(value) * sums.uz).real + abs(value) ** 2 * sums.uu
-    floors = sums.free * noise + 1e-9
-    gains = np.clip(sums.free * np.log((sums.zz + floors) / (np.maximum(rests, 0.0) + floors)), -4.0, 4.0)
-    return Lever(complex(value), stddevs, float(gains.sum()), turned)
-
-
-def _project(path: Path, fixes: Fixes, parts: IntArray, z: ComplexArray) -> tuple[_Projected, float]:
-    q, moments = path.at(fixes.t, complex(*fixes.lever)), Moments(parts)
     heading = np.interp(fixes.t, path.edges, path.headings)
     u = np.exp(1j * heading)
+    columns = (u, 1j * u, _of_turns(path, fixes.t), _of_delay(path, fixes))
     of_q = np.maximum(moments.product(q, q).real, 1e-12)
-    qz, qu = moments.product(q, z), moments.product(q, u)
-    uu = moments.product(u, u).real - np.abs(qu) ** 2 / of_q
-    uz = moments.product(u, z) - np.conj(qu) * qz / of_q
-    zz = np.maximum(moments.product(z, z).real - np.abs(qz) ** 2 / of_q, 0.0)
+
+    def product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
+        own = moments.product(a, b) - np.conj(moments.product(q, a)) * moments.product(q, b) / of_q
+        return np.where(of_q > 1e-3, own, 0.0)
+
+    uu = np.maximum(product(u, u).real, 0.0)
     # direction of the begin: of the scale once Δl is fitted too
-    c = qz / of_q
-    own = np.where(uu > 1e-6, uz / np.maximum(uu, 1e-6), 0.0)
-    c = (qz - np.conj(np.conj(qu)) * own) / of_q
+    own = np.where(uu > 1e-6, product(u, z) / np.maximum(uu, 1e-6), 0.0)
+    c = moments.product(q, z) - moments.product(q, u) * own
     turn = c / np.maximum(np.abs(c), 1e-12)
+    products = np.array([[product(a, b).real for b in columns] for a in columns])
+    of_z = np.array([(np.conj(turn) * product(a, z)).real for a in columns])
     duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
     free = np.maximum(np.minimum(np.minimum(moments.counts, duration + 1.0), 16.0) - 2.0, 0.0)
+    free = np.where(of_q > 1e-3, free, 0.0)
     turned = float(np.sum(np.abs(heading[parts[:, 1] - 1] - heading[parts[:, 0]])))
-    usable = of_q > 1e-3
-    zero = np.zeros(len(parts))
-    found = _Projected(
-        np.where(usable, zz, zero),
-        np.where(usable, np.conj(turn) * uz, zero),
-        np.where(usable, np.maximum(uu, 0.0), zero),
-        np.where(usable, free, zero),
-    )
-    return found, turned
+    zz = np.maximum(product(z, z).real, 0.0)
+    return _Projected(zz, np.moveaxis(products, 2, 0), of_z.T, free), turned
+
+
+def _of_turns(path: Path, t: FloatArray) -> ComplexArray:
+    """(n,) ∫ e^{iψ} |dψ|: where a machine would be that goes 1 m a radian."""
+    middle = (path.headings[1:] + path.headings[:-1]) / 2.0
+    places = np.concatenate(([0.0], np.cumsum(np.exp(1j * middle) * np.abs(np.diff(path.headings)))))
+    return np.asarray(np.interp(t, path.edges, places.real) + 1j * np.interp(t, path.edges, places.imag))
+
+
+def _of_delay(path: Path, fixes: Fixes) -> ComplexArray:
+    """(n,) −q̇: by how much places lag for each second of delay."""
+    step, lever = path.edges[1] - path.edges[0], complex(*fixes.lever)
+    return np.asarray((path.at(fixes.t - step, lever) - path.at(fixes.t + step, lever)) / (2.0 * step))
 
 
 def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> FloatArray:
     """(d,) ln likelihood of each delay of the fixes, s; place, scale, direction of segments are free."""
-    parts = segments(path, fixes, length)
+    parts = segments(path, fixes, length, margin=float(np.abs(lates).max()))
     if not len(parts):
         return np.zeros(len(lates))
     z = fixes.places @ np.array((1.0, 1.0j))

@@ -3,6 +3,7 @@
 """The inertial unit against the tracks: frozen, biased, of another unit, or turned in its mounting."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,8 +55,10 @@ _TILT_NOISE = np.radians(12.0)  # of what accelerations show of it
 _GRAVITY = (7.5, 12.0)  # m/s²
 _FOLLOWS = 0.85  # correlation of turns of one machine
 _MOST_TURN = 3.0  # of the gyro over the tracks, of any machine
+_FASTEST = 8.0  # rad/s, beyond any machine
 _AXES = "xyz"
 _MOSTLY = 0.5  # of all readings
+_LEAST_AXIS = 5  # windows in which an axis was recorded
 
 
 @dataclass(frozen=True)
@@ -70,12 +73,13 @@ class Inertial:
     gravity: FloatArray | None = None  # (3,) unit vector, in the axes as stated
     is_upside_down: bool = False
     undetermined: tuple[Undetermined, ...] = ()
+    is_contradicted: bool = False  # gyro or tracks have another unit, and nothing says which
 
 
 def examine(
-    log: Log, gyro: Gyro, track_scale: float, turned: FloatArray | None, fixes: Fixes | None
+    log: Log, gyro: Gyro, turned: FloatArray | None, fixes: Fixes | None, *, is_unit_known: bool
 ) -> Inertial | None:
-    """Everything but its sign; ``track_scale``: true over track distance, ``turned``: see ``_frozen``."""
+    """Everything but its sign; ``turned``: see ``_frozen``, ``is_unit_known``: that of the tracks."""
     grid = make_grid(log, gyro)
     if grid is None:
         return None
@@ -89,20 +93,25 @@ def examine(
     gyro, axis_cause = _axis(gyro, grid, x, gravity, of_heading)
     causes += [axis_cause] if axis_cause else []
     grid = make_grid(log, gyro) or grid
-    factor, unit_cause, open_ones = _unit(gyro, grid, x * track_scale, of_heading, fixes)
+    factor, unit_cause, open_ones = _unit(gyro, grid, x, of_heading, fixes, is_unit_known=is_unit_known)
     if unit_cause is not None:
         causes.append(unit_cause)
         gyro = replace(gyro, rates=gyro.rates / factor)
         grid = make_grid(log, gyro) or grid
     turn = window_sums(grid, grid.turns)[:, 2]
-    scale = scale_of(turn, x * track_scale, WINDOW)
-    share = turned_share(turn, x * track_scale)
+    scale = scale_of(turn, x, WINDOW)
+    share = turned_share(turn, x)
     if scale > EFFICIENCY[1] or share > _MOST_TURN:
-        what = f"gyro that turns {max(np.nan_to_num(scale), share):.3g} times as much as the tracks"
+        what = (
+            f"gyro that turns {max(np.nan_to_num(scale), share):.3g} times as much as the tracks: "
+            "unit of the gyro, or of the speeds"
+        )
         open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
-        return Inertial(log, None, grid, causes=tuple(causes), gravity=gravity, undetermined=tuple(open_ones))
-    if _is_known(turn, x * track_scale, of_heading) and frozen_share(gyro) < _MOSTLY:
-        bias_cause = _bias(gyro, turn, x * track_scale, of_heading)
+        return Inertial(
+            log, None, grid, 1.0, tuple(causes), gravity, False, tuple(open_ones), is_contradicted=True
+        )
+    if _is_known(turn, x, of_heading) and frozen_share(gyro) < _MOSTLY:
+        bias_cause = _bias(gyro, turn, x, of_heading)
         causes += [bias_cause] if bias_cause else []
     down = (
         gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
@@ -163,40 +172,56 @@ def _axis(
     No machine stands on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
     axis must turn by more than the machine tilts: pitch on a hill follows the tracks too.
     """
-    if frozen_share(gyro) > _MOSTLY:
-        return gyro, None
     turns = window_sums(grid, grid.turns)
-    gains, units, by_tracks = np.full(3, -np.inf), np.ones(3), np.full(3, -np.inf)
-    for axis in range(3):
-        if np.isfinite(turns[:, axis]).sum() < 5:
-            continue
-        scale = scale_of(turns[:, axis], x, WINDOW)
-        if np.isfinite(scale) and scale > 0.0:
-            units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
-            gains[axis] = by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, units[axis]).logs.max()
-            if of_heading is not None:
-                gains[axis] += _heading_gain(turns[:, axis] / units[axis], of_heading)
-    if by_tracks[2] > _LEAST_GAIN or int(np.argmax(gains)) == 2 or not np.isfinite(gains).any():
+    found = _axis_gains(turns, x, of_heading)
+    best = int(np.argmax(found.gains))
+    is_known = np.isfinite(found.gains).any() and frozen_share(gyro) <= _MOSTLY
+    if not is_known or best == 2 or found.by_tracks[2] > _LEAST_GAIN:
         return gyro, None
-    best = int(np.argmax(gains)) if gravity is None else int(np.argmax(np.abs(gravity)))
-    by_gravity = gravity is not None and best != 2 and bool(np.isfinite(turns[:, best]).sum() >= 5)
-    if not by_gravity:
-        best = int(np.argmax(gains))
-        log_ratio = float(gains[best] - max(gains[2], 0.0))
-        spans = [_span(turns[:, axis] / units[best], x) for axis in (best, 2)]
-        most = _MOST_TILT if gravity is None else min(2.0 * _tilt_span(gyro) + _TILT_NOISE, _MOST_TILT)
-        if best == 2 or log_ratio < _AXIS_GAIN or spans[0] < most or spans[1] > min(most, 0.5 * spans[0]):
-            return gyro, None
-    else:
-        log_ratio = max(float(gains[best] - max(gains[2], 0.0)), 0.0) + _AXIS_GAIN
-    fix = to_vertical(best, float(np.sign(gravity[best])) if by_gravity and gravity is not None else 1.0)
+    upright = None if gravity is None else int(np.argmax(np.abs(gravity)))
+    if gravity is not None and upright in (0, 1) and np.isfinite(turns[:, upright]).sum() >= _LEAST_AXIS:
+        log_ratio = max(float(found.gains[upright] - max(found.gains[2], 0.0)), 0.0) + _AXIS_GAIN
+        evidence = (
+            f"gravity lies along its {_AXES[upright]} axis, and it does not turn about z as the tracks do"
+        )
+        fix = to_vertical(upright, float(np.sign(gravity[upright])))
+        return _remounted(gyro, fix, "imu_mounting", evidence, log_ratio)
+    log_ratio = float(found.gains[best] - max(found.gains[2], 0.0))
+    spans = [_span(turns[:, axis] / found.units[best], x) for axis in (best, 2)]
+    most = _MOST_TILT if gravity is None else min(2.0 * _tilt_span(gyro) + _TILT_NOISE, _MOST_TILT)
+    if log_ratio < _AXIS_GAIN or spans[0] < most or spans[1] > min(most, 0.5 * spans[0]):
+        return gyro, None
+    evidence = f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z"
+    return _remounted(gyro, to_vertical(best, 1.0), "gyro_axis", evidence, log_ratio)
+
+
+class _AxisGains(NamedTuple):
+    """Of x, y, z; −∞ where an axis shows nothing."""
+
+    gains: FloatArray  # (3,) ln likelihood by tracks and headings that it is the vertical one
+    by_tracks: FloatArray  # (3,) that by tracks alone
+    units: FloatArray  # (3,) what it shows of 1 rad/s
+
+
+def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> _AxisGains:
+    """Of turns (w, 3) in windows."""
+    found = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
+    for axis in range(3):
+        scale = scale_of(turns[:, axis], x, WINDOW)
+        if np.isfinite(turns[:, axis]).sum() < _LEAST_AXIS or not scale > 0.0:
+            continue
+        found.units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
+        found.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, found.units[axis]).logs.max()
+        by_heading = 0.0
+        if of_heading is not None:
+            by_heading = _heading_gain(turns[:, axis] / found.units[axis], of_heading)
+        found.gains[axis] = found.by_tracks[axis] + by_heading
+    return found
+
+
+def _remounted(gyro: Gyro, fix: FloatArray, name: str, evidence: str, log_ratio: float) -> tuple[Gyro, Cause]:
+    """With ``fix`` (3, 3) applied."""
     turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
-    name = "imu_mounting" if by_gravity else "gyro_axis"
-    evidence = (
-        f"gravity lies along its {_AXES[best]} axis, and it does not turn about z as the tracks do"
-        if by_gravity
-        else f"the unit turns about its {_AXES[best]} axis as the tracks do, and not about z"
-    )
     return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
 
 
@@ -266,11 +291,18 @@ def _unit_of(scale: float) -> tuple[str, float]:
 
 
 def _unit(
-    gyro: Gyro, grid: Grid, x: FloatArray, of_heading: FloatArray | None, fixes: Fixes | None
+    gyro: Gyro,
+    grid: Grid,
+    x: FloatArray,
+    of_heading: FloatArray | None,
+    fixes: Fixes | None,
+    *,
+    is_unit_known: bool,
 ) -> tuple[float, Cause | None, list[Undetermined]]:
     """Factor of a unit that headings, or the path of the fixes, ask for as well as the tracks do.
 
-    A gyro that turns more than its tracks needs no witness; tracks that turn more than the gyro may slip.
+    Without such a witness, tracks that turn more than the gyro may slip, and those that turn less may have
+    another unit, unless the distance of fixes shows theirs or no machine turns as the gyro says.
     """
     turn = window_sums(grid, grid.turns)[:, 2]
     scale = scale_of(turn, x, WINDOW)
@@ -286,6 +318,8 @@ def _unit(
     if turns_of(turn / factor) < LEAST_TURNS:
         return 1.0, None, []
     witness = _witness(turn, grid, of_heading, fixes, factor)
+    if witness is None and factor > 1.0 and not is_unit_known and not _is_too_fast(turn):
+        return 1.0, None, []
     if witness is None and factor < 1.0:
         what = f"gyro that shows {scale:.3g} of what the tracks turn: tracks that slip, or {name}"
         return 1.0, None, [Undetermined(what, "record fixes while you turn left and right by 90° once each")]
@@ -297,6 +331,11 @@ def _unit(
     )
     cause = Cause("gyro_unit", gyro.name, evidence, odds_of(total), remedies.gyro_scale(gyro, factor))
     return factor, cause, []
+
+
+def _is_too_fast(turn: FloatArray) -> bool:
+    known = np.abs(turn[np.isfinite(turn)])
+    return bool(len(known) and np.percentile(known, 95) > _FASTEST * WINDOW)
 
 
 def _is_scaled(by_heading: float, by_tracks: float) -> bool:

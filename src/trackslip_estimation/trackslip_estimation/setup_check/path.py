@@ -89,8 +89,11 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
     )
 
 
-def segments(path: Path, fixes: Fixes, length: float) -> IntArray:
-    """(s, 2) first fix, and the one after the last, of pieces of ``length`` s without a gap of any sensor."""
+def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> IntArray:
+    """(s, 2) first fix, and the one after the last, of pieces of ``length`` s without a gap of any sensor.
+
+    Nor has the path a gap within ``margin`` s of them.
+    """
     t = fixes.t
     unknown = np.concatenate(([0], np.cumsum(~path.is_known)))
     most = LONGEST_GAP / (path.edges[1] - path.edges[0])
@@ -101,7 +104,7 @@ def segments(path: Path, fixes: Fixes, length: float) -> IntArray:
         gap = np.flatnonzero(breaks[first:stop])
         stop = first + int(gap[0]) + 1 if len(gap) else stop
         if stop - first >= _LEAST_FIXES and t[first] >= path.edges[0] and t[stop - 1] <= path.edges[-1]:
-            a, b = np.searchsorted(path.edges, (t[first], t[stop - 1]))
+            a, b = np.searchsorted(path.edges, (t[first] - margin, t[stop - 1] + margin))
             if unknown[min(b, len(unknown) - 1)] - unknown[max(a - 1, 0)] <= most:
                 found.append((first, stop))
         first = stop

@@ -16,13 +16,15 @@ from trackslip_estimation.setup_check.heading import (
     straight_courses,
     wrapped,
 )
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Log, group_of
+from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Machine, group_of
 from trackslip_estimation.setup_check.path import Path, thinned
 
 _LENGTHS = (5.0, 10.0, 20.0)  # s
 _ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
 _LEAST_LEVER = 0.08  # m
 _SURE = 4.0  # standard deviations
+_ON_TIME, _LATE = 0.05, 0.5  # s, standard deviation of a delay that headings exclude, or do not
+_TURN = "turn on the spot by 180° to the left and to the right"
 _EXACT = 0.06  # of the tread, standard deviation of a lever arm that is known
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
@@ -35,51 +37,48 @@ _GRID = 1e5  # m: coordinates of a national grid
 _APART = 20.0  # m between sources, all the time
 
 
-def lever_of(path: Path, fixes: Fixes) -> Lever | None:
-    """Δl by the length of segments that shows it best."""
-    thin = thinned(fixes, 0.2)
-    found = [lever for length in _LENGTHS if (lever := fit_lever(path, thin, length)) is not None]
-    return min(found, key=lambda lever: sum(lever.stddevs), default=None)
+def lever_of(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> Lever | None:
+    """Δl by the length of segments that shows it best; ``is_on_time``: headings show that fixes are."""
+    thin, late = thinned(fixes, 0.2), _ON_TIME if is_on_time else _LATE
+    fits = [fit_lever(path, thin, length, tread, late) for length in _LENGTHS]
+    found = [lever for lever in fits if lever is not None]
+    return min(found, key=lambda lever: float(np.minimum(lever.stddevs, tread).sum()), default=None)
 
 
-def judge_lever(path: Path, fixes: Fixes, log: Log, rival: float) -> tuple[list[Cause], list[Undetermined]]:
-    """Of a source on the undercarriage; ``rival``: ln likelihood of a delay that it must exceed."""
+def judge_lever(
+    lever: Lever | None, fixes: Fixes, machine: Machine
+) -> tuple[list[Cause], list[Undetermined]]:
+    """Of a source on the undercarriage."""
     if fixes.is_above:
-        return [], []
-    lever = lever_of(path, fixes)
-    machine = log.machine
-    if lever is None or lever.turned < _LEAST_TURN or max(lever.stddevs) > 0.5 * machine.tread + 0.3:
-        needed = "turn on the spot by 180° to the left and to the right"
-        return [], [Undetermined(f"lever arm of {fixes.name}", needed)]
+        return [], [
+            Undetermined(f"lever arm of {fixes.name}, which swings", "keep the upper structure still")
+        ]
+    if lever is None or lever.turned < _LEAST_TURN or min(lever.stddevs) > 0.5 * machine.tread + 0.3:
+        return [], [Undetermined(f"lever arm of {fixes.name}", _TURN)]
     off = np.array((lever.value.real, lever.value.imag))
     sure = np.array(lever.stddevs)
     allowed = np.array(
         (_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER)
     )
-    is_off = np.abs(off) > np.maximum(allowed, 0.0) + _SURE * sure
+    is_off = np.abs(off) > allowed + _SURE * sure
     if not is_off.any() or lever.log_ratio < LEAST_LOG:
         if max(sure) < _EXACT * machine.tread:
             return [], []
         what = f"lever arm of {fixes.name}, which turns show to ± {_SURE * max(sure):.2g} m only"
-        return [], [Undetermined(what, "turn on the spot by 180° to the left and to the right")]
-    if lever.log_ratio < rival:
-        what = f"lever arm of {fixes.name}, or a delay of its stamps"
-        return [], [Undetermined(what, "turn on the spot, and stop and start on straights")]
+        return [], [Undetermined(what, _TURN)]
     value = np.array(fixes.lever) + off
     if np.hypot(*fixes.lever) > _LEAST_LEVER and (np.abs(value + fixes.lever) < allowed + _SURE * sure).all():
         return [], [
             Undetermined(f"lever arm of {fixes.name} of the other sign, {_FRONT}", _AHEAD, is_wrong=True)
         ]
     group = group_of(fixes.name)
+    known = [k for k in (0, 1) if is_off[k] or sure[k] < _EXACT * machine.tread]
+    shown = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * sure[k]:.2f}" for k in known)
     evidence = (
-        f"in turns the fixes are those of a sensor at x {value[0]:.2f} ± "
-        f"{2.0 * sure[0]:.2f}, y {value[1]:.2f} ± "
-        f"{2.0 * sure[1]:.2f} m; stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
+        f"in turns the fixes are those of a sensor at {shown} m; "
+        f"stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
     )
-    values = [
-        remedies.parameter(f"{group}.lever_arm_{axis}", round(float(v), 2))
-        for axis, v in zip("xy", value, strict=True)
-    ]
+    values = [remedies.parameter(f"{group}.lever_arm_{'xy'[k]}", round(float(value[k]), 2)) for k in known]
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
@@ -115,6 +114,8 @@ def judge_offset(
             f"mapping: origin {-middle:.3f} rad at yaw), or "
             f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
         )
+        if abs(abs(middle) - np.pi / 2.0) < _LEAST_OFFSET:
+            remedy += "; if x of the places points north, exchange x and y and turn one sign instead"
     else:
         offset = float(wrapped(np.array((compass.offset - middle,)))[0])
         remedy = f"Set {remedies.parameter(f'{group_of(compass.name)}.offset', round(offset, 3))}"

@@ -32,7 +32,9 @@ def judge_sides(drive: Drive, unit: float) -> tuple[list[Cause], list[Undetermin
     if len(way) < _LEAST_WINDOWS or not np.percentile(turn, 20) < _STRAIGHT > -np.percentile(turn, 80):
         return [], []
     logs = np.log((tracks[:, 0] + _NOTHING) / (tracks[:, 1] + _NOTHING))
-    logs = logs - np.polyfit(turn / way, logs, 1)[0] * turn / way  # as they would be without a turn
+    curve = turn / way
+    bent = curve - curve.mean()
+    logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # as without a turn
     least = float(np.log(_LEAST_RATIO))
     shares = [float((logs < -least).mean()), float((logs > least).mean())]
     less = int(shares[1] > shares[0])  # the side that goes less far

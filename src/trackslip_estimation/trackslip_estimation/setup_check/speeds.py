@@ -31,6 +31,7 @@ UNITS = {  # speed by the tracks over what it should be
     "half of the radius": 0.5,
     "mm/s, declared m/s": 1e3,
     "m/s, declared mm/s": 1e-3,
+    "mph, declared m/s": 2.237,
     "cm/s, declared m/s": 1e2,
     "m/s, declared cm/s": 1e-2,
 }
@@ -48,6 +49,8 @@ _WORST_BEST = 0.56  # ρ on the best ground of a drive, if slip leaves so little
 _HOLDS = 1.05  # ρ on the worst ground where the unit makes it larger than 1
 _GEAR = (1.25, 3.0)  # ratio of displacements
 _LEAST_IN_GEAR = 4  # pieces
+_LEAST_HARD = 0.9  # ρ on the best ground, below which there is slip on all of it, or none
+_ALIKE = float(np.log(10.0))  # between units of which slip may decide
 _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
@@ -123,10 +126,14 @@ class Ratios:
         return float(np.median(self.values))
 
     @property
+    def scatter(self) -> float:
+        """Standard deviation of most pieces."""
+        return 1.4826 * float(np.median(np.abs(self.values - self.middle)))
+
+    @property
     def spread(self) -> float:
         """Half width of the 95 % interval of the median."""
-        scatter = 1.4826 * float(np.median(np.abs(self.values - self.middle)))
-        return 2.0 * 1.25 * scatter / float(np.sqrt(len(self.values))) + 0.01
+        return 2.0 * 1.25 * self.scatter / float(np.sqrt(len(self.values))) + 0.01
 
 
 def judge(
@@ -151,9 +158,9 @@ def judge(
     if gear is not None:
         return [gear], []
     middle = ratios.middle / factor
-    if _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
-        return [_radius(ratios, machine, factor)], []
     holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
+    if holds and _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
+        return [_radius(ratios, machine, factor)], []
     if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
         value = UNITS[best]
         by_speeds = names[best] + _turn_log(turned * value)
@@ -161,7 +168,8 @@ def judge(
             what = f"fixes go {whole:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
             needed = "measure 10 m by tape and drive them; turn left and right by 90°"
             return [], [Undetermined(what, needed, is_wrong=True)]
-        evidence = f"fixes go {whole:.3g} times as far as the tracks; as {best}, {whole * value:.2f} times"
+        alike = " or ".join(name for name, log in names.items() if log > names[best] - _ALIKE)
+        evidence = f"fixes go {whole:.3g} times as far as the tracks; as {alike}, {whole * value:.2f} times"
         remedy = (
             "State the unit in which the speeds are (mapping: left_velocity "
             "and right_velocity: unit; roles file: "
@@ -171,11 +179,10 @@ def judge(
     if middle - ratios.spread / factor > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
         return [], [Undetermined(what, "drive 20 m straight in each gear")]
-    if ratios.best < 0.9 and ratios.best > 0.55:
+    if whole < _LEAST_HARD:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
-        return [], [
-            Undetermined(f"slip of {1.0 - ratios.best:.0%}, or a rolling radius that is too large", needed)
-        ]
+        what = f"slip of {1.0 - whole:.0%}, a rolling radius that is too large, or another unit of the speeds"
+        return [], [Undetermined(what, needed)]
     return [], []
 
 
@@ -184,7 +191,7 @@ def _radius(ratios: Ratios, machine: Machine, factor: float) -> Cause:
     low, high = (machine.radius * (rho + sign * spread) for sign in (-1.0, 1.0))
     evidence = f"the machine goes {rho:.3f} ± {spread:.3f} times as far as its tracks: no slip does that"
     remedy = f"Set vehicle.kinematics.rolling_radius: {machine.radius * rho:.3g} (m, {low:.3g} to {high:.3g})"
-    log_ratio = 0.5 * ((rho - 1.0) / _AHEAD) ** 2
+    log_ratio = 0.5 * ((rho - 1.0) / float(np.hypot(_AHEAD, ratios.scatter / factor))) ** 2
     return Cause("rolling_radius", "sprockets", evidence, odds_of(log_ratio), remedy)
 
 
