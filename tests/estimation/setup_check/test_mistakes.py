@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
+from fixtures.setup_variants import VARIANTS, piece
 
 from trackslip_estimation.setup_check.check import check
-from trackslip_estimation.setup_check.log import Log
+from trackslip_estimation.setup_check.grid import integral
+from trackslip_estimation.setup_check.log import Log, Tracks
 
 HEALTHY = {
     "precise fixes": {},
@@ -48,6 +50,14 @@ def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
 
 def test_an_outage_of_fixes_is_no_mistake() -> None:
     assert check(without_fixes(make_drive(2), 40.0, 100.0)).causes == ()
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("span", [(0.0, 180.0), (0.0, 60.0), (50.0, 140.0)])
+def test_no_cause_is_found_in_a_healthy_variant_of_a_drive(name: str, span: tuple[float, float]) -> None:
+    result = check(VARIANTS[name](piece(drive(), *span)))
+    assert result.causes == ()
+    assert result.open_questions == ()
 
 
 @pytest.mark.parametrize("name", sorted(MISTAKES.keys() - AMBIGUOUS))
@@ -189,3 +199,70 @@ def test_mirrored_fixes_of_a_drive_with_few_turns_are_not_passed_over(
     result = check(MISTAKES[name].inject(log))
     assert {cause.cause for cause in result.causes} <= {"position_sign", "position_axes_swapped"}
     assert result.causes or any("position" in u.what or "fixes" in u.what for u in result.undetermined)
+
+
+def names_of(log: Log) -> set[str]:
+    return {cause.cause for cause in check(log).causes}
+
+
+ONE_SIDED = ((6.0, 0.0, 0.0), *4 * ((10.0, 0.9, 0.0), (4.0, 0.6, 0.4), (3.0, 0.0, 0.0)))
+
+
+def test_slip_in_turns_to_one_side_is_no_lever_arm() -> None:
+    log = make_drive(programme=ONE_SIDED, lever=(0.0, 0.0))
+    turns = np.abs(np.gradient(log.tracks.angles[:, 1] - log.tracks.angles[:, 0])) > 1e-3
+    speeds = np.where(turns[:, np.newaxis], log.tracks.speeds + 0.5, log.tracks.speeds)  # both tracks spin
+    assert (
+        names_of(replace(log, tracks=Tracks(log.tracks.t, speeds, integral(log.tracks.t, speeds)))) == set()
+    )
+
+
+STEADY = (*4 * ((8.0, 0.9, 0.0), (4.0, 0.9, 0.4), (8.0, 0.9, 0.0), (4.0, 0.9, -0.4)),)
+
+
+@pytest.mark.parametrize("source", ["fixes late", "gyro late", "encoders late"])
+@pytest.mark.parametrize("has_gyro", [True, False])
+def test_a_delay_at_one_speed_is_no_lever_arm(source: str, *, has_gyro: bool) -> None:
+    log = MISTAKES[source].inject(make_drive(programme=STEADY, has_heading=False))
+    assert names_of(log if has_gyro else replace(log, gyros=())) <= {"source_delay"}
+
+
+@pytest.mark.parametrize("name", ["speed in rev/s", "speed taken as km/h", "half of the radius"])
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_without_fixes_slow_tracks_convict_neither_gyro_nor_signs(name: str, *, has_heading: bool) -> None:
+    log = replace(MISTAKES[name].inject(make_drive(has_heading=has_heading)), fixes=())
+    result = check(log)
+    assert result.causes == ()
+    assert result.undetermined
+
+
+def test_stamps_of_a_gyro_in_ms_in_the_middle_of_a_record_are_named_alone() -> None:
+    log = MISTAKES["gyro time in ms"].inject(piece(drive(), 40.0, 140.0))
+    assert names_of(log) == {"time_unit"}
+
+
+def test_a_machine_that_spins_most_of_the_time_has_no_wrong_unit() -> None:
+    log = piece(make_drive(stuck=60.0, has_heading=False), 70.0, 170.0)
+    assert names_of(log) == set()
+
+
+def test_sentinels_of_a_gyro_that_hardly_turns_are_named() -> None:
+    still = ((60.0, 0.0, 0.0), (4.0, 0.5, 0.3), (3.0, 0.0, 0.0))
+    assert names_of(MISTAKES["sentinels of the gyro"].inject(make_drive(programme=still))) == {
+        "missing_value"
+    }
+
+
+def test_three_fixes_at_zero_among_few_are_named() -> None:
+    log = make_drive(fix_rate=0.5, has_heading=False)
+    (one,) = log.fixes
+    places = one.places + np.array((900.0, 400.0))
+    places[10:60:20] = 0.0
+    assert names_of(log.with_fixes(replace(one, places=places))) == {"missing_value"}
+
+
+def test_a_lever_arm_of_a_swinging_sensor_is_left_open() -> None:
+    log = drive()
+    (one,) = log.fixes
+    result = check(log.with_fixes(replace(one, is_above=True)))
+    assert any("lever arm" in one.what and "swings" in one.what for one in result.undetermined)

@@ -114,7 +114,7 @@ def _missing_cause(one: Missing) -> Cause:
         "Leave out what stands for a missing value: blank cells, or in the "
         f"mapping 'missing: {one.value:g}' at that column"
     )
-    return Cause("missing_value", one.source, evidence, odds_of(min(one.count, 20) * 1.5), remedy)
+    return Cause("missing_value", one.source, evidence, odds_of(min(one.count, 20) * 2.0), remedy)
 
 
 def _moves(grid: Grid) -> bool:
@@ -152,12 +152,12 @@ def _in_radians(compass: Compass | None, state: inertial.Inertial, found: _Found
     """The headings, if they are in rad; those in another unit are left out, and named."""
     if compass is None or state.gyro is None or state.factor != 1.0:
         return compass
-    turns = np.nan_to_num(state.grid.turns[:, 2])
-    factor, gain = unit_log(compass, state.grid.edges, np.concatenate(([0.0], np.cumsum(turns))))
     of_gyro = window_sums(state.grid, state.grid.turns)[:, 2]
     x = window_sums(state.grid, state.grid.tracks) / state.log.machine.tread
     scale = scale_of(of_gyro, x, WINDOW)
     fit = fit_turns(of_gyro, x, WINDOW)
+    turns = np.nan_to_num(gyro_turn_of(state.grid, state.gyro, fit.bias))
+    factor, gain = unit_log(compass, state.grid.edges, np.concatenate(([0.0], np.cumsum(turns))))
     is_known = turns_of(of_gyro - fit.bias * WINDOW) >= LEAST_TURNS and float(fit.logs.max()) > _UNIT_GAIN
     is_known &= bool(inertial.EFFICIENCY[0] < scale < inertial.EFFICIENCY[1])
     if factor == 1.0 or gain < _UNIT_GAIN or not is_known:

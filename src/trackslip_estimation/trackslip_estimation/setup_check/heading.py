@@ -24,6 +24,7 @@ _DEGREES = float(np.degrees(1.0))
 _STEP_NOISE = 0.03  # rad, of a difference of neighbouring headings
 _LEAST_STEP_TURN, _MOST_STEP_TURN = 0.02, 0.5  # rad from one heading to the next
 _LEAST_STEPS = 8
+_CORRELATION = 0.85  # of headings in another unit with the turn
 _LEAST_NOISES = 6.0  # standard deviations of a fix in a step
 
 
@@ -142,4 +143,13 @@ def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float
         variance = _STEP_NOISE**2 + (factor * (0.002 + 0.05 * own[fine])) ** 2
         logs[factor] = float(mixture(wrapped(steps[fine] - factor * own[fine]), variance, 2.0 * np.pi).sum())
     best = max(logs, key=lambda factor: logs[factor])
+    if abs(best) < 1.0 and not _follows(np.unwrap(headings), best * np.interp(known, t, turned)):
+        return 1.0, 0.0
     return abs(best), logs[best] - max(logs[1.0], logs[-1.0])
+
+
+def _follows(headings: FloatArray, turned: FloatArray) -> bool:
+    """Whether small changes of headings are those of a turn, not those of headings that stay."""
+    y, x = headings - headings.mean(), turned - turned.mean()
+    of_x, of_y, both = float(x @ x), float(y @ y), float(x @ y)
+    return both > _CORRELATION * np.sqrt(of_x * of_y) and 0.5 < both / max(of_x, 1e-12) < 2.0

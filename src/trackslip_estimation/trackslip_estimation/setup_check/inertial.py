@@ -110,7 +110,8 @@ def examine(
         return Inertial(
             log, None, grid, 1.0, tuple(causes), gravity, False, tuple(open_ones), is_contradicted=True
         )
-    if _is_known(turn, x, of_heading) and frozen_share(gyro) < _MOSTLY:
+    swings = gyro.is_above and log.swing is None
+    if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(turn, x, of_heading):
         bias_cause = _bias(gyro, turn, x, of_heading)
         causes += [bias_cause] if bias_cause else []
     down = (
@@ -403,8 +404,6 @@ def _is_known(turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) ->
 
 def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> Cause | None:
     """What it shows while nothing moves, and while the machine drives; or more than headings turn."""
-    if gyro.is_above:
-        return None
     found = _at_standstill(turn, x)
     if found is None and of_heading is not None:
         found = _against_heading(turn, of_heading)

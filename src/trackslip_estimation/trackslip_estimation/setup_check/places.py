@@ -50,9 +50,8 @@ def judge_lever(
 ) -> tuple[list[Cause], list[Undetermined]]:
     """Of a source on the undercarriage."""
     if fixes.is_above:
-        return [], [
-            Undetermined(f"lever arm of {fixes.name}, which swings", "keep the upper structure still")
-        ]
+        needed = "measure it by tape: the check knows lever arms on the undercarriage only"
+        return [], [Undetermined(f"lever arm of {fixes.name}, which swings", needed)]
     if lever is None or lever.turned < _LEAST_TURN or min(lever.stddevs) > 0.5 * machine.tread + 0.3:
         return [], [Undetermined(f"lever arm of {fixes.name}", _TURN)]
     off = np.array((lever.value.real, lever.value.imag))
