@@ -199,6 +199,15 @@ def assert_most_named(log: Log, found: dict[str, str], report: Callable[[str], N
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("span", [(0.0, 60.0), (60.0, 150.0), (60.0, 180.0)])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_cause_is_found_in_a_healthy_variant_of_a_piece(name: str, span: tuple[float, float]) -> None:
+    log = piece(_present(name), *span)
+    found = {variant: check(change(log)) for variant, change in VARIANTS.items()}
+    assert {variant: result.causes for variant, result in found.items() if result.causes} == {}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_mistake_in_a_log_of_a_robot_is_called_another(name: str) -> None:
     assert_most_named(_present(name), _check_matrix(name, robot(name)))
