@@ -108,7 +108,7 @@ def examine(
         )
         open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
         return Inertial(
-            log, None, grid, 1.0, tuple(causes), gravity, False, tuple(open_ones), is_contradicted=True
+            log, None, grid, 1.0, tuple(causes), gravity, False, tuple(open_ones), not is_unit_known
         )
     swings = gyro.is_above and log.swing is None
     if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(turn, x, of_heading):

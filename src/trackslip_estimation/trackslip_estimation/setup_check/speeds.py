@@ -47,8 +47,9 @@ _AHEAD = 0.04  # standard deviation of how much a machine goes ahead of its trac
 _LEAST_DISTANCE = 5.0  # m
 _WORST_BEST = 0.56  # ρ on the best ground of a drive, if slip leaves so little
 _HOLDS = 1.05  # ρ on the worst ground where the unit makes it larger than 1
-_GEAR = (1.25, 3.0)  # ratio of displacements
+_GEAR = (1.4, 3.0)  # ratio of displacements
 _LEAST_IN_GEAR = 4  # pieces
+_LEAST_AHEAD = 3  # pieces in which no slip explains the fixes
 _LEAST_HARD = 0.9  # ρ on the best ground, below which there is slip on all of it, or none
 _ALIKE = float(np.log(10.0))  # between units of which slip may decide
 _BEST = 80.0  # percentile of ρ: the best ground of the drive
@@ -106,7 +107,8 @@ class Ratios:
 
     def __init__(self, found: Scales) -> None:
         use = found.straight > _STRAIGHT
-        if use.sum() < _LEAST_WINDOWS:
+        self.is_straight = bool(use.sum() >= _LEAST_WINDOWS)
+        if not self.is_straight:
             use = found.extents >= np.median(found.extents)
         self.values, self.times = found.ratios[use], found.times[use]
 
@@ -154,12 +156,13 @@ def judge(
     if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # no ground of the drive is a better one
         middle = ratios.middle / factor
         gain = max(gain, slip_log(middle * UNITS[best]) - slip_log(middle) - 1.0)
-    gear = _gear(ratios, factor)
+    gear = _gear(ratios, factor) if ratios.is_straight else None
     if gear is not None:
         return [gear], []
     middle = ratios.middle / factor
     holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
-    if holds and _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
+    is_radius = holds and ratios.is_straight  # in turns a lever arm shows the same
+    if is_radius and _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
         return [_radius(ratios, machine, factor)], []
     if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
         value = UNITS[best]
@@ -179,6 +182,10 @@ def judge(
     if middle - ratios.spread / factor > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
         return [], [Undetermined(what, "drive 20 m straight in each gear")]
+    ahead = int((ratios.values / factor > _GEAR[0]).sum())
+    if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
+        what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"
+        return [], [Undetermined(f"{what}: gear", "drive 20 m straight in each gear")]
     if whole < _LEAST_HARD:
         needed = "drive 10 m straight on hard level ground: there the tracks hardly slip"
         what = f"slip of {1.0 - whole:.0%}, a rolling radius that is too large, or another unit of the speeds"
@@ -231,7 +238,7 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
     """(n,) which values in order of time lie high, single ones smoothed; how far from levels most are."""
-    low, high = float(np.percentile(values, 20)), float(np.percentile(values, 80))
+    low, high = float(np.percentile(values, 10)), float(np.percentile(values, 90))
     is_high = values > (low + high) / 2.0
     for _ in range(5):
         smooth = median_of_three(is_high)
