@@ -13,7 +13,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check.delay import delay_of
 from trackslip_estimation.setup_check.faults import time_factor
-from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import path_delay
 from trackslip_estimation.setup_check.grid import Grid, angles_of
 from trackslip_estimation.setup_check.heading import heading_at
@@ -25,6 +25,7 @@ _SURE = 2.0  # standard deviations, by which a delay is longer
 _FINE = 0.15  # s, of a delay by turn rates
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
+_LEAST_SEGMENTS, _SHOWN = 5, 2.0  # of which each shows a delay by so much of ln likelihood
 _EFFICIENCY = 0.75  # κ of turns by tracks alone
 _NAMES = {1e-9: "ns, declared s", 1e-6: "µs, declared s", 1e-3: "ms, declared s"}
 _NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
@@ -124,20 +125,31 @@ def _of_path(
     path, thin = dead_reckoning(grid, grid.tracks.mean(axis=1), turn), thinned(fixes, 0.3)
     best: Late | None = None
     for length in _LENGTHS:
-        logs = path_delay(path, thin, length, _LATES)
+        of_segments = path_delay(path, thin, length, _LATES)
+        logs = of_segments.sum(axis=1)
         k = int(np.argmax(logs))
         near = np.flatnonzero(logs > logs[k] - 2.0)
         stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
+        stddev = max(stddev, _jackknife(of_segments, k))
         inside = 0 < k < len(_LATES) - 1  # else the top lies beyond
-        if inside and np.ptp(logs) > 2.0 and (best is None or stddev < best.stddev):
+        shown = (np.ptp(of_segments, axis=0) > _SHOWN).sum() >= _LEAST_SEGMENTS
+        if inside and shown and (best is None or stddev < best.stddev):
             gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
             best = Late("tracks", "fixes", float(_LATES[k]), stddev, gain)
-    if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < LEAST_LOG):
+    if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < LEAST_LOG + PRIOR):
         return []
     if apart is None:
         return [best]
     both = float(np.hypot(best.stddev, apart.stddev))
     return [best, Late("gyro", "fixes", best.value - apart.value, both, best.gain)]
+
+
+def _jackknife(of_segments: FloatArray, best: int) -> float:
+    """Standard deviation, s, of the delay of (d, s) likelihoods, by leaving out one segment at a time."""
+    without = of_segments.sum(axis=1)[:, np.newaxis] - of_segments
+    moved = _LATES[np.argmax(without, axis=0)] - _LATES[best]
+    count = len(moved)
+    return float(np.sqrt((count - 1) / count * np.sum(moved**2))) if count > 1 else float(_LATES[-1])
 
 
 def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[Undetermined]]:

@@ -158,10 +158,10 @@ def _of_delay(path: Path, fixes: Fixes) -> ComplexArray:
 
 
 def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> FloatArray:
-    """(d,) ln likelihood of each delay of the fixes, s; place, scale, direction of segments are free."""
+    """(d, s) ln likelihood of each delay of the fixes, s; place, scale, direction of segments are free."""
     parts = segments(path, fixes, length, margin=float(np.abs(lates).max()))
     if not len(parts):
-        return np.zeros(len(lates))
+        return np.zeros((len(lates), 0))
     z = fixes.places @ np.array((1.0, 1.0j))
     z = z - z.mean()
     moments = Moments(parts)
@@ -173,4 +173,4 @@ def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> Fl
     rests = [moments.rests(path.at(fixes.t - late, complex(*fixes.lever)), z) for late in lates]
     logs = -free * np.log(np.array(rests) + floors)  # (d, s)
     logs -= logs.max(axis=0)
-    return np.asarray(np.maximum(logs, -4.0).sum(axis=1))
+    return np.asarray(np.maximum(logs, -4.0))
