@@ -119,7 +119,7 @@ def test_reverse_is_resisted_forwards() -> None:
 
 
 def test_resistance_is_held_while_a_machine_on_a_slope_may_stand() -> None:
-    """Its tracks spin and hold it; a twist that says by two standard deviations that it slides is no proof."""
+    """Its tracks spin; a twist that says by two standard deviations that it slides is no proof."""
     pull, mu_r = -0.2 * VEHICLE.weight, 0.3
     dynamics = Filter()
     dynamics.load["pull"] = pull
