@@ -21,7 +21,7 @@ from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyr
 from trackslip_estimation.setup_check.path import dead_reckoning, thinned
 
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
-_SURE = 2.0  # standard deviations, by which a delay is longer
+_SURE, _CERTAIN = 2.0, 4.0  # standard deviations, by which a delay is longer than that, and than none
 _FINE = 0.15  # s, of a delay by turn rates
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
@@ -163,7 +163,11 @@ def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[U
     values: dict[tuple[str, str], tuple[float, float]] = {}
     for late in sorted(lates, key=lambda one: (not (one.gain is None and one.stddev < _FINE), one.stddev)):
         values.setdefault((groups[late.first], groups[late.second]), (late.value, late.stddev))
-    off = {key: v for key, v in values.items() if abs(v[0]) - _SURE * v[1] > LEAST_DELAY}
+    off = {
+        key: (value, stddev)
+        for key, (value, stddev) in values.items()
+        if abs(value) > max(LEAST_DELAY + _SURE * stddev, _CERTAIN * stddev)
+    }
     if not off:
         return [], []
     scores = {}
