@@ -123,6 +123,12 @@ def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> No
     assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in told)
 
 
+def test_fixes_are_not_lost_after_the_last_measurement(emulated_run: Run) -> None:
+    """A recorder runs on for some seconds when all nodes have ended."""
+    recording = dataclasses.replace(emulated_run.recording, stop_s=emulated_run.recording.stop_s + 20.0)
+    assert events_of(dataclasses.replace(emulated_run, recording=recording)) == []
+
+
 def test_a_silent_gyro_is_an_event(emulated_run: Run) -> None:
     times = emulated_run.recording.timings["imu/data_raw"].times
     limit = silence_limits(emulated_run)["imu/data_raw"]

@@ -77,10 +77,17 @@ def lost_spells(run: Run) -> dict[str, list[Spell]]:
         own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
         times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
         if source in allowed and len(times):
-            ends = np.append(times[1:], max(run.recording.stop_s, times[-1]))
+            ends = np.append(times[1:], max(last_measured_s(run), times[-1]))
             gaps = np.flatnonzero(ends - times > allowed[source])
             found[source] = [Spell(float(times[k]), float(ends[k]), _LOST) for k in gaps]
     return {source: own for source, own in found.items() if own}
+
+
+def last_measured_s(run: Run) -> float:
+    """When the last measurement of any source came, s: what follows is the end of a recording."""
+    timings = (run.recording.timings.get(name) for name in silence_limits(run))
+    ends = [float(timing.times[-1]) for timing in timings if timing is not None and len(timing.times)]
+    return max(ends, default=run.recording.stop_s)
 
 
 def explained_spells(run: Run) -> list[Spell]:
@@ -190,7 +197,7 @@ def events_of(run: Run) -> list[Event]:
 
 def _without_rims(run: Run) -> list[Event]:
     """What lights reported; of nodes that begin or end, one line each."""
-    first, last = 1e3 * _START_S, 1e3 * (run.recording.stop_s - _END_S)
+    first, last = 1e3 * _START_S, 1e3 * min(run.recording.stop_s - _END_S, last_measured_s(run))
     begin = [event for event in run.recording.events if event.time_ms < first]
     end = [event for event in run.recording.events if event.time_ms > max(last, first)]
     between = [event for event in run.recording.events if event not in (*begin, *end)]
