@@ -31,6 +31,7 @@ _THERE, _MISSING = Look(BLUE, "messages"), Look(ORANGE, "missing")
 _CALM_S = 5.0  # without a refusal, after which the gate has calmed down
 _MANY = 0.1  # of a source's measurements: more that are refused are a warning
 _START_S, _END_S = 10.0, 3.0  # s in which nodes begin and end
+_FIRST_S = 5.0  # s after the first measurement in which they still begin
 _LIGHTS = {
     int(Level.OK): Look(GREEN, "ok"),
     int(Level.WARN): Look(AMBER, "warning"),
@@ -77,17 +78,19 @@ def lost_spells(run: Run) -> dict[str, list[Spell]]:
         own = (fixes["source"] == number) & (fixes["outcome"] == Outcome.ACCEPTED)
         times = np.sort(run.recording.seconds(fixes["stamp_ns"][own]))
         if source in allowed and len(times):
-            ends = np.append(times[1:], max(last_measured_s(run), times[-1]))
+            ends = np.append(times[1:], max(measured_spell(run).stop, times[-1]))
             gaps = np.flatnonzero(ends - times > allowed[source])
             found[source] = [Spell(float(times[k]), float(ends[k]), _LOST) for k in gaps]
     return {source: own for source, own in found.items() if own}
 
 
-def last_measured_s(run: Run) -> float:
-    """When the last measurement of any source came, s: what follows is the end of a recording."""
+def measured_spell(run: Run) -> Spell:
+    """From the first to the last measurement of any source: beside it a recording begins and ends."""
     timings = (run.recording.timings.get(name) for name in silence_limits(run))
-    ends = [float(timing.times[-1]) for timing in timings if timing is not None and len(timing.times)]
-    return max(ends, default=run.recording.stop_s)
+    spans = [(timing.times[0], timing.times[-1]) for timing in timings if timing and len(timing.times)]
+    if not spans:
+        return Spell(run.recording.start_s, run.recording.stop_s, 0)
+    return Spell(float(min(first for first, _ in spans)), float(max(last for _, last in spans)), 0)
 
 
 def explained_spells(run: Run) -> list[Spell]:
@@ -197,7 +200,9 @@ def events_of(run: Run) -> list[Event]:
 
 def _without_rims(run: Run) -> list[Event]:
     """What lights reported; of nodes that begin or end, one line each."""
-    first, last = 1e3 * _START_S, 1e3 * min(run.recording.stop_s - _END_S, last_measured_s(run))
+    measured = measured_spell(run)
+    first = 1e3 * max(_START_S, measured.start + _FIRST_S)
+    last = 1e3 * min(run.recording.stop_s - _END_S, measured.stop)
     begin = [event for event in run.recording.events if event.time_ms < first]
     end = [event for event in run.recording.events if event.time_ms > max(last, first)]
     between = [event for event in run.recording.events if event not in (*begin, *end)]
