@@ -262,8 +262,8 @@ def test_fixes_that_wander_off_do_not_take_the_machine_with_them() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.2
 
 
-def test_fixes_that_stay_with_noise_leave_a_machine_that_drives_in_the_covariance() -> None:
-    """It is stuck, or its receiver stays: the machine is far from its fixes, and that is stated."""
+def test_fixes_that_stay_with_noise_look_like_a_machine_that_is_stuck() -> None:
+    """Nothing tells both apart. As the fixes go on it is taken for moved, as a lasting jump is."""
     recording = drive(Machine(duration=70.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     random = np.random.default_rng(1)
     held = next(m for m in recording.measurements if isinstance(m, PoseFix))
@@ -273,11 +273,9 @@ def test_fixes_that_stay_with_noise_leave_a_machine_that_drives_in_the_covarianc
         held = m if t < 20.0 else held
         return replace(m, pose=held.pose + random.normal(0.0, 0.03, 3)) if 20.0 <= t < 28.0 else m
 
-    error, nees, _ = errors(changed(recording, stay), recording, parameters(**GNSS))
-    stays = slice(error.size * 21 // 70, error.size * 28 // 70)
-    assert error[stays].max() < 4.0
-    assert np.median(nees[stays]) < 25.0  # 5 σ
-    assert error[error.size * 31 // 70 :].max() < 0.3
+    error, _, estimator = errors(changed(recording, stay), recording, parameters(**GNSS))
+    assert Event.SLIPPED in events(estimator)
+    assert error[error.size * 60 // 70 :].max() < 0.2
 
 
 def test_a_machine_that_is_stuck_is_where_its_fixes_show_it() -> None:

@@ -11,7 +11,6 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                 one of a compass
     WANDERS     the same, which begins at zero and wanders            since the last consistent measurement
     REPEATS     nothing; bit-identical fixes                          just before it
-    STAYS       nothing; fixes that stay where one was, but for noise since the last consistent measurement
     SCATTERS    nothing; measurements uniform over an area            just before it
     SOUND       nothing; a fault of the source ended                  just before it
     MOVED       x, y                                                  just before it
@@ -88,7 +87,6 @@ class Event(IntEnum):
     STRAYS = 14
     WANDERS = 15
     BIASED = 16
-    STAYS = 17
 
 
 class SourceFault(IntEnum):
@@ -120,7 +118,6 @@ class SourceFault(IntEnum):
     STRAYS,
     WANDERS,
     BIASED,
-    STAYS,
 ) = map(int, Event)
 (IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED, IS_STRAYING) = map(int, SourceFault)
 
@@ -142,9 +139,6 @@ class EventParameters(Parameters):
 
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
-    stay_share: float = parameter(
-        "rate of fixes that stay where one was, but for noise, over the source's fault_rate", gt=0.0
-    )
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
     wander: float = parameter("standard deviation of fixes that wander off", unit="m", gt=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
@@ -173,8 +167,6 @@ def log_rate(event: int, source: int, c: Config) -> float:
         return math.log(c.fault_rate[source])
     if event == REPEATS:
         return math.log(c.fault_rate[source] * e.repeat_share)
-    if event == STAYS:
-        return math.log(c.fault_rate[source] * e.stay_share)
     if event == WANDERS:
         return math.log(c.fault_rate[source] * e.wander_share)
     if event == SCATTERS:
@@ -281,11 +273,10 @@ def _assume(state: State, event: int, source: int) -> None:
         state.rests_on = source
         if state.fault[source] == IS_SCATTERING:
             state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
-    elif event in (REPEATS, STAYS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
-        state.fault_ns[source], state.fault[source], state.held_count[source] = state.stamp_ns, IS_SOUND, 0
-        if event in (REPEATS, STAYS):
+    elif event in (REPEATS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
+        state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
+        if event == REPEATS:
             state.fault[source] = IS_REPEATING
-            state.held[source], state.held_count[source] = state.last_fix[source], 1 if event == STAYS else 0
         elif event == SCATTERS:
             state.fault[source] = IS_SCATTERING
         elif event == STRAYS:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How likely measurements of a source at fault are: outliers, scatter, repeats, fixes that stay; compiled."""
+"""How likely measurements of a source at fault are: outliers, scatter, repeats; compiled."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import FloatArray
-from trackslip_estimation.kalman.linear_algebra import root, weighted_square
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.adaptation import density_of_fix
 from trackslip_estimation.slip.events import AREA
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -19,7 +17,7 @@ from trackslip_estimation.slip.records import POSE, VELOCITY
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
+    from trackslip_estimation.slip.records import Update
 
 _GATED = int(Outcome.GATED)
 _LOG_TURN = math.log(2.0 * math.pi)
@@ -70,21 +68,3 @@ def weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
     heading = _LOG_TURN if m > YAW else 0.0
     update.evidence = -(squared + 4.0 * math.log(c.bank.repeat_stddev)) / 2.0 - _LOG_TURN - heading
     update.outcome = _GATED
-
-
-@compiled
-def weigh_stay(
-    state: State, measurement: MeasurementRecord, R: FloatArray, c: Config, update: Update
-) -> None:
-    """Evidence of a source whose fixes, of covariance R (m, m), stay where they were but for their noise."""
-    source, m = measurement.source, len(R)
-    held, noise = state.held[source], R[:YAW, :YAW].copy()
-    off, unknown = measurement.value[:YAW] - held, noise / state.held_count[source]
-    update.dof, update.gate = YAW, c.gate_limits[YAW]
-    update.nis = weighted_square(root(unknown + noise), off)
-    heading = _LOG_TURN if m > YAW else 0.0
-    update.evidence = density_of_fix(state.adaptation, source, off, unknown, noise, c) - heading
-    update.outcome = _GATED
-    state.held_count[source] += 1
-    for axis in (X, Y):
-        held[axis] += off[axis] / state.held_count[source]

@@ -188,8 +188,6 @@ class State(Record):
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
     outlier_share: Annotated[FloatArray, MOST_SOURCES]  # of its measurements
     last_fix: Annotated[FloatArray, (MOST_SOURCES, 2)]  # place that a source stated last, m
-    held: Annotated[FloatArray, (MOST_SOURCES, 2)]  # place where its fixes stay, their mean, m
-    held_count: Annotated[IntArray, MOST_SOURCES]  # of how many; 0: its fixes do not stay
     last_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of its last measurement by which branches were weighed
 
 

@@ -113,7 +113,6 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     state.ran = state.down = state.way[:] = 0.0
     state.is_sector, state.rests_on = False, -1
     state.fault_ns[:] = stamp_ns
-    state.held[:], state.held_count[:] = 0.0, 0
     state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, c.bank.initial_outlier_share, 0.0
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_fix[measurement.source] = measurement.value[:2]

@@ -44,7 +44,6 @@ from trackslip_estimation.slip.faulty_sources import (
     density_of_outlier,
     density_of_scatter,
     weigh_repeat,
-    weigh_stay,
 )
 from trackslip_estimation.slip.levers import lever, turn_about
 from trackslip_estimation.slip.measurements import Outcome
@@ -98,10 +97,7 @@ def use_weighed(
     predicted = predicted_covariance(P, o.jacobian)
     outside = density_of_outlier(kind, o, predicted, c)
     if fault == IS_REPEATING:
-        if state.held_count[source] > 0:
-            weigh_stay(state, measurement, o.noise, c, update)
-        else:
-            weigh_repeat(again, m, c, update)
+        weigh_repeat(again, m, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)

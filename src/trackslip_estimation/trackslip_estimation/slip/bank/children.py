@@ -34,7 +34,6 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     SOUND,
-    STAYS,
     STRAYS,
     SWUNG,
     TURNED,
@@ -315,22 +314,14 @@ def _have_earlier_children(
 
 @compiled
 def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
-    """Children in which sprockets, gyros or fixes have not shown the motion; ``since``: ln of the time.
+    """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time.
 
     While the heading is unknown nothing tells them from it.
     """
-    m, before, strays = window.measurements[k], window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
+    before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
     is_unknown = before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2
     if is_unknown or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
-    drove = _driven_since(window, p, k) > c.bank.least_driven
-    if (
-        drove
-        and m.kind == POSE
-        and before.fault[m.source] == IS_SOUND
-        and update_of(window, p, k).coarse == 0
-    ):
-        _child(window, p, k, STAYS, m.source, 0, True, since + log_rate(STAYS, m.source, c), c)
     if before.fault[TRACKS] == IS_SOUND:
         _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
     if before.fault[GYROS] == IS_SOUND and c.gyros > 0:
