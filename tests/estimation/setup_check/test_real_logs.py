@@ -229,3 +229,16 @@ def test_no_mistake_in_an_emulated_drive_is_called_another(vehicle: str, tmp_pat
     log = emulated(vehicle, tmp_path_factory.getbasetemp())
     assert check(log).causes == ()
     assert_most_named(log, _check_matrix(vehicle, log))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["marmotte", "warthog", "mower"])
+def test_of_two_mistakes_on_a_robot_one_is_named_and_nothing_else_in_four_of_five(name: str) -> None:
+    log, random = _present(name), np.random.default_rng(0)
+    shown = sorted(m for m in MISTAKES.keys() - AMBIGUOUS if holds(log, MISTAKES[m].needs))
+    pairs = [[MISTAKES[m] for m in random.choice(shown, 2, replace=False)] for _ in range(60)]
+    named = 0
+    for first, second in pairs:
+        causes = {cause.cause for cause in check(second.inject(first.inject(log))).causes}
+        named += bool(causes) and causes <= {first.cause, *first.also, second.cause, *second.also}
+    assert named >= 0.8 * len(pairs)
