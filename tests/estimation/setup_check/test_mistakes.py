@@ -253,12 +253,29 @@ def test_sentinels_of_a_gyro_that_hardly_turns_are_named() -> None:
     }
 
 
-def test_three_fixes_at_zero_among_few_are_named() -> None:
+def far_fixes(*zeros: int) -> Log:
+    """Fixes once in 2 s, 1 km from the origin, but for those at it."""
     log = make_drive(fix_rate=0.5, has_heading=False)
+    places = log.fixes[0].places + np.array((900.0, 400.0))
+    places[list(zeros)] = 0.0
+    return log.with_fixes(replace(log.fixes[0], places=places))
+
+
+@pytest.mark.parametrize("zeros", [(10, 30, 50), (10, 50), (0, 1, 2), (20, 21, 22, 50, 51)])
+def test_fixes_at_zero_among_few_are_named(zeros: tuple[int, ...]) -> None:
+    assert names_of(far_fixes(*zeros)) == {"missing_value"}
+
+
+def test_one_wrong_fix_that_is_sent_again_stands_for_no_missing_value() -> None:
+    assert names_of(far_fixes(20, 21, 22, 23)) == set()
+
+
+def test_fixes_whose_lag_varies_are_not_called_late() -> None:
+    log = make_drive(has_heading=False)
     (one,) = log.fixes
-    places = one.places + np.array((900.0, 400.0))
-    places[10:60:20] = 0.0
-    assert names_of(log.with_fixes(replace(one, places=places))) == {"missing_value"}
+    lag = 0.6 + 0.4 * np.sin(2.0 * np.pi * one.t / 120.0)
+    places = [np.interp(one.t - lag, one.t, column) for column in one.places.T]
+    assert names_of(log.with_fixes(replace(one, places=np.column_stack(places)))) == set()
 
 
 def test_a_lever_arm_of_a_swinging_sensor_is_left_open() -> None:

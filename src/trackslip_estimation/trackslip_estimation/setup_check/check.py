@@ -114,7 +114,8 @@ def _missing_cause(one: Missing) -> Cause:
         "Leave out what stands for a missing value: blank cells, or in the "
         f"mapping 'missing: {one.value:g}' at that column"
     )
-    return Cause("missing_value", one.source, evidence, odds_of(min(one.count, 20) * 2.0), remedy)
+    odds = odds_of(min(one.count * one.numbers, 20) * 2.0)
+    return Cause("missing_value", one.source, evidence, odds, remedy)
 
 
 def _moves(grid: Grid) -> bool:

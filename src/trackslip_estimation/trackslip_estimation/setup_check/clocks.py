@@ -132,8 +132,7 @@ def _of_path(
         stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
         stddev = max(stddev, _jackknife(of_segments, k))
         inside = 0 < k < len(_LATES) - 1  # else the top lies beyond
-        shown = (np.ptp(of_segments, axis=0) > _SHOWN).sum() >= _LEAST_SEGMENTS
-        if inside and shown and (best is None or stddev < best.stddev):
+        if inside and _is_shown_alike(of_segments, k) and (best is None or stddev < best.stddev):
             gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
             best = Late("tracks", "fixes", float(_LATES[k]), stddev, gain)
     if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < LEAST_LOG + PRIOR):
@@ -142,6 +141,15 @@ def _of_path(
         return [best]
     both = float(np.hypot(best.stddev, apart.stddev))
     return [best, Late("gyro", "fixes", best.value - apart.value, both, best.gain)]
+
+
+def _is_shown_alike(of_segments: FloatArray, best: int) -> bool:
+    """Whether segments of (d, s) likelihoods show a delay, and half of them this one: stamps have but one."""
+    shown = of_segments[:, np.ptp(of_segments, axis=0) > _SHOWN]
+    if shown.shape[1] < _LEAST_SEGMENTS:
+        return False
+    own = _LATES[np.argmax(shown, axis=0)]
+    return bool((np.abs(own - _LATES[best]) < LEAST_DELAY).mean() >= 0.5)
 
 
 def _jackknife(of_segments: FloatArray, best: int) -> float:

@@ -3,14 +3,18 @@
 """Columns that no machine gives: missing values, frozen gyros, wrong units of time."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from trackslip_estimation.setup_check.grid import angles_of
 from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log, Tracks
+from trackslip_estimation.setup_check.path import ComplexArray
 
-_LEAST_MISSING = 5  # readings
-_LEAST_PLACES = 3  # fixes at one place to the last digit, far from all others
+_LEAST_READINGS = 10
+_LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, among the others or beyond them
+_BEYOND = 3.0  # times as far from the others as these reach
+_LEAST_PLACES, _LEAST_HELD = 2, 3  # jumps to one place to the last digit; fixes at it at the begin or end
 _LEAST_SHARE = 0.002  # of all
 _LONGEST_RUN = 3  # readings of the same value in a row
 _RETURN = 0.3  # of a jump, by which the readings before and after it differ at most
@@ -31,46 +35,61 @@ class Missing:
     value: float
     count: int
     share: float
+    numbers: int = 1  # of each reading that are the same
+
+
+class _Jumps(NamedTuple):
+    """To one value and back at once."""
+
+    value: float | complex
+    where: BoolArray  # (n,) readings
+    visits: int  # runs of such readings
 
 
 def missing_in(values: FloatArray) -> tuple[float, BoolArray] | None:
     """The value of (n,) to which readings jump and from which they return at once, and where."""
-    count = len(values)
-    if count < 10:
+    change = np.abs(np.diff(values))
+    change = change[change > 0.0]
+    if len(values) < _LEAST_READINGS or not len(change):
         return None
-    previous, following = _neighbours(values)
-    with np.errstate(invalid="ignore", over="ignore"):
-        change = np.abs(np.diff(values))
-        change = change[change > 0.0]
-        if not len(change):
-            return None
-        step = float(np.percentile(change, 5))  # of a quantised signal its quantum
-        size = np.minimum(np.abs(previous - values), np.abs(following - values))
-        level = float(np.percentile(np.abs(values[values != 0.0]), 95))
-        returns = np.abs(previous - following) < _RETURN * size
-        jumps = (size > max(_QUANTA * step, _LARGE * level)) & returns
-    if jumps.sum() < _LEAST_MISSING:
+    step = float(np.percentile(change, 5))  # of a quantised signal its quantum
+    level = float(np.percentile(np.abs(values[values != 0.0]), 95))
+    found = _jumps(values, max(_QUANTA * step, _LARGE * level), _RETURN, _LONGEST_RUN)
+    if found is None or found.where.sum() < _LEAST_SHARE * len(values):
         return None
-    found, counts = np.unique(values[jumps], return_counts=True)
-    top = int(np.argmax(counts))
-    where = jumps & (values == found[top])
-    alike = jumps & (size > 0.5 * np.median(size[where]))  # what jumps as far
-    if counts[top] < max(_LEAST_MISSING, 0.5 * alike.sum(), _LEAST_SHARE * count):
-        return None
-    return float(found[top]), np.asarray(where)
+    least = _LEAST_BEYOND if _is_beyond(values, found) else _LEAST_MISSING
+    return (float(found.value.real), found.where) if found.visits >= least else None
 
 
-def _neighbours(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) last other value before, and first one after, each reading; nan in long runs and at ends."""
+def _is_beyond(values: FloatArray, found: _Jumps) -> bool:
+    """Whether a value lies farther from all others than these reach."""
+    others = values[~found.where]
+    usual = float(np.median(others))
+    return abs(found.value - usual) > _BEYOND * float(np.abs(others - usual).max())
+
+
+def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest: int) -> _Jumps | None:
+    """The value to which most jumps of more than ``least`` go, in runs of at most ``longest`` readings.
+
+    ``back``: of a jump, by which what is before and after it differs at most.
+    """
     new = np.concatenate(([True], np.diff(values) != 0.0))
-    run = np.cumsum(new) - 1
     first = np.flatnonzero(new)
-    lengths = np.diff(np.append(first, len(values)))
-    heads = values[first]
-    before = np.concatenate(([np.nan], heads[:-1]))
-    after = np.concatenate((heads[1:], [np.nan]))
-    short = lengths <= _LONGEST_RUN
-    return np.where(short, before, np.nan)[run], np.where(short, after, np.nan)[run]
+    heads, lengths = values[first], np.diff(np.append(first, len(values)))
+    if len(heads) < 3:
+        return None
+    before, after = np.append(heads[1], heads[:-1]), np.append(heads[1:], heads[-2])
+    size = np.minimum(np.abs(before - heads), np.abs(after - heads))
+    jumps = (size > least) & (np.abs(before - after) < back * size) & (lengths <= longest)
+    if not jumps.any():
+        return None
+    found, counts = np.unique(heads[jumps], return_counts=True)
+    top = found[np.argmax(counts)]
+    there = jumps & (heads == top)
+    alike = jumps & (size > 0.5 * np.median(size[there]))  # what jumps as far
+    if there.sum() < 0.5 * alike.sum():
+        return None
+    return _Jumps(top, there[np.cumsum(new) - 1], int(there.sum()))
 
 
 def without_missing(log: Log) -> tuple[Log, list[Missing]]:
@@ -111,22 +130,20 @@ def _note(found: list[Missing], source: str, column: str, values: FloatArray) ->
 
 
 def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> BoolArray:
-    """(n,) places that stand for none: one exact place far from all others that comes back."""
+    """(n,) places that stand for none: one exact place far from others that comes back, or is held first."""
     nothing = np.zeros(len(places), np.bool_)
-    if len(places) < 10:
+    if len(places) < _LEAST_READINGS:
         return nothing
-    usual = np.median(places, axis=0)
-    spread = float(np.median(np.hypot(*(places - usual).T)))
-    unique, index, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
-    for k in np.argsort(-counts)[:3]:
-        if counts[k] < _LEAST_PLACES or counts[k] > 0.5 * len(places):
-            continue
-        where = index.ravel() == k
-        gaps = np.hypot(*(places[~where] - unique[k]).T)
-        if float(np.percentile(gaps, 2)) > max(_FIX_STEP, spread):
-            found.append(Missing(source, "place", float(unique[k][0]), int(counts[k]), float(where.mean())))
-            return np.asarray(where)
-    return nothing
+    spread = float(np.median(np.hypot(*(places - np.median(places, axis=0)).T)))
+    one = _jumps(places @ np.array((1.0, 1.0j)), max(_FIX_STEP, spread), 1.0, len(places) // 2)
+    if one is None:
+        return nothing
+    is_held_first = one.where[:_LEAST_HELD].all() or one.where[-_LEAST_HELD:].all()
+    if one.visits < _LEAST_PLACES and not is_held_first:
+        return nothing
+    count, share = int(one.where.sum()), float(one.where.mean())
+    found.append(Missing(source, "place", float(one.value.real), count, share, 2))
+    return one.where
 
 
 def frozen_span(gyro: Gyro) -> tuple[float, float] | None:
