@@ -130,6 +130,12 @@ def test_a_track_that_turns_by_another_factor_is_named(name: str, has_heading: b
     assert side in cause.remedy
 
 
+@pytest.mark.parametrize("name", ["gyro sign", "x and y", "tracks swapped"])
+def test_a_sign_beside_a_track_that_turns_by_another_factor_is_named_too(name: str) -> None:
+    log = MISTAKES[name].inject(drive().with_tracks(np.diag((2.0, 1.0))))
+    assert names_of(log) == {"speed_unit", MISTAKES[name].cause}
+
+
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_fixes_at_a_speed_of_no_machine_are_named(has_heading: bool) -> None:
     log = make_drive(has_heading=has_heading)

@@ -7,18 +7,19 @@ path. The
 source that is late against two others, which agree, is the late one.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trackslip_estimation.setup_check.delay import delay_of
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import time_factor
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import path_delay
-from trackslip_estimation.setup_check.grid import Grid, angles_of
-from trackslip_estimation.setup_check.heading import heading_at
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Tracks
-from trackslip_estimation.setup_check.path import dead_reckoning, thinned
+from trackslip_estimation.setup_check.grid import angles_of
+from trackslip_estimation.setup_check.log import Fixes, FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.path import thinned
 
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
 _SURE, _CERTAIN = 2.0, 4.0  # standard deviations, by which a delay is longer than that, and than none
@@ -26,7 +27,7 @@ _FINE = 0.15  # s, of a delay by turn rates
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
 _LEAST_SEGMENTS, _SHOWN = 5, 2.0  # of which each shows a delay by so much of ln likelihood
-_EFFICIENCY = 0.75  # κ of turns by tracks alone
+TRACKS = "sprockets"
 _NAMES = {1e-9: "ns, declared s", 1e-6: "µs, declared s", 1e-3: "ms, declared s"}
 _NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
 
@@ -35,7 +36,7 @@ _NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
 class Late:
     """By how much the stamps of the second are later than those of the first."""
 
-    first: str
+    first: str  # topic
     second: str
     value: float  # s
     stddev: float  # s
@@ -47,7 +48,7 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
 
     One that is alone in that is left out: where its stamps begin is unknown.
     """
-    series: list[tuple[str, str, FloatArray]] = [("sprockets", "tracks", log.tracks.t)]
+    series: list[tuple[str, str, FloatArray]] = [(TRACKS, "tracks", log.tracks.t)]
     series += [(g.name, "gyro", g.t) for g in log.gyros]
     series += [(f.name, "fixes", f.t) for f in log.fixes]
     factors = {name: time_factor(t, kind) for name, kind, t in series}
@@ -64,7 +65,7 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
     whole = len(set(factors.values())) == 1
     for name, _, t in series:
         factor = factors[name]
-        if factor == 1.0 or (whole and name != "sprockets"):
+        if factor == 1.0 or (whole and name != TRACKS):
             continue
         period = float(np.median(np.diff(t)))
         who = "all sources" if whole else name
@@ -75,7 +76,7 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
 
 
 def _scaled(log: Log, factors: dict[str, float]) -> Log:
-    start, common = float(log.tracks.t[0]), factors["sprockets"]
+    start, common = float(log.tracks.t[0]), factors[TRACKS]
 
     def right(t: FloatArray) -> FloatArray:
         return start + (t - start) * common
@@ -92,55 +93,50 @@ def _scaled(log: Log, factors: dict[str, float]) -> Log:
     return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
 
 
-def lates_of(
-    grid: Grid, log: Log, gyro: Gyro | None, fixes: Fixes | None, compass: Compass | None, bias: float
-) -> list[Late]:
+def lates_of(drive: Drive) -> list[Late]:
     """Of each pair of tracks, gyro, headings and fixes of which the drive shows one."""
+    cell, (left, right) = drive.grid.cell, drive.grid.tracks.T
+    rates = {TRACKS: (right - left) / drive.machine.tread / cell}
+    if drive.gyro is not None:
+        rates[drive.gyro.name] = drive.gyro_turn / cell
+    if drive.compass is not None:
+        rates.setdefault(drive.compass.name, np.clip(np.diff(drive.headings) / cell, -5.0, 5.0))
     found: list[Late] = []
-    by_tracks = (grid.tracks[:, 1] - grid.tracks[:, 0]) / log.machine.tread / grid.cell
-    rates = {"tracks": by_tracks}
-    if gyro is not None:
-        rates["gyro"] = grid.turns[:, 2] / grid.cell - bias
-    if compass is not None:
-        with np.errstate(invalid="ignore"):
-            rates["heading"] = np.clip(np.diff(heading_at(compass, grid.edges)) / grid.cell, -5.0, 5.0)
-    names = list(rates)
-    for k, first in enumerate(names):
-        for second in names[k + 1 :]:
-            delay = delay_of(rates[first], rates[second], grid.cell)
-            if delay is not None:
-                found.append(Late(first, second, delay.value, delay.stddev))
-    if fixes is not None:
-        found += _of_path(grid, log, fixes, found, rates)
-    return found
+    for first, second in itertools.combinations(rates, 2):
+        delay = delay_of(rates[first], rates[second], cell)
+        if delay is not None:
+            found.append(Late(first, second, delay.value, delay.stddev))
+    return found + ([] if drive.fixes is None else _of_path(drive, drive.fixes, found))
 
 
-def _of_path(
-    grid: Grid, log: Log, fixes: Fixes, found: list[Late], rates: dict[str, FloatArray]
-) -> list[Late]:
+def _of_path(drive: Drive, fixes: Fixes, found: list[Late]) -> list[Late]:
     """Fixes against dead reckoning by tracks; by tracks and gyro where these agree."""
-    apart = next((one for one in found if (one.first, one.second) == ("tracks", "gyro")), None)
-    with_gyro = "gyro" in rates and apart is not None and abs(apart.value) < LEAST_DELAY
-    turn = (rates["gyro"] if with_gyro else _EFFICIENCY * rates["tracks"]) * grid.cell
-    path, thin = dead_reckoning(grid, grid.tracks.mean(axis=1), turn), thinned(fixes, 0.3)
-    best: Late | None = None
-    for length in _LENGTHS:
-        of_segments = path_delay(path, thin, length, _LATES)
-        logs = of_segments.sum(axis=1)
-        k = int(np.argmax(logs))
-        near = np.flatnonzero(logs > logs[k] - 2.0)
-        stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
-        stddev = max(stddev, _jackknife(of_segments, k))
-        inside = 0 < k < len(_LATES) - 1  # else the top lies beyond
-        if inside and _is_shown_alike(of_segments, k) and (best is None or stddev < best.stddev):
-            gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
-            best = Late("tracks", "fixes", float(_LATES[k]), stddev, gain)
-    if best is None or (abs(best.value) > LEAST_DELAY and (best.gain or 0.0) < LEAST_LOG + PRIOR):
+    gyro = drive.gyro.name if drive.gyro is not None else ""
+    apart = next((one for one in found if (one.first, one.second) == (TRACKS, gyro)), None)
+    is_alike = apart is not None and abs(apart.value) < LEAST_DELAY
+    path, thin = drive.path if is_alike else drive.track_path, thinned(fixes, 0.3)
+    own = [_by_segments(path_delay(path, thin, length, _LATES), fixes) for length in _LENGTHS]
+    best = min((late for late in own if late is not None), key=lambda late: late.stddev, default=None)
+    if best is None:
         return []
     if apart is None:
         return [best]
     both = float(np.hypot(best.stddev, apart.stddev))
-    return [best, Late("gyro", "fixes", best.value - apart.value, both, best.gain)]
+    return [best, Late(gyro, fixes.name, best.value - apart.value, both, best.gain)]
+
+
+def _by_segments(of_segments: FloatArray, fixes: Fixes) -> Late | None:
+    """By (d, s) likelihoods; None where the top lies beyond, or is not certain."""
+    logs = of_segments.sum(axis=1)
+    k = int(np.argmax(logs))
+    if k in (0, len(_LATES) - 1) or not _is_shown_alike(of_segments, k):
+        return None
+    gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
+    if abs(_LATES[k]) > LEAST_DELAY and gain < LEAST_LOG + PRIOR:
+        return None
+    near = np.flatnonzero(logs > logs[k] - 2.0)
+    stddev = float(_LATES[near[-1]] - _LATES[near[0]]) / 4.0 + 0.03
+    return Late(TRACKS, fixes.name, float(_LATES[k]), max(stddev, _jackknife(of_segments, k)), gain)
 
 
 def _is_shown_alike(of_segments: FloatArray, best: int) -> bool:
@@ -160,17 +156,11 @@ def _jackknife(of_segments: FloatArray, best: int) -> float:
     return float(np.sqrt((count - 1) / count * np.sum(moved**2))) if count > 1 else float(_LATES[-1])
 
 
-def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[Undetermined]]:
-    """The source that is late against the others; ``names``: topic of tracks, gyro, heading, fixes."""
-    parties = sorted({one for late in lates for one in (late.first, late.second)})
-    if len(parties) < 2:
-        return [], []
-    groups = {"tracks": "tracks", "gyro": "gyro", "heading": "fixes", "fixes": "fixes"}
-    if names.get("heading") != names.get("fixes"):
-        groups["heading"] = "heading"
+def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
+    """The source that is late against the others."""
     values: dict[tuple[str, str], tuple[float, float]] = {}
     for late in sorted(lates, key=lambda one: (not (one.gain is None and one.stddev < _FINE), one.stddev)):
-        values.setdefault((groups[late.first], groups[late.second]), (late.value, late.stddev))
+        values.setdefault((late.first, late.second), (late.value, late.stddev))
     off = {
         key: (value, stddev)
         for key, (value, stddev) in values.items()
@@ -200,34 +190,36 @@ def judge(lates: list[Late], names: dict[str, str]) -> tuple[list[Cause], list[U
     if others and scores[others[0]] == scores[best] and len(values) < 3:
         what = f"{best} is off by {abs(value):.2f} s against one other source only"
         return [], [Undetermined(what, "turn left and right by 90° once each with all sources recorded")]
-    topic = names.get(best, best)
     evidence = (
-        f"stamps of {topic} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
+        f"stamps of {best} are {abs(value):.2f} ± {2.0 * stddev:.2f} s "
         f"{'later' if value > 0.0 else 'earlier'} than "
         "those of the other sources, which agree"
     )
     remedy = (
-        f"In the mapping of {topic}: time_offset: {-value:.2f}; of a driver "
+        f"In the mapping of {best}: time_offset: {-value:.2f}; of a driver "
         f"the parameter time_offset less {value:.2f} s"
     )
-    cause = Cause("source_delay", topic, evidence, odds_of(0.5 * ((abs(value) - 0.05) / stddev) ** 2), remedy)
-    return [cause], []
+    odds = odds_of(0.5 * ((abs(value) - 0.05) / stddev) ** 2)
+    return [Cause("source_delay", best, evidence, odds, remedy)], []
 
 
-def undelayed(log: Log, cause: Cause, value: float) -> Log:
-    """The log with the stamps of a source made earlier by ``value`` s."""
-    if cause.source == "sprockets":
-        return replace(log, tracks=replace(log.tracks, t=log.tracks.t - value))
-    gyros = tuple(replace(g, t=g.t - value) if g.name == cause.source else g for g in log.gyros)
-    fixes = tuple(replace(f, t=f.t - value) if f.name == cause.source else f for f in log.fixes)
-    compasses = tuple(replace(c, t=c.t - value) if c.name == cause.source else c for c in log.compasses)
-    return replace(log, gyros=gyros, fixes=fixes, compasses=compasses)
+def undelayed(drive: Drive, late: Late) -> Drive:
+    """The drive with the stamps of the second source of a pair made earlier."""
+    log, source, value = drive.log, late.second, late.value
+    if source == TRACKS:
+        return Drive(replace(log, tracks=replace(log.tracks, t=log.tracks.t - value)))
+    gyros = tuple(replace(g, t=g.t - value) if g.name == source else g for g in log.gyros)
+    fixes = tuple(replace(f, t=f.t - value) if f.name == source else f for f in log.fixes)
+    compasses = tuple(replace(c, t=c.t - value) if c.name == source else c for c in log.compasses)
+    return Drive(replace(log, gyros=gyros, fixes=fixes, compasses=compasses))
 
 
-def value_of(cause: Cause, lates: list[Late], names: dict[str, str]) -> Late:
-    """The pair that shows a late source best, with the delay of that source."""
-    party = {topic: name for name, topic in names.items() if topic}.get(cause.source, "")
-    same = {"heading", "fixes"} if party in ("heading", "fixes") else {party}
-    own = [late for late in lates if (late.first in same) != (late.second in same)]
-    best = min(own, key=lambda late: (late.gain is not None and len(own) > 1, late.stddev))
-    return best if best.second in same else replace(best, value=-best.value)
+def late_of(source: str, lates: list[Late]) -> Late:
+    """The pair that shows a late source best, with that source as its second."""
+    own = [late for late in lates if source in (late.first, late.second)]
+    best = min(own, key=lambda late: (late.gain is not None, late.stddev))
+    return (
+        best
+        if best.second == source
+        else replace(best, first=best.second, second=best.first, value=-best.value)
+    )

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trackslip_estimation.setup_check import inertial, remedies, signs
-from trackslip_estimation.setup_check.evidence import Drive, direction_log, gather, gyro_turn, unmirrored
+from trackslip_estimation.setup_check.drive import Drive
+from trackslip_estimation.setup_check.evidence import direction_log, gather, unmirrored
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
-from trackslip_estimation.setup_check.heading import Courses, straight_courses
+from trackslip_estimation.setup_check.heading import Courses
 from trackslip_estimation.setup_check.log import FloatArray, Gyro
 from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
-from trackslip_estimation.setup_check.turning import LEAST_TURNS, fit_turns, turns_of
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
 _CLEAR = float(np.log(1e4))  # odds that need no three turns
 _LEAST_TURNED = np.radians(25.0)  # but so much in all
@@ -34,52 +35,31 @@ class Directions:
     mirror: int = 0  # 0: x and y swapped, 1: y, 2: x the other way round
     convention: int = 0  # 0: from north, clockwise; 1: clockwise
     is_decided: bool = True
-    has_heading: bool = True
     causes: tuple[Cause, ...] = ()
     undetermined: tuple[Undetermined, ...] = field(default=())
 
-    def right_places(self, places: FloatArray) -> FloatArray:
-        """(n, 2) of mirrored ones."""
-        if self.mirror == 0:
-            return np.asarray(places[:, ::-1])
-        return np.asarray(places * np.array((1.0, -1.0) if self.mirror == 1 else (-1.0, 1.0)))
+    def undone(self, drive: Drive) -> Drive:
+        """The drive without these mistakes."""
+        log, gyro, fixes, compass = drive.log, drive.gyro, drive.fixes, drive.compass
+        if gyro is not None:
+            gyro = replace(gyro, rates=gyro.rates * np.array((1.0, 1.0, self.gyro)))
+        if fixes is not None and self.is_mirrored:
+            x, y = fixes.places.T
+            fixes = replace(fixes, places=np.column_stack(((y, x), (x, -y), (-x, y))[self.mirror]))
+        if compass is not None and self.heading < 0.0:
+            own = compass.headings
+            compass = replace(compass, headings=-own if self.convention else np.pi / 2.0 - own)
+        return Drive.of(log.with_tracks(self.assignment.matrix), gyro, fixes, compass)
 
-    def right_headings(self, headings: FloatArray) -> FloatArray:
-        """(n,) of those that count the other way round."""
-        return np.asarray(np.pi / 2.0 - headings if self.convention == 0 else -headings)
 
-
-def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Directions:
+def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
     """Of tracks, gyro, map and headings together."""
-    fit = fit_turns(drive.turn, drive.x, WINDOW)
-    evidence = gather(drive, fit)
+    evidence, gyro = gather(drive), drive.gyro
     decision = decide(evidence)
-    mirror, convention = _kinds(drive, decision, fit.bias)
-    turn = drive.turn - fit.bias * WINDOW
-    count = turns_of(turn)
-    if not drive.has_gyro:
-        count = max(turns_of(0.5 * (drive.x[:, 1] - drive.x[:, 0])), turns_of(0.5 * drive.x.sum(axis=1)))
-        count = min(count, turns_of(drive.heading_turns())) if drive.compass is not None else count
-    way = float(np.nansum(np.abs(window_sums(drive.grid, drive.grid.tracks.mean(axis=1)))))
-    way = max(
-        way, float(np.nansum(np.abs(window_sums(drive.grid, np.diff(drive.grid.tracks, axis=1)[:, 0] / 2.0))))
-    )
-    needs = []
-    turned = float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING]))) if drive.has_gyro else 0.0
-    is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
-    if count < LEAST_TURNS and not is_clear:
-        needs.append(Undetermined(f"signs of tracks, gyro, fixes and headings ({count} turns of 15°)", _TURN))
-    if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
-        needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
-    found = Directions(
-        decision.assignment,
-        decision.gyro,
-        decision.is_mirrored,
-        decision.heading,
-        mirror,
-        convention,
-        has_heading=drive.compass is not None,
-    )
+    mirror, convention = _kinds(drive, decision)
+    needs = _missing_motion(drive, decision)
+    signed = decision.assignment, decision.gyro, decision.is_mirrored, decision.heading
+    found = Directions(*signed, mirror, convention)
     likely = {name: log for name, log in decision.log_odds.items() if log >= LEAST_LOG}
     if needs:
         return replace(found, is_decided=decision.any_odds < 0.0, undetermined=tuple(needs))
@@ -100,6 +80,24 @@ def decide_signs(drive: Drive, gyro: Gyro | None, *, is_upside_down: bool) -> Di
     return replace(found, is_decided=not doubtful, causes=tuple(causes), undetermined=tuple(open_ones))
 
 
+def _missing_motion(drive: Drive, decision: Decision) -> list[Undetermined]:
+    """What the drive lacks of turns and distance."""
+    turn, (left, right) = drive.turn - drive.fit.bias * WINDOW, drive.x.T
+    count, turned = turns_of(turn), float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING])))
+    if drive.gyro is None:
+        count = max(turns_of(0.5 * (right - left)), turns_of(0.5 * (right + left)))
+        count = min(count, turns_of(drive.heading_turn)) if drive.compass is not None else count
+    ways = [np.abs(window_sums(drive.grid, drive.grid.tracks @ one / 2.0)) for one in signs.DISTANCES]
+    way = max(float(np.nansum(one)) for one in ways)
+    needs = []
+    is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
+    if count < LEAST_TURNS and not is_clear:
+        needs.append(Undetermined(f"signs of tracks, gyro, fixes and headings ({count} turns of 15°)", _TURN))
+    if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
+        needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
+    return needs
+
+
 def _named(decision: Decision) -> frozenset[str]:
     others = {signs.GYRO} if decision.gyro < 0.0 else set()
     others |= {signs.MIRROR} if decision.is_mirrored else set()
@@ -118,15 +116,12 @@ def _missing_sensor(evidence: Evidence) -> str:
     return "drive 20 m forward, hardly in reverse, with turns of 90° to both sides"
 
 
-def _kinds(drive: Drive, decision: Decision, bias: float) -> tuple[int, int]:
+def _kinds(drive: Drive, decision: Decision) -> tuple[int, int]:
     """Which mirror image, and which other way of counting headings, agrees best with courses."""
-    if drive.fixes is None or drive.compass is None:
+    steps = drive.courses
+    if drive.compass is None or not len(steps.courses):
         return 0, 0
-    turn = gyro_turn(drive, bias) if drive.has_gyro else np.zeros(len(drive.grid.tracks))
-    steps = straight_courses(drive.grid, turn, drive.fixes, drive.compass)
-    if not len(steps.courses):
-        return 0, 0
-    ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows.astype(np.int64)]
+    ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
     reverse = np.where(ways @ decision.assignment.distance < 0.0, np.pi, 0.0)
     courses = unmirrored(steps, is_mirrored=decision.is_mirrored)
     headings = _headings(steps, decision.heading, 2.0 * drive.compass.offset)

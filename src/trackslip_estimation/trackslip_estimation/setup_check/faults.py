@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_estimation.setup_check.grid import angles_of
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log, Tracks
-from trackslip_estimation.setup_check.path import ComplexArray
+from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, FloatArray, Gyro, Log, Tracks
 
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, among the others or beyond them

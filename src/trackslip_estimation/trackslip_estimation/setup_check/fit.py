@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import Fixes, FloatArray
-from trackslip_estimation.setup_check.path import ComplexArray, IntArray, Moments, Path, segments
+from trackslip_estimation.setup_check.log import ComplexArray, Fixes, FloatArray
+from trackslip_estimation.setup_check.path import MOST_LOG, IntArray, Moments, Path, free_counts, segments
 
 _LEAST_SEGMENTS = 3
 _FITS = 4
@@ -43,15 +43,12 @@ class Lever(NamedTuple):
     turned: float  # rad, in all
 
 
-def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | None:
-    """Of segments of ``length`` s in which fixes follow the path over six times their ``noise``, m."""
+def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
+    """Of segments of ``length`` s in which fixes follow the path over six times their noise."""
     parts = segments(path, fixes, length)
     if not len(parts):
         return None
-    z = fixes.places @ np.array((1.0, 1.0j))
-    z = z - z.mean()
-    q = path.at(fixes.t, complex(*fixes.lever))
-    moments = Moments(parts)
+    moments, q, z = Moments(parts), path.at(fixes.t, fixes.arm), fixes.z
     of_q = np.maximum(moments.product(q, q).real, 1e-12)
     of_z = np.maximum(moments.product(z, z).real, 1e-12)
     c = moments.product(q, z) / of_q
@@ -59,11 +56,11 @@ def scales(path: Path, fixes: Fixes, length: float, noise: float) -> Scales | No
     begin, end = parts[:, 0], parts[:, 1] - 1
     distance = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.places)))))
     way = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
-    wide = (np.sqrt(of_z / moments.counts) > max(6.0 * noise, 0.25)) & (way > 0.3)
+    wide = (np.sqrt(of_z / moments.counts) > max(6.0 * fixes.noise, 0.25)) & (way > 0.3)
     wide &= np.abs(c) * np.sqrt(of_q) > _FOLLOWS * np.sqrt(of_z)
     if not wide.any():
         return None
-    variances = (noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
+    variances = (fixes.noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
     middle = (fixes.t[begin] + fixes.t[end]) / 2.0
     straight = np.abs(q[end] - q[begin]) / np.maximum(way, 1e-9)
     found = (np.abs(c), np.angle(c), 1.0 / variances, middle, straight, extent)
@@ -87,7 +84,7 @@ def fit_lever(
     if len(parts) < _LEAST_SEGMENTS:
         return None
     sums, turned = _project(path, fixes, parts)
-    noise = float(np.median(fixes.stddevs)) ** 2 + 1e-6
+    noise = fixes.noise**2 + 1e-6
     prior = np.diag((1e-9, 1e-9, slip_stddev**-2, delay_stddev**-2))
     value = np.zeros(4)
     for _ in range(_FITS):  # each with the weights of what the last one leaves
@@ -106,7 +103,7 @@ def fit_lever(
     stddevs = stddevs * (1.0 + _FEW / max(count - 1.0, 1e-3))
     none = np.concatenate(((0.0, 0.0), np.linalg.solve(total[2:, 2:], of_z[:, 2:].sum(axis=0))))
     gains = sums.free * np.log(_rests(sums, none, noise) / _rests(sums, value, noise))
-    gain = float(np.clip(gains, -4.0, 4.0).sum())
+    gain = float(np.clip(gains, -MOST_LOG, MOST_LOG).sum())
     return Lever(complex(value[0], value[1]), (float(stddevs[0]), float(stddevs[1])), gain, turned)
 
 
@@ -117,9 +114,7 @@ def _rests(sums: _Projected, value: FloatArray, noise: float) -> FloatArray:
 
 
 def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, float]:
-    moments, q = Moments(parts), path.at(fixes.t, complex(*fixes.lever))
-    z = fixes.places @ np.array((1.0, 1.0j))
-    z = z - z.mean()
+    moments, q, z = Moments(parts), path.at(fixes.t, fixes.arm), fixes.z
     heading = np.interp(fixes.t, path.edges, path.headings)
     u = np.exp(1j * heading)
     columns = (u, 1j * u, _of_turns(path, fixes.t), _of_delay(path, fixes))
@@ -136,9 +131,7 @@ def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, flo
     turn = c / np.maximum(np.abs(c), 1e-12)
     products = np.array([[product(a, b).real for b in columns] for a in columns])
     of_z = np.array([(np.conj(turn) * product(a, z)).real for a in columns])
-    duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
-    free = np.maximum(np.minimum(np.minimum(moments.counts, duration + 1.0), 16.0) - 2.0, 0.0)
-    free = np.where(of_q > 1e-3, free, 0.0)
+    free = np.where(of_q > 1e-3, free_counts(fixes, parts), 0.0)
     turned = float(np.sum(np.abs(heading[parts[:, 1] - 1] - heading[parts[:, 0]])))
     zz = np.maximum(product(z, z).real, 0.0)
     return _Projected(zz, np.moveaxis(products, 2, 0), of_z.T, free), turned
@@ -153,8 +146,8 @@ def _of_turns(path: Path, t: FloatArray) -> ComplexArray:
 
 def _of_delay(path: Path, fixes: Fixes) -> ComplexArray:
     """(n,) −q̇: by how much places lag for each second of delay."""
-    step, lever = path.edges[1] - path.edges[0], complex(*fixes.lever)
-    return np.asarray((path.at(fixes.t - step, lever) - path.at(fixes.t + step, lever)) / (2.0 * step))
+    step, arm = path.edges[1] - path.edges[0], fixes.arm
+    return np.asarray((path.at(fixes.t - step, arm) - path.at(fixes.t + step, arm)) / (2.0 * step))
 
 
 def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> FloatArray:
@@ -162,15 +155,10 @@ def path_delay(path: Path, fixes: Fixes, length: float, lates: FloatArray) -> Fl
     parts = segments(path, fixes, length, margin=float(np.abs(lates).max()))
     if not len(parts):
         return np.zeros((len(lates), 0))
-    z = fixes.places @ np.array((1.0, 1.0j))
-    z = z - z.mean()
-    moments = Moments(parts)
-    duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
-    free = np.maximum(np.minimum(np.minimum(moments.counts, duration + 1.0), 16.0) - 2.0, 0.0)
-    noise = float(np.median(fixes.stddevs)) ** 2
+    moments, z = Moments(parts), fixes.z
     extent = moments.product(z, z).real / moments.counts
-    floors = moments.counts * (noise + 1e-6 + (0.01**2) * np.maximum(extent, 0.0))
-    rests = [moments.rests(path.at(fixes.t - late, complex(*fixes.lever)), z) for late in lates]
-    logs = -free * np.log(np.array(rests) + floors)  # (d, s)
+    floors = moments.counts * (fixes.noise**2 + 1e-6 + (0.01**2) * np.maximum(extent, 0.0))
+    rests = [moments.rests(path.at(fixes.t - late, fixes.arm), z) for late in lates]
+    logs = -free_counts(fixes, parts) * np.log(np.array(rests) + floors)  # (d, s)
     logs -= logs.max(axis=0)
-    return np.asarray(np.maximum(logs, -4.0))
+    return np.asarray(np.maximum(logs, -MOST_LOG))

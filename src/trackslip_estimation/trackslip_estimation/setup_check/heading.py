@@ -9,6 +9,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
@@ -33,8 +34,7 @@ class Courses(NamedTuple):
 
     courses: FloatArray  # (n,) rad, direction in which the fixes move
     headings: FloatArray  # (n,) rad, stated
-    windows: FloatArray  # (n,) int: which of the grid's
-    stddevs: FloatArray  # (n,) rad, of the course
+    windows: NDArray[np.int64]  # (n,) which of the grid's
 
 
 def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
@@ -59,6 +59,11 @@ def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
     return np.where(near[:, np.newaxis], found, np.nan)
 
 
+def steps_of(fixes: Fixes, grid: Grid) -> FloatArray:
+    """(w, 2) m in windows; nan where there is no fix."""
+    return np.diff(place_at(fixes, window_edges(grid)), axis=0)
+
+
 def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
     """(2,) ln likelihood that a heading turns with the machine, or against it; (w,) rad in windows."""
     usable = np.isfinite(of_heading) & np.isfinite(of_machine)
@@ -74,18 +79,12 @@ def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
 
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
     """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
-    edges = window_edges(grid)
-    places = place_at(fixes, edges)
-    turns = np.abs(window_sums(grid, turn))
-    steps = np.diff(places, axis=0)
-    way = np.hypot(*steps.T)
-    noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
+    edges, steps = window_edges(grid), steps_of(fixes, grid)
+    turns, way = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
-    with np.errstate(invalid="ignore"):
-        usable = (way > max(_LEAST_STEP, _LEAST_NOISES * noise)) & (turns < _STRAIGHT) & np.isfinite(middle)
-    index = np.flatnonzero(usable)
-    courses = np.arctan2(steps[index, 1], steps[index, 0])
-    return Courses(courses, middle[index], index.astype(np.float64), np.sqrt(2.0) * noise / way[index])
+    is_far = way > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
+    index = np.flatnonzero(is_far & (turns < _STRAIGHT) & np.isfinite(middle))
+    return Courses(np.arctan2(steps[index, 1], steps[index, 0]), middle[index], index)
 
 
 def course_logs(differences: FloatArray) -> FloatArray:

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import frozen_share, frozen_span
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
-from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_edges, window_sums
-from trackslip_estimation.setup_check.log import Fixes, FloatArray, Gyro, Log
+from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
+from trackslip_estimation.setup_check.log import FloatArray, Gyro
 from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.turning import (
@@ -63,70 +64,53 @@ _LEAST_AXIS = 5  # windows in which an axis was recorded
 
 @dataclass(frozen=True)
 class Inertial:
-    """The unit as it is to be used further on."""
+    """What was found, and the drive with it undone."""
 
-    log: Log
-    gyro: Gyro | None  # None: it shows nothing of the turns
-    grid: Grid
-    factor: float = 1.0  # what it shows of 1 rad/s, already undone
+    drive: Drive  # without a gyro where that shows nothing of the turns
     causes: tuple[Cause, ...] = ()
-    gravity: FloatArray | None = None  # (3,) unit vector, in the axes as stated
-    is_upside_down: bool = False
     undetermined: tuple[Undetermined, ...] = ()
+    is_scaled: bool = False  # of another unit, which is undone
+    is_upside_down: bool = False
     is_contradicted: bool = False  # gyro or tracks have another unit, and nothing says which
 
 
-def examine(
-    log: Log, gyro: Gyro, turned: FloatArray | None, fixes: Fixes | None, *, is_unit_known: bool
-) -> Inertial | None:
-    """Everything but its sign; ``turned``: see ``_frozen``, ``is_unit_known``: that of the tracks."""
-    grid = make_grid(log, gyro)
-    if grid is None:
-        return None
-    x = window_sums(grid, grid.tracks) / log.machine.tread
-    gravity = gravity_of(gyro, grid, x)
-    cause = _frozen(gyro, grid, log.machine.tread, turned)
-    if cause is not None:
-        return Inertial(log, None, grid, causes=(cause,), gravity=gravity)
-    causes: list[Cause] = []
-    of_heading = None if turned is None else np.diff(turned[:: max(round(WINDOW / grid.cell), 1)])
-    gyro, axis_cause = _axis(gyro, grid, x, gravity, of_heading)
-    causes += [axis_cause] if axis_cause else []
-    grid = make_grid(log, gyro) or grid
-    factor, unit_cause, open_ones = _unit(gyro, grid, x, of_heading, fixes, is_unit_known=is_unit_known)
-    if unit_cause is not None:
-        causes.append(unit_cause)
-        gyro = replace(gyro, rates=gyro.rates / factor)
-        grid = make_grid(log, gyro) or grid
-    turn = window_sums(grid, grid.turns)[:, 2]
-    scale = scale_of(turn, x, WINDOW)
-    share = turned_share(turn, x)
+def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
+    """Everything but its sign; ``is_unit_known``: that of the tracks."""
+    drive = drive.with_gyro(gyro)
+    gravity = gravity_of(drive, gyro)
+    frozen = _frozen(drive, gyro)
+    if frozen is not None:
+        return Inertial(drive.with_gyro(None), (frozen,))
+    gyro, axis_cause = _axis(drive, gyro, gravity)
+    drive = drive.with_gyro(gyro)
+    factor, unit_cause, open_ones = _unit(drive, gyro, is_unit_known=is_unit_known)
+    causes = tuple(cause for cause in (axis_cause, unit_cause) if cause is not None)
+    gyro = replace(gyro, rates=gyro.rates / factor)
+    drive = drive.with_gyro(gyro)
+    scale, share = scale_of(drive.turn, drive.x, WINDOW), turned_share(drive.turn, drive.x)
     if scale > EFFICIENCY[1] or share > _MOST_TURN:
         what = (
             f"gyro that turns {max(np.nan_to_num(scale), share):.3g} times as much as the tracks: "
             "unit of the gyro, or of the speeds"
         )
         open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
-        return Inertial(
-            log, None, grid, 1.0, tuple(causes), gravity, False, tuple(open_ones), not is_unit_known
-        )
-    swings = gyro.is_above and log.swing is None
-    if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(turn, x, of_heading):
-        bias_cause = _bias(gyro, turn, x, of_heading)
-        causes += [bias_cause] if bias_cause else []
-    down = (
-        gravity is not None and gravity[2] < -0.8 and bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
-    )
-    return Inertial(log.with_gyro(gyro), gyro, grid, factor, tuple(causes), gravity, down, tuple(open_ones))
+        return Inertial(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
+    swings = gyro.is_above and drive.log.swing is None
+    if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(drive):
+        bias_cause = _bias(drive, gyro)
+        causes += () if bias_cause is None else (bias_cause,)
+    has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
+    down = gravity is not None and gravity[2] < -0.8 and has_rates
+    return Inertial(drive, causes, tuple(open_ones), unit_cause is not None, down)
 
 
-def gravity_of(gyro: Gyro, grid: Grid, x: FloatArray) -> FloatArray | None:
+def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
     """(3,) unit vector of the specific force while the tracks stand, or of the whole; None: there is none."""
     sound = np.isfinite(gyro.accelerations).all(axis=1)
     if sound.sum() < 10:
         return None
-    still = standing(x)
-    edges = window_edges(grid)
+    still = standing(drive.x)
+    edges = window_edges(drive.grid)
     window = np.searchsorted(edges, gyro.t, side="right") - 1
     inside = sound & (window >= 0) & (window < len(still))
     at_rest = inside.copy()
@@ -137,18 +121,16 @@ def gravity_of(gyro: Gyro, grid: Grid, x: FloatArray) -> FloatArray | None:
     return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
 
 
-def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> Cause | None:
-    """Bit for bit the same, while tracks, or headings, turn; ``turned`` (m + 1,) rad of these."""
-    span = frozen_span(gyro)
+def _frozen(drive: Drive, gyro: Gyro) -> Cause | None:
+    """Bit for bit the same, while tracks, or headings, turn."""
+    span, grid = frozen_span(gyro), drive.grid
     if span is None:
         return None
     inside = (grid.edges[:-1] >= span[0]) & (grid.edges[1:] <= span[1])
     differences = np.abs(window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0)))
-    by_tracks = float(np.nansum(differences)) / tread
-    by_heading = 0.0
-    if turned is not None:
-        own = np.abs(window_sums(grid, np.where(inside, np.diff(turned), 0.0)))
-        by_heading = float(np.nansum(own[own > _HEADING_NOISE]))
+    by_tracks = float(np.nansum(differences)) / drive.machine.tread
+    own = np.abs(window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0)))
+    by_heading = float(np.nansum(own[own > _HEADING_NOISE]))
     if by_heading < _FROZEN_TURN and by_tracks * _LEAST_EFFICIENCY < _FROZEN_TURN:
         return None
     value = float(gyro.rates[np.searchsorted(gyro.t, span[0]), 2])
@@ -165,16 +147,14 @@ def _frozen(gyro: Gyro, grid: Grid, tread: float, turned: FloatArray | None) -> 
     )
 
 
-def _axis(
-    gyro: Gyro, grid: Grid, x: FloatArray, gravity: FloatArray | None, of_heading: FloatArray | None
-) -> tuple[Gyro, Cause | None]:
+def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
     """The gyro with the axis that turns as z, where that is another one.
 
     No machine stands on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
     axis must turn by more than the machine tilts: pitch on a hill follows the tracks too.
     """
-    turns = window_sums(grid, grid.turns)
-    found = _axis_gains(turns, x, of_heading)
+    turns, x = window_sums(drive.grid, drive.grid.turns), drive.x
+    found = _axis_gains(turns, x, drive.heading_turn)
     best = int(np.argmax(found.gains))
     is_known = np.isfinite(found.gains).any() and frozen_share(gyro) <= _MOSTLY
     if not is_known or best == 2 or found.by_tracks[2] > _LEAST_GAIN:
@@ -204,7 +184,7 @@ class _AxisGains(NamedTuple):
     units: FloatArray  # (3,) what it shows of 1 rad/s
 
 
-def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> _AxisGains:
+def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray) -> _AxisGains:
     """Of turns (w, 3) in windows."""
     found = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
     for axis in range(3):
@@ -213,9 +193,7 @@ def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray | None)
             continue
         found.units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
         found.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, found.units[axis]).logs.max()
-        by_heading = 0.0
-        if of_heading is not None:
-            by_heading = _heading_gain(turns[:, axis] / found.units[axis], of_heading)
+        by_heading = _heading_gain(turns[:, axis] / found.units[axis], of_heading)
         found.gains[axis] = found.by_tracks[axis] + by_heading
     return found
 
@@ -258,12 +236,10 @@ def turned_share(turn: FloatArray, x: FloatArray) -> float:
 
 def _heading_gain(turn: FloatArray, of_heading: FloatArray) -> float:
     """Ln likelihood of the turns of headings, if these are the axis' own, or opposite, over none at all."""
-    count = min(len(turn), len(of_heading))
-    y, h = turn[:count], of_heading[:count]
-    usable = np.isfinite(y) & np.isfinite(h)
+    usable = np.isfinite(turn) & np.isfinite(of_heading)
     if usable.sum() < 3:
         return 0.0
-    y, h = y[usable], h[usable]
+    y, h = turn[usable], of_heading[usable]
     width = 2.0 * max(float(np.abs(h).max()), 1.0)
     variance = _HEADING_NOISE**2 + (0.1 * y) ** 2
     with_it = max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0))
@@ -291,24 +267,16 @@ def _unit_of(scale: float) -> tuple[str, float]:
     return name, float(fitting[name])
 
 
-def _unit(
-    gyro: Gyro,
-    grid: Grid,
-    x: FloatArray,
-    of_heading: FloatArray | None,
-    fixes: Fixes | None,
-    *,
-    is_unit_known: bool,
-) -> tuple[float, Cause | None, list[Undetermined]]:
+def _unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, Cause | None, list[Undetermined]]:
     """Factor of a unit that headings, or the path of the fixes, ask for as well as the tracks do.
 
     Without such a witness, tracks that turn more than the gyro may slip, and those that turn less may have
     another unit, unless the distance of fixes shows theirs or no machine turns as the gyro says.
     """
-    turn = window_sums(grid, grid.turns)[:, 2]
+    turn, x = drive.turn, drive.x
     scale = scale_of(turn, x, WINDOW)
     name, factor = _unit_of(scale) if np.isfinite(scale) else ("", 1.0)
-    by_heading = None if of_heading is None else _scale_of_heading(turn, of_heading)
+    by_heading = _scale_of_heading(drive)
     if by_heading is not None and (factor != 1.0 or _is_scaled(by_heading, scale)):  # headings do not slip
         name, factor = min(UNITS.items(), key=lambda item: abs(np.log(by_heading / item[1])))
         if abs(np.log(by_heading / factor)) > _UNIT_ERROR:
@@ -318,7 +286,7 @@ def _unit(
     gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
     if turns_of(turn / factor) < LEAST_TURNS:
         return 1.0, None, []
-    witness = _witness(turn, grid, of_heading, fixes, factor)
+    witness = _witness(drive, factor)
     if witness is None and factor > 1.0 and not is_unit_known and not _is_too_fast(turn):
         return 1.0, None, []
     if witness is None and factor < 1.0:
@@ -345,23 +313,20 @@ def _is_scaled(by_heading: float, by_tracks: float) -> bool:
     return other and EFFICIENCY[0] < by_tracks / by_heading < EFFICIENCY[1]
 
 
-def _witness(
-    turn: FloatArray, grid: Grid, of_heading: FloatArray | None, fixes: Fixes | None, factor: float
-) -> float | None:
+def _witness(drive: Drive, factor: float) -> float | None:
     """Ln likelihood of a unit over none, by headings or the path of the fixes; None: no witness."""
-    if of_heading is not None and _scale_of_heading(turn, of_heading) is not None:
-        count = min(len(turn), len(of_heading))
-        y, h = turn[:count], of_heading[:count]
-        return _over(h, y / factor, y)
-    if fixes is None:
+    if _scale_of_heading(drive) is not None:
+        return _over(drive.heading_turn, drive.turn / factor, drive.turn)
+    if drive.fixes is None:
         return None
+    grid = drive.grid
     paths = [
         dead_reckoning(grid, grid.tracks @ distance / 2.0, sign * grid.turns[:, 2] / f)
         for f in (factor, 1.0)
         for distance in DISTANCES
         for sign in (1.0, -1.0)
     ]
-    shapes = compare(paths, thinned(fixes, 0.5))
+    shapes = compare(paths, thinned(drive.fixes, 0.5))
     if shapes.segments < 3:
         return None
     return float(shapes.logs[:4].max() - shapes.logs[4:].max())
@@ -379,12 +344,10 @@ def _over(h: FloatArray, scaled: FloatArray, raw: FloatArray) -> float:
     return logs[0] - logs[1]
 
 
-def _scale_of_heading(turn: FloatArray, of_heading: FloatArray) -> float | None:
+def _scale_of_heading(drive: Drive) -> float | None:
     """What the gyro shows of a turn of the headings; None where these do not turn."""
-    count = min(len(turn), len(of_heading))
-    y, h = turn[:count], of_heading[:count]
-    usable = np.isfinite(y) & np.isfinite(h)
-    y, h = y[usable], h[usable]
+    usable = np.isfinite(drive.turn) & np.isfinite(drive.heading_turn)
+    y, h = drive.turn[usable], drive.heading_turn[usable]
     if (np.abs(h) > 2.0 * _HEADING_NOISE).sum() < 3:
         return None
     y, h = y - np.median(y), h - np.median(h)
@@ -392,21 +355,18 @@ def _scale_of_heading(turn: FloatArray, of_heading: FloatArray) -> float | None:
     return abs(float(np.sum(y * h) / np.sum(h**2))) if abs(correlation) > _FOLLOWS else None
 
 
-def _is_known(turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> bool:
+def _is_known(drive: Drive) -> bool:
     """Whether turns of tracks or headings show that its unit is right."""
-    if of_heading is not None:
-        of_it = _scale_of_heading(turn, of_heading)
-        if of_it is not None and 0.6 < of_it < 1.6:
-            return True
-    scale = scale_of(turn, x, WINDOW)
-    return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and turns_of(turn) >= LEAST_TURNS
+    of_heading = _scale_of_heading(drive)
+    if of_heading is not None and 0.6 < of_heading < 1.6:
+        return True
+    scale = scale_of(drive.turn, drive.x, WINDOW)
+    return bool(EFFICIENCY[0] < scale < EFFICIENCY[1]) and turns_of(drive.turn) >= LEAST_TURNS
 
 
-def _bias(gyro: Gyro, turn: FloatArray, x: FloatArray, of_heading: FloatArray | None) -> Cause | None:
+def _bias(drive: Drive, gyro: Gyro) -> Cause | None:
     """What it shows while nothing moves, and while the machine drives; or more than headings turn."""
-    found = _at_standstill(turn, x)
-    if found is None and of_heading is not None:
-        found = _against_heading(turn, of_heading)
+    found = _at_standstill(drive.turn, drive.x) or _against_heading(drive.turn, drive.heading_turn)
     if found is None:
         return None
     bias, log_ratio, evidence = found
@@ -444,12 +404,10 @@ def _at_standstill(turn: FloatArray, x: FloatArray) -> tuple[float, float, str] 
 
 
 def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, float, str] | None:
-    count = min(len(turn), len(of_heading))
-    y, h = turn[:count], of_heading[:count]
-    usable = np.isfinite(y) & np.isfinite(h)
+    usable = np.isfinite(turn) & np.isfinite(of_heading)
     if usable.sum() < _LEAST_COMPARED:
         return None
-    more = (y[usable] - h[usable]) / WINDOW
+    more = (turn - of_heading)[usable] / WINDOW
     bias = float(np.median(more))
     stddev = 1.25 * 1.4826 * float(np.median(np.abs(more - bias))) / float(np.sqrt(len(more))) + 1e-4
     if (

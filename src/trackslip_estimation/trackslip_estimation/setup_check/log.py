@@ -8,12 +8,14 @@ are those of the sensor, whose stated lever arm stands beside them.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 
 
@@ -58,6 +60,22 @@ class Fixes:
     stddevs: FloatArray  # (n,) m, of one axis
     lever: tuple[float, float] = (0.0, 0.0)  # m, forward and left, stated
     is_above: bool = False
+
+    @property
+    def noise(self) -> float:
+        """Usual standard deviation of one axis, m."""
+        return float(np.median(self.stddevs)) if len(self.stddevs) else 0.0
+
+    @property
+    def arm(self) -> complex:
+        """The stated lever arm, m."""
+        return complex(*self.lever)
+
+    @cached_property
+    def z(self) -> ComplexArray:
+        """(n,) places about their mean, m."""
+        z = self.places @ np.array((1.0, 1.0j))
+        return np.asarray(z - z.mean() if len(z) else z)
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,15 @@ are a second apart, and no segment counts for more than e⁴: errors of receiver
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid
-from trackslip_estimation.setup_check.log import BoolArray, Fixes, FloatArray
+from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, Fixes, FloatArray
 
-ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 
 LENGTHS = (5.0, 10.0, 20.0, 40.0, 80.0)  # s, of segments: which of them depends on speeds and noise
@@ -84,9 +83,7 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
             kept.append(k)
             last = when
     index = np.array(kept, dtype=np.int64)
-    return Fixes(
-        fixes.name, fixes.t[index], fixes.places[index], fixes.stddevs[index], fixes.lever, fixes.is_above
-    )
+    return replace(fixes, t=fixes.t[index], places=fixes.places[index], stddevs=fixes.stddevs[index])
 
 
 def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> IntArray:
@@ -109,6 +106,13 @@ def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> In
                 found.append((first, stop))
         first = stop
     return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def free_counts(fixes: Fixes, parts: IntArray) -> FloatArray:
+    """(s,) fixes of segments whose errors differ, less what place and scale take."""
+    duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
+    count = np.minimum(np.diff(parts, axis=1)[:, 0], duration / _SPACING + 1.0)
+    return np.asarray(np.maximum(np.minimum(count, _MOST_FIXES) - 2.0, 0.0))
 
 
 class Moments:
@@ -136,16 +140,13 @@ class Moments:
 
 def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
     """Likelihoods of the paths, with segments of the length that tells them apart best."""
-    lever = complex(*fixes.lever)
-    z = fixes.places @ np.array((1.0, 1.0j))
-    z = z - z.mean() if len(z) else z
-    columns = [path.at(fixes.t, lever) for path in paths]
+    columns = [path.at(fixes.t, fixes.arm) for path in paths]
     best, best_power = Shapes(np.zeros(len(paths)), 0, LENGTHS[0]), 0.0
     for length in LENGTHS:
         parts = segments(paths[0], fixes, length)
         if not len(parts):
             continue
-        logs, might = _of_segments(z, columns, fixes, parts)
+        logs, might = _of_segments(columns, fixes, parts)
         if might.sum() > best_power:
             telling = might > _TELLING
             total = logs[:, telling].sum(axis=1)
@@ -154,16 +155,14 @@ def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
 
 
 def _of_segments(
-    z: ComplexArray, columns: Sequence[ComplexArray], fixes: Fixes, parts: IntArray
+    columns: Sequence[ComplexArray], fixes: Fixes, parts: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """(p, s) ln likelihoods, at most ``MOST_LOG`` apart; (s,) how far apart the paths alone let them be."""
-    moments = Moments(parts)
+    moments, z = Moments(parts), fixes.z
     extent = np.sqrt(np.maximum(moments.product(z, z).real, 0.0) / moments.counts)
     noise = np.sqrt(moments.sums((fixes.stddevs**2).astype(np.complex128)).real / moments.counts)
     floor = moments.counts * (2.0 * noise**2 + (_SLIP_SHARE * extent) ** 2 + 1e-6)
-    duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
-    free = np.minimum(np.minimum(moments.counts, duration / _SPACING + 1.0), _MOST_FIXES)
-    free = np.maximum(free - 2.0, 0.0)
+    free = free_counts(fixes, parts)
     logs = -free * np.log(np.array([moments.rests(column, z) for column in columns]) + floor)
     logs = np.maximum(logs - logs.max(axis=0), -MOST_LOG)
     apart = [moments.rests(a, b) for k, a in enumerate(columns) for b in columns[k + 1 :]]

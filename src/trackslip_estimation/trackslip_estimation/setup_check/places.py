@@ -7,16 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
-from trackslip_estimation.setup_check.grid import Grid, window_sums
-from trackslip_estimation.setup_check.heading import (
-    mean_direction,
-    place_at,
-    straight_courses,
-    wrapped,
-)
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Machine, group_of
+from trackslip_estimation.setup_check.heading import mean_direction, place_at, wrapped
+from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_of
 from trackslip_estimation.setup_check.path import Path, thinned
 
 _LENGTHS = (5.0, 10.0, 20.0)  # s
@@ -81,15 +76,13 @@ def judge_lever(
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
-def judge_offset(
-    grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass
-) -> tuple[list[Cause], list[Undetermined], Measured | None]:
+def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Undetermined], Measured | None]:
     """Of headings against courses; also what it is, where there are courses."""
-    steps = straight_courses(grid, turn, fixes, compass)
+    steps = drive.courses
     if len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
         return [], [Undetermined(f"offset of the heading of {compass.name}", needed)], None
-    ways = window_sums(grid, grid.tracks.mean(axis=1))[steps.windows.astype(np.int64)]
+    ways = drive.x.sum(axis=1)[steps.windows]
     differences = wrapped(steps.courses - steps.headings - np.where(ways < 0.0, np.pi, 0.0))
     middle = mean_direction(differences)
     rest = wrapped(differences - middle)
@@ -167,7 +160,7 @@ def _apart(fixes: Sequence[Fixes]) -> list[Cause]:
         return []
     gaps = np.hypot(*difference[sound].T)
     middle = float(np.median(gaps))
-    noise = float(np.median(first.stddevs) + np.median(second.stddevs))
+    noise = first.noise + second.noise
     if middle < max(_APART, 10.0 * noise) or float(np.percentile(gaps, 5)) < 0.5 * middle:
         return []
     evidence = f"places of {first.name} and {second.name} are {middle:.0f} m apart, all the time"

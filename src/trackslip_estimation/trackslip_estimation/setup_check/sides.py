@@ -8,12 +8,13 @@ A track whose q is far from 1 on most straights has another number of counts per
 dead. Fixes tell which track goes as far as the machine.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from trackslip_estimation.setup_check.evidence import Drive
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
-from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
-from trackslip_estimation.setup_check.heading import place_at
+from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.log import FloatArray
 
 _STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn, and the sharpest that is used
@@ -26,11 +27,24 @@ _FASTEST = 15.0  # m/s, of a machine on tracks
 _SIDES = ("left", "right")
 
 
-def judge_sides(drive: Drive, unit: float) -> tuple[list[Cause], list[Undetermined]]:
+class Sides(NamedTuple):
+    """What was found, and the drive with it undone; None: its tracks show nothing."""
+
+    drive: Drive | None
+    causes: tuple[Cause, ...] = ()
+    undetermined: tuple[Undetermined, ...] = ()
+
+
+def examine(drive: Drive, unit: float) -> Sides:
     """``unit``: of the speeds, which is undone in ``drive``."""
+    frame = _frame(drive, unit)
+    return _sides(drive, unit) if frame is None else Sides(drive.without_fixes(), (frame,))
+
+
+def _sides(drive: Drive, unit: float) -> Sides:
     tracks, way, turn = _windows(drive, unit)
     if len(way) < _LEAST_WINDOWS or not np.percentile(turn, 20) < _STRAIGHT > -np.percentile(turn, 80):
-        return [], []
+        return Sides(drive)
     logs = np.log((tracks[:, 0] + _NOTHING) / (tracks[:, 1] + _NOTHING))
     curve = turn / way
     bent = curve - curve.mean()
@@ -39,67 +53,57 @@ def judge_sides(drive: Drive, unit: float) -> tuple[list[Cause], list[Undetermin
     shares = [float((logs < -least).mean()), float((logs > least).mean())]
     less = int(shares[1] > shares[0])  # the side that goes less far
     if shares[less] < _USUAL_SHARE:
-        return [], []
+        return Sides(drive)
     ahead = np.median(way[:, np.newaxis] / (tracks + _NOTHING), axis=0)
     wrong = [k for k, one in enumerate(ahead.tolist()) if not _SLIPS[0] < one < _SLIPS[1]]
     q = float(np.exp(-abs(np.median(logs))))
     name, other = _SIDES[less], _SIDES[1 - less]
     evidence = f"on straights the {name} sprocket turns {q:.3g} times as far as the {other} one"
     if len(wrong) != 1:
-        return [], [Undetermined(evidence, "count the turns of both sprockets by hand", is_wrong=True)]
+        needed = "count the turns of both sprockets by hand"
+        return Sides(None, (), (Undetermined(evidence, needed, is_wrong=True),))
     side = _SIDES[wrong[0]]
     evidence += f", and fixes agree with the {_SIDES[1 - wrong[0]]} one ({len(way)} windows)"
     odds = odds_of(2.0 * len(way))
     if q < _DEAD:
         remedy = f"Check the {name} encoder, and its name in the mapping or roles file"
-        return [Cause("missing_value", "sprockets", evidence, odds, remedy)], []
+        return Sides(None, (Cause("missing_value", "sprockets", evidence, odds, remedy),))
     factor = 1.0 / q if wrong[0] == less else q
     remedy = (
         f"Correct counts_per_turn or ratio of the {side} side, or set scale: {factor:.3g} at {side}_velocity"
     )
-    return [Cause("speed_unit", "sprockets", evidence, odds, remedy)], []
+    undone = Drive(drive.log.with_tracks(np.diag((1.0, factor) if wrong[0] else (factor, 1.0))))
+    return Sides(undone, (Cause("speed_unit", "sprockets", evidence, odds, remedy),))
 
 
 def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Windows in which the machine goes: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad."""
-    tracks, way = np.abs(window_sums(drive.grid, drive.grid.tracks)) * unit, _way(drive)
-    turn = drive.turn if drive.has_gyro else drive.heading_turns()
+    tracks, way = np.abs(drive.x) * drive.machine.tread * unit, drive.fix_ways
+    turn = drive.heading_turn if drive.gyro is None else drive.turn
     goes = np.isfinite(way) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1) & (np.abs(turn) < _TURNS)
     if drive.fixes is not None and goes.any():
-        noise = 3.0 * float(np.median(drive.fixes.stddevs))
-        goes &= way > max(0.3 * float(np.percentile(way[goes], 95)), noise)
-        goes &= (
-            tracks.max(axis=1) > 0.3 * float(np.percentile(tracks.max(axis=1)[goes], 95))
-            if goes.any()
-            else goes
-        )
+        goes &= way > max(0.3 * float(np.percentile(way[goes], 95)), 3.0 * drive.fixes.noise)
+    if goes.any():
+        most = tracks.max(axis=1)
+        goes &= most > 0.3 * float(np.percentile(most[goes], 95))
     return tracks[goes], way[goes], turn[goes]
 
 
-def judge_fixes(drive: Drive, unit: float) -> list[Cause]:
+def _frame(drive: Drive, unit: float) -> Cause | None:
     """Fixes at a speed that no machine has, beside tracks at one that it has."""
     if drive.fixes is None:
-        return []
-    tracks = np.abs(window_sums(drive.grid, drive.grid.tracks)).max(axis=1) * unit / WINDOW
-    way = _way(drive) / WINDOW
+        return None
+    tracks = np.abs(drive.x).max(axis=1) * drive.machine.tread * unit / WINDOW
+    way = drive.fix_ways / WINDOW
     fast = (tracks > 0.3 * np.nanpercentile(tracks, 95)) & np.isfinite(way)
     if int(fast.sum()) < _LEAST_WINDOWS:
-        return []
+        return None
     of_fixes, of_tracks = float(np.median(way[fast])), float(np.median(tracks[fast]))
     is_steady = float(np.percentile(way[fast], 20)) > of_fixes / 3.0  # fixes that leap are not
     if of_fixes < _FASTEST or of_tracks > _FASTEST or not is_steady:
-        return []
+        return None
     evidence = (
         f"fixes go {of_fixes / of_tracks:.3g} times as far as the tracks, {of_fixes:.3g} m/s: no machine does"
     )
     remedy = "State the unit of the positions in the mapping: x and y: unit (cm, mm, ft), or their frame"
-    return [Cause("frame", drive.fixes.name, evidence, odds_of(float(fast.sum())), remedy)]
-
-
-def _way(drive: Drive) -> FloatArray:
-    """(w,) m of the fixes; nan where there is none."""
-    if drive.fixes is None:
-        return np.full(len(drive.x), np.nan)
-    steps = np.diff(place_at(drive.fixes, window_edges(drive.grid)), axis=0)
-    found: FloatArray = np.hypot(*steps.T)
-    return found
+    return Cause("frame", drive.fixes.name, evidence, odds_of(float(fast.sum())), remedy)

@@ -11,11 +11,10 @@ log too.
 
 import numpy as np
 
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Scales
-from trackslip_estimation.setup_check.grid import Grid, window_edges, window_sums
-from trackslip_estimation.setup_check.heading import place_at
-from trackslip_estimation.setup_check.log import BoolArray, Fixes, FloatArray, Machine
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Machine
 
 UNITS = {  # speed by the tracks over what it should be
     "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
@@ -55,13 +54,9 @@ _ALIKE = float(np.log(10.0))  # between units of which slip may decide
 _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
-def rough_scale(grid: Grid, fixes: Fixes) -> float:
+def rough_scale(drive: Drive) -> float:
     """ρ on the fastest straights, whatever the signs of the tracks; nan: too little motion."""
-    length = 2.0
-    steps = np.diff(place_at(fixes, window_edges(grid, length)), axis=0)
-    way = np.hypot(*steps.T)
-    tracks = window_sums(grid, grid.tracks, length)
-    noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
+    way, tracks = drive.fix_ways, drive.x * drive.machine.tread
     sound = np.isfinite(way) & np.isfinite(tracks).all(axis=1)
     if sound.sum() < _LEAST_WINDOWS:
         return float("nan")
@@ -69,6 +64,7 @@ def rough_scale(grid: Grid, fixes: Fixes) -> float:
     own = np.maximum(np.abs(tracks.sum(axis=1)), np.abs(tracks[:, 1] - tracks[:, 0])) / 2.0
     fast = own > 0.6 * np.percentile(own, 95)
     fast &= own > 0.0
+    noise = 0.0 if drive.fixes is None else drive.fixes.noise
     if fast.sum() < 3 or float(np.median(way[fast])) < max(3.0 * noise, 0.05):
         return float("nan")
     return float(np.percentile(way[fast] / own[fast], 70))
@@ -257,12 +253,3 @@ def median_of_three(flags: BoolArray) -> BoolArray:
         padded = np.concatenate((flags[:1], flags, flags[-1:])).astype(np.int64)
         flags = padded[:-2] + padded[1:-1] + padded[2:] >= 2
     return flags
-
-
-def distance_of(fixes: Fixes, grid: Grid) -> float:
-    """Metres by the fixes, in steps that stand out of their noise."""
-    steps = np.diff(place_at(fixes, window_edges(grid)), axis=0)
-    way = np.hypot(*steps.T)
-    noise = float(np.median(fixes.stddevs)) if len(fixes.stddevs) else 0.0
-    with np.errstate(invalid="ignore"):
-        return float(np.nansum(way[way > 3.0 * noise]))

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""One gyro, one source of fixes and one of headings beside the tracks: what a drive shows of each other."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_sums
+from trackslip_estimation.setup_check.heading import Courses, heading_at, steps_of, straight_courses
+from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine
+from trackslip_estimation.setup_check.path import Path, dead_reckoning
+from trackslip_estimation.setup_check.turning import TurnFit, fit_turns
+
+USUAL_EFFICIENCY = 0.7  # κ where the turns do not show it
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Of a log with one source of each kind at most; windows are of ``grid.WINDOW`` s."""
+
+    log: Log
+
+    @classmethod
+    def of(cls, log: Log, gyro: Gyro | None, fixes: Fixes | None, compass: Compass | None) -> "Drive":
+        """The tracks of a log with these sources."""
+        gyros, places = () if gyro is None else (gyro,), () if fixes is None else (fixes,)
+        return cls(replace(log, gyros=gyros, fixes=places, compasses=() if compass is None else (compass,)))
+
+    def with_gyro(self, gyro: Gyro | None) -> "Drive":
+        """The same with another version of the gyro, or none."""
+        return Drive.of(self.log, gyro, self.fixes, self.compass)
+
+    def without_fixes(self) -> "Drive":
+        """The same by tracks, gyro and headings."""
+        return Drive.of(self.log, self.gyro, None, self.compass)
+
+    @property
+    def machine(self) -> Machine:
+        """Geometry that the parameters state."""
+        return self.log.machine
+
+    @property
+    def gyro(self) -> Gyro | None:
+        """None where its z axis shows no turns."""
+        return next(iter(self.log.gyros), None)
+
+    @property
+    def fixes(self) -> Fixes | None:
+        """Of places."""
+        return next(iter(self.log.fixes), None)
+
+    @property
+    def compass(self) -> Compass | None:
+        """Of headings."""
+        return next(iter(self.log.compasses), None)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Tracks and gyro."""
+        grid = make_grid(self.log, self.gyro)
+        assert grid is not None  # of a log that is too short no drive is made
+        return grid
+
+    @cached_property
+    def x(self) -> FloatArray:
+        """(w, 2) distances of the tracks in windows over the tread, rad."""
+        return window_sums(self.grid, self.grid.tracks) / self.machine.tread
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """(w,) of the gyro, with its bias, rad."""
+        return window_sums(self.grid, self.grid.turns[:, 2])
+
+    @cached_property
+    def headings(self) -> FloatArray:
+        """(m + 1,) stated at the edges of the grid, rad; nan where there is none."""
+        edges = self.grid.edges
+        return np.full(len(edges), np.nan) if self.compass is None else heading_at(self.compass, edges)
+
+    @cached_property
+    def heading_turn(self) -> FloatArray:
+        """(w,) of these, rad."""
+        return np.diff(self.headings[:: max(round(WINDOW / self.grid.cell), 1)])
+
+    @cached_property
+    def fix_ways(self) -> FloatArray:
+        """(w,) m by the fixes; nan where there is none."""
+        if self.fixes is None:
+            return np.full(len(self.x), np.nan)
+        return np.asarray(np.hypot(*steps_of(self.fixes, self.grid).T))
+
+    @property
+    def distance_by_fixes(self) -> float:
+        """In steps that stand out of their noise, m."""
+        ways = self.fix_ways
+        return float(np.nansum(ways[ways > 3.0 * self.fixes.noise])) if self.fixes is not None else 0.0
+
+    @cached_property
+    def fit(self) -> TurnFit:
+        """Turns of the gyro by the tracks."""
+        return fit_turns(self.turn, self.x, WINDOW)
+
+    @cached_property
+    def gyro_turn(self) -> FloatArray:
+        """(m,) of the gyro in the cells, without its bias, rad; zeros without a gyro."""
+        if self.gyro is None:
+            return np.zeros(len(self.grid.tracks))
+        return np.asarray(self.grid.turns[:, 2] - self.fit.bias * self.grid.cell)
+
+    @cached_property
+    def path(self) -> Path:
+        """By tracks and gyro; by the tracks alone without a gyro."""
+        if self.gyro is None:
+            return self.track_path
+        return dead_reckoning(self.grid, self.grid.tracks.mean(axis=1), self.gyro_turn)
+
+    @cached_property
+    def track_path(self) -> Path:
+        """By the tracks alone, with the efficiency that a gyro shows."""
+        efficiency = float(self.fit.efficiencies[0]) if self.fit.logs[0] > 0.0 else USUAL_EFFICIENCY
+        left, right = self.grid.tracks.T
+        turn = efficiency * (right - left) / self.machine.tread
+        return dead_reckoning(self.grid, (left + right) / 2.0, turn)
+
+    @cached_property
+    def courses(self) -> Courses:
+        """Straight steps of the fixes with a heading."""
+        if self.fixes is None or self.compass is None:
+            return Courses(np.empty(0), np.empty(0), np.empty(0, np.int64))
+        return straight_courses(self.grid, self.gyro_turn, self.fixes, self.compass)
