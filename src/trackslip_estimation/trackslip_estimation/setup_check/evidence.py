@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Likelihoods of all relations between tracks, gyro, fixes and headings of one drive."""
 
+import itertools
+
 import numpy as np
 
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
@@ -68,15 +70,25 @@ def _courses(drive: Drive) -> FloatArray:
     if len(steps.courses) < _LEAST_COURSES:
         return found
     ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
+    of_distance: dict[tuple[float, ...], FloatArray] = {}  # of which pairs of assignments have the same
     for a, assignment in enumerate(ASSIGNMENTS):
-        reverse = np.where(ways @ assignment.distance < 0.0, np.pi, 0.0)
-        for p in (0, 1):
-            for h in (0, 1):
-                found[a, p, h] = max(
-                    direction_log(course - heading - reverse)
-                    for course in unmirrored(steps, is_mirrored=bool(p))
-                    for heading in turned_over(steps, is_turned=bool(h))
-                )
+        key = tuple(assignment.distance.tolist())
+        if key not in of_distance:
+            reverse = np.where(ways @ assignment.distance < 0.0, np.pi, 0.0)
+            of_distance[key] = _course_logs(steps, reverse)
+        found[a] = of_distance[key]
+    return found
+
+
+def _course_logs(steps: Courses, reverse: FloatArray) -> FloatArray:
+    """(2, 2) of map as it is or mirrored, heading as it is or the other way round."""
+    found = np.zeros((2, 2))
+    for p, h in itertools.product((0, 1), repeat=2):
+        found[p, h] = max(
+            direction_log(course - heading - reverse)
+            for course in unmirrored(steps, is_mirrored=bool(p))
+            for heading in turned_over(steps, is_turned=bool(h))
+        )
     return found
 
 
