@@ -81,6 +81,56 @@ def test_bags_of_others_open(
         assert [bag.deserialize(m.raw, TEXT).data for m in bag.messages(["/a"])] == ["first", "second"]
 
 
+# From which version of metadata.yaml on a field is there, by rosbags' history of them.
+SINCE = {
+    "ros_distro": 8,
+    "type_description_hash": 7,
+    "custom_data": 6,
+    "files": 5,
+    "offered_qos_profiles": 4,
+    "compression_format": 3,
+    "compression_mode": 3,
+}
+OTHER_QOS = "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n" + "".join(
+    f"  {name}:\n    sec: 2147483647\n    nsec: 4294967295\n"
+    for name in ("deadline", "lifespan", "liveliness_lease_duration")
+)
+OTHER_QOS += "  liveliness: 1\n  avoid_ros_namespace_conventions: false"
+
+
+@pytest.mark.parametrize(("storage", "compression"), FORMS)
+@pytest.mark.parametrize("version", range(2, 10))
+def test_messages_come_whatever_the_metadata_state_of_their_topic(
+    tmp_path: Path, storage: StoragePlugin, compression: CompressionMode, version: int
+) -> None:
+    """They are of an earlier version, their QoS was edited so that a player takes it, or a topic is gone."""
+    writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        for topic in ("/a", "/b"):
+            connection = writer.add_connection(topic, TEXT, typestore=typestore())
+            for k in range(3):
+                writer.write(connection, k, text(f"{topic} {k}"))
+    path = tmp_path / "bag" / "metadata.yaml"
+    tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    about = tree["rosbag2_bagfile_information"]
+    del about["topics_with_message_count"][1:]
+    first = about["topics_with_message_count"][0]
+    first["message_count"], first["topic_metadata"]["offered_qos_profiles"] = 99, OTHER_QOS
+    packed = compression is not CompressionMode.NONE
+    for level in (about, first["topic_metadata"]):
+        for name, since in SINCE.items():
+            if version < since and not (packed and name.startswith("compression")):
+                level.pop(name, None)
+    about["version"] = version
+    path.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    with open_bag(tmp_path / "bag") as bag:
+        assert bag.damage == ""
+        assert {name: info.count for name, info in bag.topics.items()} == {"/a": 3, "/b": 3}
+        found = [bag.deserialize(m.raw, TEXT).data for m in bag.messages()]
+        assert sorted(found) == [f"{topic} {k}" for topic in ("/a", "/b") for k in range(3)]
+
+
 @pytest.mark.parametrize(("storage", "compression"), FORMS)
 def test_split_bags_of_others_open(
     tmp_path: Path, storage: StoragePlugin, compression: CompressionMode

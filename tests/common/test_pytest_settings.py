@@ -83,6 +83,16 @@ def test_plugins_of_ros_do_not_import_our_modules_again(tmp_path: Path, name: st
     assert "ImportPathMismatchError" in enabled.stdout  # as they would
 
 
+@pytest.mark.parametrize("file", SETTINGS[1:], ids=lambda file: file.parent.name)
+def test_settings_of_every_package_find_the_modules_that_tests_import(
+    file: Path, request: pytest.FixtureRequest
+) -> None:
+    settings = ConfigParser()
+    settings.read(file)
+    found = {(file.parent / name).resolve() for name in settings["pytest"]["pythonpath"].split()}
+    assert found == {Path(path).resolve() for path in request.config.getini("pythonpath")}
+
+
 @pytest.mark.parametrize("file", SETTINGS, ids=lambda file: file.parent.name)
 def test_settings_of_every_package_leave_plugins_of_ros_out(file: Path) -> None:
     text = file.read_text(encoding="utf-8")

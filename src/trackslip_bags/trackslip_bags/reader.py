@@ -216,7 +216,7 @@ def require_one_type(bag: Bag, topics: Iterable[str]) -> None:
     for topic in topics:
         info = bag.topics[topic]
         if info.other_types:
-            types = " and ".join((info.type_name, *sorted(info.other_types)))
+            types = " and ".join(sorted({info.type_name, *info.other_types}))
             raise InputError(
                 f"bag '{bag.path}': {topic} has messages of several types ({types}); accepted: one"
             )

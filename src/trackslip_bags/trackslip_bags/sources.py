@@ -60,7 +60,12 @@ class Source(Protocol):
 
 
 class WholeBag:
-    """A bag, or one file of it, that rosbags reads."""
+    """A bag, or one file of it, that rosbags reads.
+
+    What topics there are its files state themselves: a ``metadata.yaml`` may have been edited, or be of an
+    earlier version, and rosbags leaves out what differs from it in a QoS profile. It adds those topics that
+    never had a message.
+    """
 
     def __init__(self, path: Path) -> None:
         for packed in path.glob("*.zstd"):
@@ -72,10 +77,6 @@ class WholeBag:
             self._reader.close()
             raise ValueError(f"{count} topics; accepted: up to {MOST_TOPICS}")
         self._packed = self._reader.compression_mode == "message"
-        if self._packed and isinstance(
-            self._reader.storage, DirectoryReader
-        ):  # rosbags does it without a limit
-            self._reader.storage.metadata = self._reader.storage.metadata._replace(compression_mode=None)
         self._packed |= path.is_file() and self._begins_packed()
         spans = [s.metadata for s in _storages(self._reader) if s.metadata.message_count]
         self.start_ns = min((span.start_time for span in spans), default=0)
@@ -83,19 +84,18 @@ class WholeBag:
         self.files = () if self._packed else _mcap_files(self._reader)
 
     def topics(self) -> dict[str, TopicInfo]:
-        stated = merged(
-            {c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in self._reader.connections
-        )
         of_files = [c for storage in _storages(self._reader) for c in storage.connections]
-        others = merged({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in of_files)
-        return {topic: _together(info, others.get(topic, info), 0) for topic, info in stated.items()}
+        held = merged({c.topic: TopicInfo(c.msgtype, c.msgcount, c.msgdef)} for c in of_files)
+        stated = merged({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in self._reader.connections)
+        return merged((held, stated))
 
     def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
-        connections = [c for c in self._reader.connections if wanted is None or c.topic in wanted]
-        if not connections:
-            return
-        for connection, time_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
-            yield BagMessage(connection.topic, connection.msgtype, time_ns, unpacking.message(raw))
+        for storage in _storages(self._reader):
+            connections = [c for c in storage.connections if wanted is None or c.topic in wanted]
+            if not connections:
+                continue
+            for connection, time_ns, raw in storage.messages(connections, start_ns, stop_ns):
+                yield BagMessage(connection.topic, connection.msgtype, time_ns, unpacking.message(raw))
 
     def _begins_packed(self) -> bool:
         """Whether messages are packed, which only metadata.yaml states."""

@@ -34,7 +34,7 @@ def describe(bag: Bag) -> str:
             printable(topic),
             str(info.count),
             _rate(info.count, bag.duration_s),
-            printable(", ".join((info.type_name, *sorted(info.other_types)))),
+            printable(", ".join(sorted({info.type_name, *info.other_types}))),
         )
         for topic, info in sorted(bag.topics.items())
     ]
