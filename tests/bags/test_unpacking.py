@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is packed small and unpacks to much: refused, and the memory it asks for is never taken."""
 
+import os
 import resource
 import subprocess
 import sys
@@ -104,7 +105,7 @@ def test_131_kb_that_unpack_to_4_gb(tmp_path: Path, bomb: Callable[[Path, int], 
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        cwd=Path(__file__).parents[1],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
         check=False,
     )
