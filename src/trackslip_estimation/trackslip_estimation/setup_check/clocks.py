@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamps: a unit of time that no sensor has, and delays of the sources against each other.
 
-Delays of turn rates come from cross-correlations; that of fixes without headings from the shape of the
-path. The
-source that is late against two others, which agree, is the late one.
+Delays of turn rates come from cross-correlations, that of fixes without headings from the shape of the path.
+The source that is late against two others, which agree, is the late one.
 """
 
 import itertools
