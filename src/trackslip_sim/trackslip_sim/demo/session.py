@@ -25,7 +25,7 @@ _LATE = 30.0  # s after the drive should have ended
 
 
 class Session:
-    """One drive; afterwards ``emitted``, ``received`` and ``drive_start_ns`` describe it."""
+    """One drive; afterwards ``emitted`` and ``received`` describe it."""
 
     def __init__(self, processes: Processes, console: Console, check: Callable[[], None]) -> None:
         self._check = check  # raises KeyboardInterrupt, if it was asked for
@@ -33,11 +33,6 @@ class Session:
         self._console = console
         join_graph()
         self._monitor = DemoMonitor()
-
-    @property
-    def drive_start_ns(self) -> int:
-        """Stamp at which the machine began to move."""
-        return self._monitor.drive_start_ns
 
     @property
     def emitted(self) -> dict[str, int]:

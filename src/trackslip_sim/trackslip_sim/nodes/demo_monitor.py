@@ -63,7 +63,6 @@ class DemoMonitor(Node):
         self.received: Counter[str] = Counter()
         self.emitted: dict[str, int] = {}
         self.finished = False
-        self.drive_start_ns = 0
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
         self.at_work: set[str] = set()  # nodes whose last word was no error: drivers whose port is open
@@ -146,7 +145,5 @@ class DemoMonitor(Node):
             word, _, topic = key.partition(" ")
             if word == "emitted" and topic in TOPICS and TOPICS[topic].flow is Flow.SENSOR:
                 self.emitted[topic] = int(value)
-            if key == "drive start (ns)":
-                self.drive_start_ns = int(value)
             if key == "finished":
                 self.finished = value == "True"

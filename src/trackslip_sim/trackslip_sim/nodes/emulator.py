@@ -133,10 +133,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             return [Health(ERROR, self._trouble)]
         emitted = {f"emitted {topic}": n for topic, n in self._excavator.emitted().items()}
         at_work = self._excavator.faults.at_work(time.time_ns())
-        began = self._excavator.drive_start_ns
         values = {
             **emitted,
-            "drive start (ns)": began,
             "finished": self._finished,
             "bytes that nobody read": self._cables.bytes_lost,
             "faults": "; ".join(map(str, at_work)) or "none",
