@@ -72,8 +72,8 @@ class WholeBag:
             unpacking.unpack_file(packed)
         self._reader = Reader(path)
         self._reader.open()
-        if len(self._reader.connections) > MOST_TOPICS:
-            count = len(self._reader.connections)
+        count = len(self.topics())
+        if count > MOST_TOPICS:
             self._reader.close()
             raise ValueError(f"{count} topics; accepted: up to {MOST_TOPICS}")
         self._packed = self._reader.compression_mode == "message"
@@ -198,14 +198,14 @@ def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
     for part in parts:
         for name, info in part.items():
             known = topics.get(name)
-            topics[name] = info if known is None else _together(known, info, info.count)
+            topics[name] = info if known is None else _together(known, info)
     return topics
 
 
-def _together(known: TopicInfo, info: TopicInfo, more: int) -> TopicInfo:
-    """What two parts of a bag say of one topic, of which the second has so many ``more`` messages."""
+def _together(known: TopicInfo, info: TopicInfo) -> TopicInfo:
+    """What two parts of a bag say of one topic."""
     types = {known.type_name, info.type_name, *known.other_types, *info.other_types}
-    return replace(known, count=known.count + more, other_types=frozenset(types - {known.type_name}))
+    return replace(known, count=known.count + info.count, other_types=frozenset(types - {known.type_name}))
 
 
 def error_line(error: Exception) -> str:
