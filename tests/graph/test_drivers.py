@@ -20,6 +20,7 @@ from fixtures.plugged_devices import (
     Powered,
     plug_can,
     plug_halting,
+    plug_incomplete,
     plug_sick,
     plug_watson,
     yard,
@@ -215,6 +216,16 @@ def test_device_that_halts_for_a_moment_is_missed_and_found(bench, programs, obs
     """As on a busy machine. The driver says so, and goes on."""
     bench["can_driver"] = (partial(device, plug_halting, plug_can, udp_port), bench["can_driver"][1])
     run(bench, programs, observer, "can_driver", 200)
+
+
+def test_frames_of_no_use_for_a_moment_are_no_fault(bench, programs, observer, device, udp_port):
+    """As after a pause, where counts have jumped and one frame waits for another."""
+    device(plug_incomplete, udp_port).plug()
+    messages = observer.subscribe(TOPIC["can_driver"])
+    program = programs.node("can_driver", **bench["can_driver"][1])
+    observer.wait(lambda: len(messages) >= 300, f"messages between pauses: {program.stderr}")
+    program.end()
+    assert "nothing of use" not in "".join(line for line in program.stderr.splitlines() if "[ERROR]" in line)
 
 
 @pytest.mark.parametrize("node", TOPIC)

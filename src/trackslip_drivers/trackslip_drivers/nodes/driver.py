@@ -48,6 +48,7 @@ _LOOK = 0.1  # s between looks at whether the link's condition has changed
 _OPENING = 2.0  # s, for which a port that was opened need not deliver
 RECENT = 5.0  # s for which a rejection shows
 _PAUSE = 5.0  # s without data after which nothing is said of what they lacked
+_SETTLING = 1.0  # s for which what is of no use may be what a pause left behind
 _RATE_OVER = 0.5  # s, the least that a rate is counted over
 _HOST_CLOCK = "host clock"
 
@@ -203,10 +204,10 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         reason = self._rejected[0] or "nothing whole yet"
         if reason in self.passing:
             return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"
-        return (
-            ERROR,
-            f"{where}: {self.carries} come, but nothing of use: {reason}{talk}; check rate and format",
-        )
+        what = f"{where}: {self.carries} come, but nothing of use: {reason}{talk}"
+        if time.monotonic() - self._last_s < limit_s + _SETTLING:
+            return WARN, what
+        return ERROR, f"{what}; check rate and format"
 
     def _look(self) -> None:
         """What has changed is reported at once."""
