@@ -309,6 +309,7 @@ def test_the_commands_show_what_they_made(tmp_path: Path, capsys: pytest.Capture
         import_command.run(arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not WARTHOG.is_file(), reason="the recorded log is not here")
 def test_the_warthog_log(tmp_path: Path) -> None:
     mapping = read_mapping(config_file("mappings/warthog.yaml"))

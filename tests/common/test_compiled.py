@@ -58,6 +58,7 @@ def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path
     assert run(tmp_path) == [30.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_kernel_that_calls_another_folder_is_compiled_again_when_that_changes(tmp_path: Path) -> None:
     (tmp_path / "trackslip_below").mkdir()
     inner = tmp_path / "trackslip_below" / "inner.py"
@@ -70,6 +71,7 @@ def test_a_kernel_that_calls_another_folder_is_compiled_again_when_that_changes(
     assert run(tmp_path) == [30.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -> None:
     """``make test`` and ``colcon test`` import a file of tests by two names, and share what is on disk."""
     (tmp_path / "below").mkdir()
@@ -81,6 +83,7 @@ def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -
         assert run(tmp_path) == [2.0, found]
 
 
+@pytest.mark.slow
 def test_a_folder_and_a_link_to_it_share_machine_code(tmp_path: Path) -> None:
     """After ``setup.bash`` modules come through colcon's links: all was compiled once more, for minutes."""
     (tmp_path / "below").mkdir()

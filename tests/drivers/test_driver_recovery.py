@@ -169,6 +169,7 @@ def test_scans_within_a_second_of_power(baud):
             assert now - ready < S
 
 
+@pytest.mark.slow
 def test_no_wrong_telegram_passes_one_percent_of_corruption():
     random = np.random.default_rng(5)
     parser, tally = None, Tally()

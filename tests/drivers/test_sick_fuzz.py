@@ -82,6 +82,7 @@ class Receiver:
         return self.tally.total["scan", TelegramFault.GARBAGE_BYTE.value]
 
 
+@pytest.mark.slow
 @seeded
 @given(values=words, status=st.integers(0, 255), unit=st.integers(0, 3), partial=st.integers(0, 3))
 def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: int, partial: int) -> None:

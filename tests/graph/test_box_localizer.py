@@ -46,6 +46,7 @@ def stamps_s(messages):
     return [m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in messages]
 
 
+@pytest.mark.slow
 def test_bag_in_a_loop_gives_fixes_in_every_round(programs, observer, path):
     poses = observer.subscribe("box_pose")
     programs.node("box_localizer")
@@ -84,6 +85,7 @@ def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, o
     assert "failed" not in program.stderr
 
 
+@pytest.mark.slow
 def test_what_may_be_another_thing_is_no_pose_until_the_odometry_is_there(programs, observer, tmp_path):
     """Started with a track of half a minute ago and no background, as if the laser had been moved."""
     healths, poses = observer.healths(), observer.subscribe("box_pose")

@@ -69,6 +69,7 @@ def test_demo_leaves_numbers_report_and_bag(real_time, programs):
     assert not (folder / "dev").exists()
 
 
+@pytest.mark.slow
 def test_machine_with_an_antenna_drives_by_gnss(real_time, programs):
     program = demo(programs, "--duration", "5", "--vehicle", "excavator_20t", "--no-live")
     assert program.wait() == 0, program.stdout + program.stderr
@@ -104,6 +105,7 @@ def test_the_program_itself_refuses_with_one_line(programs):
     assert len(program.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_demo_whose_output_cannot_be_written_ended_with_a_traceback(programs, tmp_path):
     command = [sys.executable, "-m", "trackslip_sim.demo.main", "--output", str(tmp_path / "demo")]
@@ -122,6 +124,7 @@ def answers(address):
         return False
 
 
+@pytest.mark.slow
 def test_the_page_comes_at_another_port_and_may_end_alone_and_ctrl_c_comes_twice(programs, observer):
     """Then Ctrl-C twice: an impatient user changes nothing."""
     with socket.socket() as taken:
@@ -168,6 +171,7 @@ def test_ctrl_c_before_the_nodes_are_up(programs, log):
     ends_at_once(programs, program)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
     program = demo(programs, "--duration", "60", "--no-live")
@@ -179,6 +183,7 @@ def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
         assert bag.topics["/sprockets"].count > 0
 
 
+@pytest.mark.slow
 def test_node_that_dies_ends_the_demo(programs, observer):
     program = demo(programs, "--duration", "60", "--no-live")
     wait_for_drive(observer)

@@ -51,6 +51,7 @@ def test_machine_is_switched_on_once_all_nodes_that_it_waits_for_are_active(
     assert truth["odometry"][0].child_frame_id == "digger1/base_link"
 
 
+@pytest.mark.slow
 def test_machine_that_waits_can_be_deactivated_and_activated_again(programs: Any, observer: Any) -> None:
     programs.node(
         "emulator", start_after=["nobody"], device_directory=str(programs.folder / "dev"), scenario="straight"

@@ -6,6 +6,7 @@ import json
 import signal
 
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -174,6 +175,7 @@ def test_every_command_of_a_user_is_done_reported_and_answered(programs, observe
     assert found["rejected"]["box_pose"]["frozen"] == 1
 
 
+@pytest.mark.slow
 def test_a_pose_whose_publisher_the_recorder_never_met_is_replayed(programs, observer):
     """Who sets a pose and ends at once was in no bag, and the replay was another drive."""
     machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")

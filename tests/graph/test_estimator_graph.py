@@ -224,6 +224,7 @@ def is_given_back(path):
     return [int(outcome) for part in parts for outcome in part.results["outcome"]]
 
 
+@pytest.mark.slow
 def test_every_measurement_is_reported_on_and_given_back(programs, observer):
     line = Line(programs, observer)
     drive(line)

@@ -6,6 +6,7 @@ import json
 import time
 
 import numpy as np
+import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -30,6 +31,7 @@ def at(kind, at_ms):
     return message
 
 
+@pytest.mark.slow
 def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
     sprockets, poses = observer.publisher("sprockets"), observer.publisher("box_pose")
     reports, texts = (

@@ -67,6 +67,7 @@ def test_antenna_is_on_the_map_and_the_heading_is_the_machine_s(real_time, machi
             )
 
 
+@pytest.mark.slow
 def test_faults_of_a_receiver_are_reported_and_pass(machine, observer):
     healths, fault = observer.healths(), observer.publisher("emulator/fault")
     poses = observer.subscribe("gnss_pose")

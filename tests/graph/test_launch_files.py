@@ -214,7 +214,13 @@ def test_each_node_is_an_executable_of_its_package_in_its_namespace(file: Path) 
         assert node.arguments[-1] == f"/digger1/{node.executable}"
 
 
-@pytest.mark.parametrize("switches", [{}, {"gnss": "true", "laser": "false", "vehicle": "excavator_20t"}])
+@pytest.mark.parametrize(
+    "switches",
+    [
+        {},
+        pytest.param({"gnss": "true", "laser": "false", "vehicle": "excavator_20t"}, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.xdist_group("graph")
 def test_real_nodes_take_what_the_launch_files_give_them(
     programs: Any, observer: Any, monkeypatch: pytest.MonkeyPatch, switches: dict[str, str]

@@ -99,6 +99,7 @@ def later(measurements, by_ns):
     return [type(m)(**{**vars(m), "stamp_ns": m.stamp_ns + by_ns}) for m in measurements]
 
 
+@pytest.mark.slow
 def test_a_restart_keeps_what_was_learned(programs, observer, capsys):
     graph = Graph(programs, observer)
     machine = drive(Machine(gyro_scale=0.97, duration=20.0)).measurements

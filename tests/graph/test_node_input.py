@@ -131,7 +131,11 @@ def test_recorder_that_cannot_write(is_refused, tmp_path):
 
 
 @pytest.mark.parametrize("node", NODES)
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+    ids=lambda number: number.name,
+)
 def test_running_node_ends_quietly(programs, observer, node, number):
     given = QUICK.get(node, {})
     if node == "emulator":

@@ -5,6 +5,7 @@
 import json
 
 import numpy as np
+import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
@@ -20,6 +21,7 @@ def stamped(kind, at_ms):
     return message
 
 
+@pytest.mark.slow
 def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     healths = observer.healths()
     reports, found = observer.subscribe("measurement_reports"), observer.subscribe("odometry")

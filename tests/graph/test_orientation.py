@@ -20,6 +20,7 @@ def at(kind, at_ms):
     return message
 
 
+@pytest.mark.slow
 def test_one_is_used_and_one_without_a_covariance_is_counted(programs, observer):
     publishers = {t: observer.publisher(t) for t in ("sprockets", "box_pose", "imu/data_raw")}
     reports, attitudes = observer.subscribe("measurement_reports"), observer.subscribe("attitude")

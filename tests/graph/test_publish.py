@@ -112,6 +112,7 @@ def test_ctrl_c_and_options(programs, observer, path):
     assert np.count_nonzero(np.diff(stamps) < 0.0) >= 2
 
 
+@pytest.mark.slow
 def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, path):
     observer.publisher("sprockets")
     observer.subscribe("sprockets")
@@ -120,6 +121,7 @@ def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, pa
     assert "/sprockets is published by observer too" in player.stderr
 
 
+@pytest.mark.slow
 def test_lines_of_the_player_were_put_into_its_bar(path, domain):
     """On a terminal, where nobody listens and the player says so."""
     command = [

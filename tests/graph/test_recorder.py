@@ -29,7 +29,7 @@ LONGEST_LOSS = 1.0  # s
 LONGEST_STEP = 0.01  # s between two looks at the clock; longer ones are the host's, which stood still
 PERIOD = 0.002  # s
 MORE_THAN_A_BUFFER = 900  # messages: more than a kernel's 208 kB, less than a publisher keeps
-QUICK = 3  # kills in make test, of twenty
+QUICK = 1  # kills in make test, of twenty
 MOMENTS = np.random.default_rng(7).uniform(0.1, 4.0, 20).round(2).tolist()  # s after the first message
 
 # Publishes the project's topics, factor × their nominal rates, for so many seconds; prints which, and what it
@@ -213,6 +213,7 @@ def reported_and_written(programs, observer, recorder, seconds):
         return Counter(sent), Counter(lost), Counter({t: bag.topics[f"/{t}"].count for t in sent})
 
 
+@pytest.mark.slow
 def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
     recorder = Recorder(programs, observer)
     sent, lost, written = reported_and_written(programs, observer, recorder, 4.0)
@@ -220,6 +221,7 @@ def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
     assert written + lost == sent
 
 
+@pytest.mark.slow
 def test_what_a_stalled_recorder_loses_is_counted_and_shouted(programs, observer):
     program = programs.python("-c", STALLING, "--ros-args", "-p", "output:=bag")
     recorder = Recorder(programs, observer, program)
@@ -280,6 +282,7 @@ def test_topics_of_others_are_recorded_by_expression(programs, observer):
         assert "/other/note" not in bag.topics
 
 
+@pytest.mark.slow
 def test_a_bag_is_split_by_time_and_read_as_one(programs, observer):
     recorder = Recorder(programs, observer, split_duration=0.5)
     publisher = observer.publisher("sprockets")

@@ -124,6 +124,7 @@ def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, o
     assert abs(last.left_resistance) > 1.3 * abs(last.right_resistance)
 
 
+@pytest.mark.slow
 def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs):
     machine = Machine(programs, observer)
     machine.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")

@@ -184,6 +184,7 @@ def test_fast_dds_reads_the_profiles_that_set_up_names(programs: Any, tmp_path: 
     assert "XMLPARSER" in refused.stdout + refused.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("colcon_core") is None, reason="colcon is another python's")
 @pytest.mark.parametrize("layout", [[], ["--merge-install"]], ids=["isolated", "merged"])
 def test_command_is_on_the_path_after_a_build_by_hand(layout: list[str], tmp_path: Path) -> None:

@@ -82,6 +82,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("dig") / "bag", 105.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("encoder", "most"), BARS)
 def test_heading_and_swing_while_it_digs(short: Path, encoder: bool, most: float) -> None:
     found = run(short, encoder)

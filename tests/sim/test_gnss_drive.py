@@ -80,6 +80,7 @@ def test_velocities_of_the_receiver_keep_the_bars(fixed: Path) -> None:
     assert sum(found["rejected"].get("fix_velocity", {}).values()) < 0.05 * found["messages"]["fix_velocity"]
 
 
+@pytest.mark.slow
 def test_the_inertial_unit_of_the_20_t_machine_has_100_hz(fixed: Path, tmp_path: Path) -> None:
     """It was the PC05's, of 12 Hz; what is unplugged is silent."""
     with open_bag(fixed) as bag:
@@ -104,6 +105,7 @@ def on_cab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "bag"
 
 
+@pytest.mark.slow
 def test_antennas_on_a_cab_without_an_encoder(on_cab: Path) -> None:
     """A drive of a machine with an antenna had no fixes, and so no estimate."""
     found = replayed(on_cab, vehicle=str(on_cab.parent / "bare.yaml"))
@@ -180,6 +182,7 @@ def test_calibration_takes_its_headings_from_the_source_of_them(
     assert "pose_delay" not in findings
 
 
+@pytest.mark.slow
 def test_a_vehicle_named_moves_the_antenna_of_a_bag_that_states_one(
     fixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

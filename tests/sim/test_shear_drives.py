@@ -18,7 +18,8 @@ TURNS = [
 TIGHT = (12.0, 0.1, 2.0)
 
 
-@pytest.mark.parametrize("soil", ["sand", pytest.param("clayey_soil", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("soil", ["sand", "clayey_soil"])
 def test_an_estimate_is_not_nine_sigma_ahead_as_tracks_shear_the_soil_at_a_start(
     soil: str, tmp_path: Path
 ) -> None:
@@ -29,6 +30,7 @@ def test_an_estimate_is_not_nine_sigma_ahead_as_tracks_shear_the_soil_at_a_start
     assert known.mean() < 3.0  # 2 if consistent
 
 
+@pytest.mark.slow
 def test_a_machine_that_hardly_turns_does_not_drive_on_in_the_estimate(tmp_path: Path) -> None:
     """With the cab to the left the left track bears most, and the right one spins. The gyro showed that it
     hardly turned; that it hardly drove either, nobody concluded.

@@ -66,6 +66,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
         run(parse("--scenario", "straight", "--json", str(missing)))
 
 
+@pytest.mark.slow
 def test_a_scenario_is_repeated_or_cut(tmp_path: Path) -> None:
     ends = []
     for options in (("--duration", "61"), ("--duration", "61", "--output", str(tmp_path / "bag"))):

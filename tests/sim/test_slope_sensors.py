@@ -81,6 +81,7 @@ def test_standing_before_the_drive_it_feels_gravity_alone() -> None:
     assert sample.angular_velocity == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Truth) -> None:
     times, messages = of_drive(bag["/imu/data_raw"], truth.duration - 0.1, 0.1)
     felt = np.array(

@@ -26,6 +26,7 @@ def test_soil_is_the_same_on_a_slope(terrain: str) -> None:
     assert result.probability > 0.8
 
 
+@pytest.mark.slow
 def test_a_track_that_hardly_turned_threw_the_strength_away() -> None:
     """The last turn downhill drags one track: F_max was 32 % off, and no longer identifiable."""
     result = run(Trial("sand", 0.01, 1, scenario="field_trial", terrain="slope_down_15"))

@@ -135,6 +135,7 @@ def test_both_studies_may_share_a_file(tmp_path: Path) -> None:
     assert repr(Cache(file, Result).get("a key")) == repr(result)  # nan is no equal of itself
 
 
+@pytest.mark.slow
 def test_processes_give_what_one_process_gives(
     command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

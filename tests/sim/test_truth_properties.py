@@ -5,6 +5,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -63,6 +64,7 @@ def test_mirrored_commands_give_the_mirrored_run(segments: list[Segment], name: 
         np.testing.assert_allclose(swapped, rows[:, pair : pair + 2], rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(segments=SEGMENTS, name=NAMES)
 def test_the_machine_has_no_preferred_end(segments: list[Segment], name: str) -> None:

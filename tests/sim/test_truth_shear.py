@@ -63,7 +63,7 @@ def test_turn_with_inner_track_at_60_percent(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SOILS)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, seed: int) -> None:
     scenario = random_drive(seed, name)
     whole = simulate(scenario, settings=SETTINGS)

@@ -179,7 +179,7 @@ def test_energy_balances(name: str, soil: str) -> None:
 
 
 @pytest.mark.parametrize("name", SLOPES)
-@pytest.mark.parametrize("soil", ["sand", "clayey_soil"])
+@pytest.mark.parametrize("soil", ["sand", pytest.param("clayey_soil", marks=pytest.mark.slow)])
 def test_halving_the_step_moves_the_end_by_less_than_a_millimetre(name: str, soil: str) -> None:
     scenario = dataclasses.replace(
         load_scenario("field_trial").stretched(60.0), terrain=load_terrain(name), soil=soil

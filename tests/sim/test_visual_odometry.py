@@ -57,6 +57,7 @@ def without_fixes(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_half_a_minute_without_fixes_is_bridged(bag: Path) -> None:
     """At 1 % of drift, where sprockets alone are 0.14 to 0.16 m off."""
     blind, found = without_fixes(bag, {}), without_fixes(bag, SETTINGS)

@@ -337,6 +337,7 @@ def test_the_jackknife_sees_errors_that_go_together() -> None:
     assert 180 <= hits <= 199
 
 
+@pytest.mark.slow
 def test_increments_find_both_noises() -> None:
     """A slope under a walk and reading noise that claims to be twice as large: the interval is right."""
     rng = np.random.default_rng(9)

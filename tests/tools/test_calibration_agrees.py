@@ -128,6 +128,7 @@ def both(machine: Machine, name: str) -> tuple[tuple[float, float], tuple[float,
     return (finding.value, half), (offset + float(mean[index]), 2.0 * math.sqrt(P_[index, index]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.soil)
 @pytest.mark.parametrize("name", STATES)
 def test_calibration_and_learned_states_agree_within_their_intervals(machine: Machine, name: str) -> None:

@@ -116,6 +116,7 @@ def test_replay_fails_on_a_mistake_unless_it_is_forced(
     assert main(["replay", str(swapped), "--stop", "90", "--force"]) == ExitCode.DONE
 
 
+@pytest.mark.slow
 def test_the_first_row_of_a_reports_verdict_is_the_setup(swapped: Path, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     assert main(["report", str(swapped), "--stop", "90", "--output", str(page)]) == ExitCode.FAILED

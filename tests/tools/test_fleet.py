@@ -85,6 +85,7 @@ def test_a_folder_that_may_not_be_looked_into_is_named(locked: Path) -> None:
             find_bags([path])
 
 
+@pytest.mark.slow
 def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(
     fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,6 +144,7 @@ def test_as_many_processes_as_asked_for_were_started(
     )
 
 
+@pytest.mark.slow
 def test_a_report_of_a_folder_has_a_page_of_each_bag(fleet: Path, tmp_path: Path) -> None:
     out = tmp_path / "pages"
     (fleet / "c" / "d").unlink()

@@ -75,6 +75,7 @@ def test_gyro_readings_that_are_none_are_left_out_of_a_calibration(
     assert not output.exists() or ".nan" not in output.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_absurd_truth_in_a_report_warns_of_nothing(
     tmp_path: Path, lines: list[Any], write_bag: WriteBag
@@ -108,6 +109,7 @@ def test_estimates_before_1970_are_written(
         assert made.start_ns == 0
 
 
+@pytest.mark.slow
 def test_scan_of_another_type_is_no_laser(tmp_path: Path, lines: list[Any], write_bag: WriteBag) -> None:
     scan = lines[0]._replace(topic="scan", type_name=TEXT, message=make(TEXT, data="hello"))
     path = write_bag(tmp_path / "bag", [scan, *lines])
@@ -115,7 +117,14 @@ def test_scan_of_another_type_is_no_laser(tmp_path: Path, lines: list[Any], writ
 
 
 @pytest.mark.parametrize(
-    ("ranges", "angle"), [(3, float("nan")), (0, float("inf")), (3, 1e30), (1_000_000, 0.01)]
+    ("ranges", "angle"),
+    [
+        (3, float("nan")),
+        *(
+            pytest.param(*p, marks=pytest.mark.slow)
+            for p in ((0, float("inf")), (3, 1e30), (1_000_000, 0.01))
+        ),
+    ],
 )
 def test_scan_of_no_direction_has_no_points(
     tmp_path: Path, lines: list[Any], write_bag: WriteBag, ranges: int, angle: float
@@ -163,7 +172,7 @@ def change_metadata(bag: Path, change: Callable[[dict[str, Any]], None]) -> None
 
 
 @pytest.mark.parametrize("ns", [-(2**63), -1, 2**62, 2**63 - 1, 10**30])
-@pytest.mark.parametrize("command", ["info", "report"])
+@pytest.mark.parametrize("command", ["info", pytest.param("report", marks=pytest.mark.slow)])
 def test_times_of_a_bag_are_those_of_its_files(
     tmp_path: Path, lines: list[Any], write_bag: WriteBag, command: str, ns: int
 ) -> None:
@@ -257,7 +266,10 @@ def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, 
         assert (len(bag.topics), bag.message_count, bag.damage) == (4096, 1, "")
 
 
-@pytest.mark.parametrize("name", [b"b\xff\xfe", "\u2028".encode(), b"a\nb"])
+@pytest.mark.parametrize(
+    "name",
+    [b"a\nb", *(pytest.param(name, marks=pytest.mark.slow) for name in (b"b\xff\xfe", "\u2028".encode()))],
+)
 def test_bag_of_any_name_is_worked_with(
     tmp_path: Path, lines: list[Any], write_bag: WriteBag, capsys: pytest.CaptureFixture[str], name: bytes
 ) -> None:
@@ -277,7 +289,9 @@ def test_bag_of_any_name_is_worked_with(
     assert all(file.read_bytes().decode() for file in out.iterdir() if file.is_file())
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
+@pytest.mark.parametrize(
+    "encoding", ["ascii", *(pytest.param(name, marks=pytest.mark.slow) for name in ("latin-1", "cp1252"))]
+)
 def test_output_in_an_encoding_without_our_signs_is_escaped(bag: Path, encoding: str) -> None:
     command = [sys.executable, "-m", "trackslip_tools.cli.main", "calibrate", str(bag)]
     environment = os.environ | {"PYTHONIOENCODING": encoding}

@@ -125,7 +125,7 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
-@pytest.mark.parametrize("write", [write_ros1, write_ros2])
+@pytest.mark.parametrize("write", [pytest.param(write_ros1, marks=pytest.mark.slow), write_ros2])
 def test_the_heading_of_two_antennas_came_from_no_bag(write: Any, topic: str, tmp_path: Path) -> None:
     """RTK on a robot of others, by the mapping on the page."""
     antenna = Gnss((-0.2, 0.1), np.pi / 2.0)
@@ -150,6 +150,7 @@ def test_the_order_of_arrival_is_that_of_the_robot(
     assert prompt["rmse"]["filter"] < found["rmse"]["filter"]
 
 
+@pytest.mark.slow
 def test_a_reference_of_positions_gives_no_nonsense(
     ros2_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

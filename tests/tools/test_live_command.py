@@ -58,6 +58,7 @@ def test_a_bag_was_replayed_before_its_address_was_refused(capsys: pytest.Captur
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
     with open_bag(BAG) as bag, with_estimates(bag) as whole:
         state = LiveState("a test", load_vehicle())
@@ -87,6 +88,7 @@ def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
         assert json.dumps(later[name]) == json.dumps(shown[name])
 
 
+@pytest.mark.slow
 def test_a_page_over_a_bag_had_no_vehicle_option(capsys: pytest.CaptureFixture[str]) -> None:
     """It pointed to one, where the bag names none."""
     with open_bag(BAG) as bag, with_estimates(bag, "excavator_20t") as whole:
@@ -99,6 +101,7 @@ def test_a_page_over_a_bag_had_no_vehicle_option(capsys: pytest.CaptureFixture[s
     assert "vehicle: excavator_20t" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:
     """The laser of this drive is unplugged for 8 s."""
     with open_bag(BAG.with_name("outage_sandy_loam")) as bag, with_estimates(bag) as whole:

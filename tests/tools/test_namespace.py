@@ -37,6 +37,7 @@ def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
     return {name: value for name, value in found.items() if name != "real_time_factor"}
 
 
+@pytest.mark.slow
 def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_path: Path) -> None:
     alone = replayed(tmp_path, emulated_bag)
     of_one = replayed(tmp_path, two_machines, "--namespace", "/site/one")

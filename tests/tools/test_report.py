@@ -188,6 +188,7 @@ def test_topics_are_counted(run: Run) -> None:
     assert int(rows["sprockets"][0]) == len(run.recording.timings["sprockets"].times)
 
 
+@pytest.mark.slow
 def test_the_page_needs_nothing_else_and_is_small_enough(run: Run) -> None:
     page = render([run], load_limits())
     assert len(page.encode()) < MOST_BYTES
@@ -209,6 +210,7 @@ def report(*arguments: object) -> int:
     return main(["report", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_one_bag_with_two_parameter_files_is_a_comparison(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

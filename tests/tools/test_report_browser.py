@@ -202,6 +202,7 @@ def test_light_and_dark(page: Any, complaints: list[str]) -> None:
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_names_and_reasons_that_look_like_html_are_text_even_at_the_cursor(
     open_page: OpenPage, comparison: Path, complaints: list[str]
 ) -> None:
@@ -260,6 +261,7 @@ def test_the_first_swipe_after_a_mouse_scrolls_too(opened_on_tablet: Any, compla
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_on_a_wide_screen_the_path_stays_beside_the_plots_over_time(page: Any, complaints: list[str]) -> None:
     later = page.locator('[data-plot="time-8"]')
     later.scroll_into_view_if_needed()

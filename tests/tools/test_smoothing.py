@@ -144,6 +144,7 @@ def test_nothing_starts_without_a_fix(log: Any) -> None:
         smoothed_of([m for m in log.measurements if not isinstance(m, PoseFix)])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_bag_and_a_summary(emulated_bag: Path, tmp_path: Path) -> None:
     output, summary = tmp_path / "smoothed", tmp_path / "summary.json"
     options = ["--withhold", "box_pose:22:34", "--output", str(output), "--json", str(summary)]

@@ -60,6 +60,7 @@ def test_forces_and_soil_are_in_the_output(replayed: tuple[Path, dict[str, Any]]
     assert 400 <= counts["/track_forces"] <= 600
 
 
+@pytest.mark.slow
 def test_replay_of_a_bag_with_live_forces_gives_them_again(
     emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

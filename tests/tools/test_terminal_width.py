@@ -20,10 +20,12 @@ BAGS = ROOT / "bags"
         "info {bags}/slalom_sand",
         "replay {bags}/slalom_sand --stop 12 --withhold box_pose:6:9 --json {out}.json",
         "replay {bags} --stop 5 --workers 1",
-        "smooth {bags}/slalom_sand --output {out}",
-        "calibrate {bags}/slalom_sand {bags}/outage_sandy_loam --output {out}",
+        pytest.param("smooth {bags}/slalom_sand --output {out}", marks=pytest.mark.slow),
+        pytest.param(
+            "calibrate {bags}/slalom_sand {bags}/outage_sandy_loam --output {out}", marks=pytest.mark.slow
+        ),
         "recover {bags}/power_cut --output {out}",
-        "simulate --scenario straight --duration 5 --output {out}",
+        pytest.param("simulate --scenario straight --duration 5 --output {out}", marks=pytest.mark.slow),
         "report {bags}/slalom_sand --output {out}/no/page.html",
     ],
 )

@@ -48,6 +48,7 @@ def tune(bag: Path, plan: Path, output: Path, *options: str) -> int:
     return main(["tune", str(bag), *named, *alone, *options])
 
 
+@pytest.mark.slow
 def test_it_leaves_parameters_and_evidence(
     emulated_bag: Path, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

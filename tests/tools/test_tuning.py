@@ -184,6 +184,7 @@ def test_position_is_an_objective_too(drive: Callable[..., Any], tmp_path: Path)
     assert result.folds == []
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_goes_on_and_ends_the_same(drive: Callable[..., Any], tmp_path: Path) -> None:
     tasks = [task_of(drive, seed) for seed in range(2)]
     plan = plan_of(tmp_path, FLOORS.replace("evaluations: 40", "evaluations: 20"))
@@ -232,6 +233,7 @@ def test_a_journal_with_values_of_other_types_is_refused(
         Journal(file, [task_of(drive, 0)], plan.bounds)
 
 
+@pytest.mark.slow
 def test_a_journal_of_other_bags_is_refused(drive: Callable[..., Any], tmp_path: Path) -> None:
     plan, file = plan_of(tmp_path), tmp_path / "journal.jsonl"
     with Journal(file, [task_of(drive, 0)], plan.bounds):

@@ -12,6 +12,7 @@ from trackslip_common.errors import InputError
 from trackslip_tools.workers import workers
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_with_what_all_pieces_share_is_named() -> None:
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, protocol="tcp") as cluster:
         (nanny,) = cluster.workers.values()

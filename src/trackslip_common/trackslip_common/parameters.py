@@ -15,6 +15,7 @@ given whole. A field that is a ``Mapping`` holds a group for each of the names t
 """
 
 import dataclasses
+import functools
 import typing
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
@@ -82,11 +83,14 @@ class Parameters:
                 check(f"{type(self).__name__}.{name}", getattr(self, name), kind, spec)
 
 
-def own_fields(cls: type) -> Iterator[tuple[str, Any, Spec | None]]:
+@functools.cache
+def own_fields(cls: type) -> tuple[tuple[str, Any, Spec | None], ...]:
     """(name, type, spec) of each field; spec is None for a nested group of parameters, or several."""
     hints = typing.get_type_hints(cls)
-    for field in dataclasses.fields(cls):
-        yield field.name, hints[field.name], field.metadata.get(_METADATA_KEY)
+    return tuple(
+        (field.name, hints[field.name], field.metadata.get(_METADATA_KEY))
+        for field in dataclasses.fields(cls)
+    )
 
 
 def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:

@@ -35,6 +35,7 @@ def without_background(second):
     return BoxLocalizer(PARAMETERS, BOX, kept)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_restart_while_the_box_is_out_of_sight_follows_no_other_thing(name):
     localizer, scored = restarted(DRIVES[name], HIDDEN[name], fixes=MANY)

@@ -167,6 +167,7 @@ def test_object_that_touches_the_laser_is_not_the_box(ranges):
 anything = st.one_of(st.floats(width=32), st.floats(-0.125, 0.125), st.sampled_from([-np.pi / 2, 0.0]))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     st.lists(

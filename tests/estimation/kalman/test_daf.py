@@ -175,8 +175,9 @@ def measurement(rng: np.random.Generator) -> Measured:
 NEAR = {"icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # far from where the centres meet
 
 
+@pytest.mark.slow
 @each
-@pytest.mark.parametrize("kappa", [None, *(pytest.param(k, marks=pytest.mark.slow) for k in (0.0, -4.0))])
+@pytest.mark.parametrize("kappa", [None, 0.0, -4.0])
 def test_it_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
     """Truth drawn from the model itself, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
     config, n = config_of({"model": model, **NEAR}, with_kappa(kappa)), MODELS[model].ACTIVE

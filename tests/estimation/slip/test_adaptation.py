@@ -74,6 +74,7 @@ def test_fixes_worse_than_they_state_are_found(noise: float, least: float, most:
     assert np.all(factors[1:] == 1.0)  # sources that gave none
 
 
+@pytest.mark.slow
 def test_fixes_ten_times_as_far_off_as_they_state_were_followed_everywhere() -> None:
     """With eight times their variance at the most NEES was 28; a wrong pose still is no noise of fixes."""
     nees = []

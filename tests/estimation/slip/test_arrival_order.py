@@ -121,6 +121,7 @@ def test_silence_and_jumping_positions_depend_on_no_order_either(
     assert_same(shuffled.estimate(), ordered.estimate())
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(seed=seeds)
 def test_published_stamps_increase(drive: Callable[..., Any], seed: int) -> None:

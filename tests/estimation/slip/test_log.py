@@ -197,6 +197,7 @@ def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[...
         assert run.updates["log_determinant"][k] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_many_runs_are_each_that_one_run(drive: Callable[..., Any]) -> None:
     """Sets of parameters over one log, and noise seeds under one set, on threads."""
     sets = [parameters(model=m, gate_probability=g) for m in ("turning", "icr") for g in (0.5, 0.9999)]

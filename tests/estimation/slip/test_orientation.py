@@ -183,6 +183,7 @@ def test_the_order_of_arrival_does_not_matter() -> None:
     np.testing.assert_array_equal(found.outputs.tilt.covariance, expected.outputs.tilt.covariance)
 
 
+@pytest.mark.slow
 @given(ANGLES, st.floats(-1.5, 1.5), ANGLES)
 def test_the_mounting_is_taken_off(roll: float, pitch: float, yaw: float) -> None:
     mounting = Rotation.from_euler("ZYX", (yaw, pitch, roll))

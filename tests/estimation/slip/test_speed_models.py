@@ -144,6 +144,7 @@ def test_a_standing_track_does_not_roll_with_the_machine(model: str) -> None:
     np.testing.assert_allclose(found["slip_covariance"], S @ P @ S.T, rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.slow
 @both
 def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
     """Against many drives whose speeds are rounded; nothing else is unknown."""

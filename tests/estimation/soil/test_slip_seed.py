@@ -40,6 +40,7 @@ def thrust_at(slips: tuple[float, float]) -> Thrust:
     return Thrust(np.asarray(thrust(slips, SOIL.thrust_limit, SOIL.shear_modulus, LENGTH)), np.full(2, 100.0))
 
 
+@pytest.mark.slow
 def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
     known = thrust_at((0.02, 0.03))

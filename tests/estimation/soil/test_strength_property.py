@@ -5,6 +5,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fixtures.soil_samples import Sample, Strength
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -40,6 +41,7 @@ def samples(draw: st.DrawFn) -> Sample:
     )
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(st.lists(samples(), min_size=1, max_size=4))
 def test_any_input_leaves_a_distribution(given_samples: list[Sample]) -> None:
