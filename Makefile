@@ -47,12 +47,12 @@ drives: setup ## forty random drives of random machines, in and out of the laser
 cases: setup ## drives with injected faults, scored beside those of a baseline, and their bars (ARGS='--only marmotte --json FILE')
 	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/main.py $(ARGS)
 
-# A module's tests run in one worker, and those with whole graphs (group graph) one by one: two more workers than
+# A module's tests run in one worker, and those with whole graphs (group graph) one by one: three more workers than
 # cores use what these wait for. A failed one of tests/graph is tried again and reported: a busy machine can stall
 # a process for seconds. The interrupt at the end of two hours, for what hangs, leaves the names of what had failed.
 test: checks ## all tests but the slow ones
 	@$(ENTER) exec timeout --foreground --signal=INT --kill-after=60 7200 \
-		$(VENV)/python -m pytest -n 4 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
+		$(VENV)/python -m pytest -n 5 --dist loadgroup --no-loadscope-reorder -m 'not slow and not soak' -rR
 
 lint: checks ## ruff and mypy
 	$(VENV)/python -m ruff check .

@@ -20,7 +20,12 @@ def test_hostile_file_is_written(name: str, made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "pattern", [pytest.param("/scan.*1e308", marks=pytest.mark.slow), "/scan.*1e155", "^diagnostics="]
+    "pattern",
+    [
+        pytest.param("/scan.*1e308", marks=pytest.mark.slow),
+        pytest.param("/scan.*1e155", marks=pytest.mark.slow),
+        "^diagnostics=",
+    ],
 )
 def test_message_of_numbers_that_its_fields_cannot_hold_is_written(pattern: str, tmp_path: Path) -> None:
     made = [made for name, made in hostile_recordings.made_by_name().items() if re.search(pattern, name)]

@@ -145,6 +145,7 @@ def test_the_page_comes_at_another_port_and_may_end_alone_and_ctrl_c_comes_twice
         assert not bag.damage
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
     program = demo(programs, "--duration", "60")
     wait_for_drive(observer)
@@ -171,7 +172,6 @@ def test_ctrl_c_before_the_nodes_are_up(programs, log):
     ends_at_once(programs, program)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 def test_demo_that_is_killed_leaves_no_orphan(programs, observer, number):
     program = demo(programs, "--duration", "60", "--no-live")

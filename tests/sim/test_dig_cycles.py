@@ -92,6 +92,7 @@ def test_heading_and_swing_while_it_digs(short: Path, encoder: bool, most: float
     assert found.swing_rmse < most
 
 
+@pytest.mark.slow
 def test_the_summary_has_the_swing(short: Path, tmp_path: Path) -> None:
     summary, output = tmp_path / "end.json", tmp_path / "out"
     assert main(["replay", str(short), "--stop", "12", "--json", str(summary), "--output", str(output)]) == 0

@@ -123,6 +123,7 @@ def test_of_n_readings_of_an_encoder_the_bound_is_their_mean(with_encoder: SlipE
     np.testing.assert_allclose(found, STDDEV**2 / np.arange(1, n + 1), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_fix_above_bounds_the_sum_of_heading_and_swing(with_encoder: SlipEstimatorParameters) -> None:
     config, r = make_config(with_encoder), 1e-4
     config["stamp_errors"], config["heading_floor"], config["swing"]["held_density"] = 0.0, 0.0, 0.0
@@ -230,6 +231,7 @@ def test_a_filter_on_the_cab_is_near_its_bound(
     assert (row.swing_bound < STDDEV) == encoder
 
 
+@pytest.mark.slow
 def test_cells_without_a_cab_have_no_swing() -> None:
     short = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 1})
     estimator = load_slip_parameters()

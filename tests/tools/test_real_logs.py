@@ -85,6 +85,7 @@ def test_geometry_alone_is_enough(
         assert np.mean([one["nees"] for one in found]) < 4.5
 
 
+@pytest.mark.slow
 def test_what_the_log_of_the_warthog_holds(log: Import, tmp_path: Path) -> None:
     found = replay(log("warthog", True), "warthog", tmp_path)
     assert found["rmse"]["dead_reckoning"] == pytest.approx(7.4, rel=0.05)

@@ -83,14 +83,16 @@ class Parameters:
                 check(f"{type(self).__name__}.{name}", getattr(self, name), kind, spec)
 
 
-@functools.cache
 def own_fields(cls: type) -> tuple[tuple[str, Any, Spec | None], ...]:
     """(name, type, spec) of each field; spec is None for a nested group of parameters, or several."""
+    return _fields_of(cls)
+
+
+@functools.cache
+def _fields_of(cls: Any) -> tuple[tuple[str, Any, Spec | None], ...]:
     hints = typing.get_type_hints(cls)
-    return tuple(
-        (field.name, hints[field.name], field.metadata.get(_METADATA_KEY))
-        for field in dataclasses.fields(cls)
-    )
+    fields = dataclasses.fields(cls)
+    return tuple((field.name, hints[field.name], field.metadata.get(_METADATA_KEY)) for field in fields)
 
 
 def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:
