@@ -11,10 +11,12 @@ from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
 from fixtures.setup_variants import VARIANTS, piece
 
+from trackslip_estimation.setup_check import faults
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
 
+LONG_TURNS = ((5.0, 0.0, 0.0), (20.0, 0.6, 0.4), (8.0, 0.8, 0.0), (20.0, 0.5, -0.3), (8.0, -0.7, 0.0))
 HEALTHY = {
     "precise fixes": {},
     "no headings": {"has_heading": False},
@@ -46,6 +48,20 @@ def drive() -> Log:
 @pytest.mark.parametrize("seed", range(2))
 def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
     assert check(make_drive(seed, **HEALTHY[name])).causes == ()
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 180.0 / np.pi])
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
+    factor: float, *, has_heading: bool
+) -> None:
+    """As of a simulator: it shows the same for as long as the machine turns as it shows."""
+    log = make_drive(programme=LONG_TURNS, has_heading=has_heading)
+    (gyro,) = log.gyros
+    rates = factor * np.round(gyro.rates, 1)
+    assert faults.frozen_spans(replace(gyro, rates=rates))
+    causes = check(replace(log, gyros=(replace(gyro, rates=rates),))).causes
+    assert [cause.cause for cause in causes] == {1.0: [], -1.0: ["gyro_sign"]}.get(factor, ["gyro_unit"])
 
 
 def test_an_outage_of_fixes_is_no_mistake() -> None:

@@ -20,6 +20,7 @@ _RETURN = 0.3  # of a jump, by which the readings before and after it differ at 
 _QUANTA = 5.0  # times the least changes of readings
 _LARGE = 0.3  # of the size of large readings, below which a jump may be motion or noise
 _LEAST_FROZEN = 50  # readings
+_MOST_FROZEN = 10  # spans that are looked at
 _TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
 _FIX_STEP = 30.0  # m from both neighbours, beyond which a place is no fix of the machine
@@ -145,24 +146,22 @@ def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> Boo
     return one.where
 
 
-def frozen_span(gyro: Gyro) -> tuple[float, float] | None:
-    """The longest time in which all readings about z are bit for bit the same, s; None: none worth a word."""
+def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
+    """Times in which all readings about z are bit for bit the same, s; the longest first, none too short."""
     z = gyro.rates[:, 2]
-    if len(z) < _LEAST_FROZEN:
-        return None
+    if not len(z):
+        return []
     changes = np.flatnonzero(np.diff(z) != 0.0)
     edges = np.concatenate(([0], changes + 1, [len(z)]))
     lengths = np.diff(edges)
-    k = int(np.argmax(lengths))
-    if lengths[k] < _LEAST_FROZEN:
-        return None
-    return float(gyro.t[edges[k]]), float(gyro.t[edges[k + 1] - 1])
+    order = [k for k in np.argsort(-lengths, kind="stable")[:_MOST_FROZEN] if lengths[k] >= _LEAST_FROZEN]
+    return [(float(gyro.t[edges[k]]), float(gyro.t[edges[k + 1] - 1])) for k in order]
 
 
 def frozen_share(gyro: Gyro) -> float:
     """Share of its time in the longest frozen span."""
-    span = frozen_span(gyro)
-    return 0.0 if span is None else (span[1] - span[0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9)
+    spans = frozen_spans(gyro)
+    return (spans[0][1] - spans[0][0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9) if spans else 0.0
 
 
 def time_factor(t: FloatArray, kind: str) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.faults import frozen_share, frozen_span
+from trackslip_estimation.setup_check.faults import frozen_share, frozen_spans
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
 from trackslip_estimation.setup_check.log import FloatArray, Gyro
@@ -122,29 +122,45 @@ def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
 
 
 def _frozen(drive: Drive, gyro: Gyro) -> Cause | None:
-    """Bit for bit the same, while tracks, or headings, turn."""
-    span, grid = frozen_span(gyro), drive.grid
-    if span is None:
+    """Bit for bit the same, while tracks, or headings, turn otherwise."""
+    found = (_frozen_in(drive, gyro, *span) for span in frozen_spans(gyro))
+    return next((cause for cause in found if cause is not None), None)
+
+
+def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
+    grid = drive.grid
+    inside = (grid.edges[:-1] >= begin) & (grid.edges[1:] <= end)
+    value = float(gyro.rates[np.searchsorted(gyro.t, begin), 2])
+    shown = window_sums(grid, np.where(inside, value * grid.cell, 0.0))
+    apart = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
+    by_tracks = apart / drive.machine.tread
+    by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
+    by_heading = np.where(np.abs(by_heading) > _HEADING_NOISE, by_heading, 0.0)
+    is_by_heading = _otherwise(by_heading, shown) >= _FROZEN_TURN
+    if not is_by_heading and _otherwise(by_tracks, shown) * _LEAST_EFFICIENCY < _FROZEN_TURN:
         return None
-    inside = (grid.edges[:-1] >= span[0]) & (grid.edges[1:] <= span[1])
-    differences = np.abs(window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0)))
-    by_tracks = float(np.nansum(differences)) / drive.machine.tread
-    own = np.abs(window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0)))
-    by_heading = float(np.nansum(own[own > _HEADING_NOISE]))
-    if by_heading < _FROZEN_TURN and by_tracks * _LEAST_EFFICIENCY < _FROZEN_TURN:
-        return None
-    value = float(gyro.rates[np.searchsorted(gyro.t, span[0]), 2])
-    also = f", the heading {np.degrees(by_heading):.0f}°" if by_heading >= _FROZEN_TURN else ""
+    also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
     return Cause(
         "gyro_frozen",
         gyro.name,
         f"the gyro shows {value:.4g} rad/s without change for "
-        f"{span[1] - span[0]:.0f} s, while the tracks turn "
-        f"{np.degrees(by_tracks):.0f}°{also}",
+        f"{end - begin:.0f} s, while the tracks turn "
+        f"{np.degrees(np.nansum(np.abs(by_tracks))):.0f}°{also}",
         odds_of(20.0),
         "Check supply and cable of the unit, or leave it out: "
         f"{remedies.parameter('yaw_rate_sources', '[]')}",
     )
+
+
+def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
+    """How much of the turns (n,) what the gyro shows (n,) explains at no scale, rad.
+
+    A gyro without noise, as a simulator's, shows the same for as long as the machine turns evenly.
+    """
+    known = np.isfinite(turns)
+    turns, shown = turns[known], shown[known]
+    scale = float(turns @ shown) / max(float(shown @ shown), 1e-12)
+    return float(min(np.abs(turns).sum(), np.abs(turns - scale * shown).sum()))
 
 
 def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
