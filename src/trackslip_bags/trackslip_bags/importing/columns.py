@@ -92,7 +92,9 @@ def _flag(where: str, value: Any) -> bool:
 
 
 def read_time(where: str, value: Any) -> TimeColumn:
-    """``{column: t, unit: ms}``, ``{column: t, unit: iso8601, zone: "+02:00"}``, or of two columns
+    """One column or two that hold the time.
+
+    ``{column: t, unit: ms}``, ``{column: t, unit: iso8601, zone: "+02:00"}``, or of two columns
     ``{column: [secs, nsecs], unit: [s, ns]}``, ``{column: [date, time], unit: iso8601}``.
 
     Raises:

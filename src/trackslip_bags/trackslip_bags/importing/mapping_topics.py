@@ -97,6 +97,11 @@ class BagTopic(Topic):
 def read_topic(
     where: str, name: str, value: Any, common: Mapping[str, Any], geometry: Geometry | None
 ) -> CsvTopic | BagTopic:
+    """A topic of the mapping: from columns of a table, or from topics of a bag.
+
+    Raises:
+        InputError: a name, key or value is not accepted.
+    """
     place = f"{where}: {text(f'{where}: topics', name)}"
     if name not in ROLE_OF_TOPIC and not (isinstance(value, Mapping) and "role" in value):
         like = did_you_mean(name, ROLE_OF_TOPIC)
