@@ -55,9 +55,9 @@ class Queue(Record):
 
 
 class Sample(InputValues):
-    """A state of the machine; pressures and spools are those at its stamp, between two readings …"""
+    """A state of the machine; pressures and spools are those at its stamp, between two readings."""
 
-    has_pressures: int  # … where there are two
+    has_pressures: int  # whether there are two
     reading_ns: int  # stamp of the newer of the two, and its pressures as they came
     reading: Annotated[FloatArray, 2]
     dt: float  # s since the sample before

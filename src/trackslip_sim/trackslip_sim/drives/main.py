@@ -56,6 +56,7 @@ def scored(seed: int) -> tuple[str, DrawnMachine, Score]:
 
 
 def row(seed: int, soil: str, m: DrawnMachine, s: Score) -> str:
+    """Two lines of the table: errors, the machine that was drawn, and headings and ends over their claims."""
     headings = " ".join(f"{value:.1f}" for value in s.headings)
     ends = " ".join(f"{error:.2f} ({d2:.1f})" for error, d2 in zip(s.end_errors, s.ends, strict=True))
     machine = f"{m.gyro_scale:.3f} {m.asymmetry:+.3f} {m.radius:.3f} × {m.velocity_errors:.1f}"

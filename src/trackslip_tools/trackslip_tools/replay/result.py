@@ -218,4 +218,5 @@ def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
 
 
 def scored_topics(reference: str | None) -> frozenset[str]:
+    """Topics that estimates are scored against, where the bag holds them."""
     return frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, TRUE_SWING, reference)))
