@@ -94,6 +94,7 @@ def _work(name: str, files: int, cases: list[Path]) -> int:
                 found += 1
                 print(f"{number}: {problem}", flush=True)
                 if not cases:
+                    (OUT / name).mkdir(parents=True, exist_ok=True)
                     (OUT / name / f"{number}{reader.suffix}").write_bytes(content)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
         print(f"{number + 1} files, {refused} refused, {found} found, slowest {slowest:.1f} s, {memory} MB")

