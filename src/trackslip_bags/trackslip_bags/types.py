@@ -75,7 +75,7 @@ def known_schema(type_name: str) -> Schema:
     return Schema(SchemaEncoding.ROS2, schema_text(type_name).encode(), type_hash(type_name))
 
 
-@lru_cache(maxsize=256)  # types of one bag and the next; rosbags compiles each store
+@lru_cache(maxsize=64)  # types of one bag and the next; rosbags compiles each store
 def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
     """The store that reads ``type_name`` as a bag defines it, also with another version of the message.
 
