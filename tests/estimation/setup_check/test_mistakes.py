@@ -11,8 +11,8 @@ from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
 from fixtures.setup_variants import VARIANTS, piece
 
-from trackslip_estimation.setup_check import faults
 from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Log, Tracks
 
@@ -59,7 +59,7 @@ def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
     log = make_drive(programme=LONG_TURNS, has_heading=has_heading)
     (gyro,) = log.gyros
     rates = factor * np.round(gyro.rates, 1)
-    assert faults.frozen_spans(replace(gyro, rates=rates))
+    assert frozen_spans(replace(gyro, rates=rates))
     causes = check(replace(log, gyros=(replace(gyro, rates=rates),))).causes
     assert [cause.cause for cause in causes] == {1.0: [], -1.0: ["gyro_sign"]}.get(factor, ["gyro_unit"])
 

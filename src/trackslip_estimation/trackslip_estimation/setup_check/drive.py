@@ -14,6 +14,7 @@ from trackslip_estimation.setup_check.path import Path, dead_reckoning
 from trackslip_estimation.setup_check.turning import TurnFit, fit_turns
 
 USUAL_EFFICIENCY = 0.7  # κ where the turns do not show it
+HEADING_NOISE = np.radians(5.0)  # rad, in a window
 
 
 @dataclass(frozen=True)

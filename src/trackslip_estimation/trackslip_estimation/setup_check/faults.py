@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that no machine gives: missing values, frozen gyros, wrong units of time."""
+"""Columns that no machine gives: missing values, wrong units of time."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_estimation.setup_check.grid import angles_of
-from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, FloatArray, Gyro, Log, Tracks
+from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, FloatArray, Log, Tracks
 
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, among the others or beyond them
@@ -19,8 +19,6 @@ _LONGEST_RUN = 3  # readings of the same value in a row
 _RETURN = 0.3  # of a jump, by which the readings before and after it differ at most
 _QUANTA = 5.0  # times the least changes of readings
 _LARGE = 0.3  # of the size of large readings, below which a jump may be motion or noise
-_LEAST_FROZEN = 50  # readings
-_MOST_FROZEN = 10  # spans that are looked at
 _TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
 _FIX_STEP = 30.0  # m from both neighbours, beyond which a place is no fix of the machine
@@ -144,24 +142,6 @@ def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> Boo
     count, share = int(one.where.sum()), float(one.where.mean())
     found.append(Missing(source, "place", float(one.value.real), count, share, 2))
     return one.where
-
-
-def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
-    """Times in which all readings about z are bit for bit the same, s; the longest first, none too short."""
-    z = gyro.rates[:, 2]
-    if not len(z):
-        return []
-    changes = np.flatnonzero(np.diff(z) != 0.0)
-    edges = np.concatenate(([0], changes + 1, [len(z)]))
-    lengths = np.diff(edges)
-    order = [k for k in np.argsort(-lengths, kind="stable")[:_MOST_FROZEN] if lengths[k] >= _LEAST_FROZEN]
-    return [(float(gyro.t[edges[k]]), float(gyro.t[edges[k + 1] - 1])) for k in order]
-
-
-def frozen_share(gyro: Gyro) -> float:
-    """Share of its time in the longest frozen span."""
-    spans = frozen_spans(gyro)
-    return (spans[0][1] - spans[0][0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9) if spans else 0.0
 
 
 def time_factor(t: FloatArray, kind: str) -> float:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial unit against the tracks: frozen, biased, of another unit, or turned in its mounting."""
+"""The inertial unit against the tracks: biased, of another unit, or turned in its mounting."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.faults import frozen_share, frozen_spans
+from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
 from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
 from trackslip_estimation.setup_check.log import FloatArray, Gyro
 from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
@@ -44,9 +44,6 @@ _CENTRE = 0.6
 _LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; beyond it the unit is another
 _LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
-_FROZEN_TURN = np.radians(40.0)  # of the machine, while it shows the same
-_LEAST_EFFICIENCY = 0.25  # of tracks, of which not all stand still on ice
-_HEADING_NOISE = np.radians(5.0)  # in a window
 _LEAST_GAIN = 5.0  # ln likelihood over no relation
 _TRACK_GAIN = 3.0  # of turns by the tracks, where there are witnesses
 _UNIT_ERROR = 0.35  # of the logarithm of a scale by headings
@@ -78,7 +75,7 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
     """Everything but its sign; ``is_unit_known``: that of the tracks."""
     drive = drive.with_gyro(gyro)
     gravity = gravity_of(drive, gyro)
-    frozen = _frozen(drive, gyro)
+    frozen = frozen_cause(drive, gyro)
     if frozen is not None:
         return Inertial(drive.with_gyro(None), (frozen,))
     gyro, axis_cause = _axis(drive, gyro, gravity)
@@ -119,48 +116,6 @@ def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
     force = np.median(gyro.accelerations[chosen], axis=0)
     size = float(np.linalg.norm(force))
     return force / size if _GRAVITY[0] < size < _GRAVITY[1] else None
-
-
-def _frozen(drive: Drive, gyro: Gyro) -> Cause | None:
-    """Bit for bit the same, while tracks, or headings, turn otherwise."""
-    found = (_frozen_in(drive, gyro, *span) for span in frozen_spans(gyro))
-    return next((cause for cause in found if cause is not None), None)
-
-
-def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
-    grid = drive.grid
-    inside = (grid.edges[:-1] >= begin) & (grid.edges[1:] <= end)
-    value = float(gyro.rates[np.searchsorted(gyro.t, begin), 2])
-    shown = window_sums(grid, np.where(inside, value * grid.cell, 0.0))
-    apart = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
-    by_tracks = apart / drive.machine.tread
-    by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
-    by_heading = np.where(np.abs(by_heading) > _HEADING_NOISE, by_heading, 0.0)
-    is_by_heading = _otherwise(by_heading, shown) >= _FROZEN_TURN
-    if not is_by_heading and _otherwise(by_tracks, shown) * _LEAST_EFFICIENCY < _FROZEN_TURN:
-        return None
-    also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
-    return Cause(
-        "gyro_frozen",
-        gyro.name,
-        f"the gyro shows {value:.4g} rad/s without change for "
-        f"{end - begin:.0f} s, while the tracks turn "
-        f"{np.degrees(np.nansum(np.abs(by_tracks))):.0f}°{also}",
-        odds_of(20.0),
-        "Check supply and cable of the unit, or leave it out: "
-        f"{remedies.parameter('yaw_rate_sources', '[]')}",
-    )
-
-
-def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
-    """How much of the turns (n,) what the gyro shows (n,) explains at no scale, rad.
-
-    A gyro without noise, as a simulator's, shows the same for as long as the machine turns evenly.
-    """
-    known = np.isfinite(turns)
-    turns, shown = turns[known], shown[known]
-    scale = float(turns @ shown) / max(float(shown @ shown), 1e-12)
-    return float(min(np.abs(turns).sum(), np.abs(turns - scale * shown).sum()))
 
 
 def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
@@ -257,9 +212,9 @@ def _heading_gain(turn: FloatArray, of_heading: FloatArray) -> float:
         return 0.0
     y, h = turn[usable], of_heading[usable]
     width = 2.0 * max(float(np.abs(h).max()), 1.0)
-    variance = _HEADING_NOISE**2 + (0.1 * y) ** 2
+    variance = HEADING_NOISE**2 + (0.1 * y) ** 2
     with_it = max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0))
-    without = float(mixture(h, np.full(len(h), _HEADING_NOISE**2 + float(np.mean(h**2))), width).sum())
+    without = float(mixture(h, np.full(len(h), HEADING_NOISE**2 + float(np.mean(h**2))), width).sum())
     return max(with_it - without, 0.0)
 
 
@@ -355,7 +310,7 @@ def _over(h: FloatArray, scaled: FloatArray, raw: FloatArray) -> float:
     width = 2.0 * max(float(np.abs(h).max(initial=0.0)), 1.0)
     logs = []
     for y in both:
-        variance = _HEADING_NOISE**2 + (0.1 * np.clip(y, -3.0, 3.0)) ** 2
+        variance = HEADING_NOISE**2 + (0.1 * np.clip(y, -3.0, 3.0)) ** 2
         logs.append(max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0)))
     return logs[0] - logs[1]
 
@@ -364,7 +319,7 @@ def _scale_of_heading(drive: Drive) -> float | None:
     """What the gyro shows of a turn of the headings; None where these do not turn."""
     usable = np.isfinite(drive.turn) & np.isfinite(drive.heading_turn)
     y, h = drive.turn[usable], drive.heading_turn[usable]
-    if (np.abs(h) > 2.0 * _HEADING_NOISE).sum() < 3:
+    if (np.abs(h) > 2.0 * HEADING_NOISE).sum() < 3:
         return None
     y, h = y - np.median(y), h - np.median(h)
     correlation = float(np.sum(y * h) / np.sqrt(np.sum(y**2) * np.sum(h**2) + 1e-12))

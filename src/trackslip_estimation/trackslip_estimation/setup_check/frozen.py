@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A gyro that shows the same, bit for bit, while the machine turns otherwise."""
+
+import numpy as np
+
+from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
+from trackslip_estimation.setup_check.finding import Cause, odds_of
+from trackslip_estimation.setup_check.grid import window_sums
+from trackslip_estimation.setup_check.log import FloatArray, Gyro
+
+_LEAST_READINGS = 50  # that are the same
+_MOST_SPANS = 10  # that are looked at
+_LEAST_TURN = np.radians(40.0)  # of the machine, which the gyro does not show
+_LEAST_EFFICIENCY = 0.25  # of tracks, of which not all stand still on ice
+
+
+def frozen_cause(drive: Drive, gyro: Gyro) -> Cause | None:
+    """Bit for bit the same, while tracks, or headings, turn otherwise."""
+    found = (_frozen_in(drive, gyro, *span) for span in frozen_spans(gyro))
+    return next((cause for cause in found if cause is not None), None)
+
+
+def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | None:
+    grid = drive.grid
+    inside = (grid.edges[:-1] >= begin) & (grid.edges[1:] <= end)
+    value = float(gyro.rates[np.searchsorted(gyro.t, begin), 2])
+    shown = window_sums(grid, np.where(inside, value * grid.cell, 0.0))
+    apart = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
+    by_tracks = apart / drive.machine.tread
+    by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
+    by_heading = np.where(np.abs(by_heading) > HEADING_NOISE, by_heading, 0.0)
+    is_by_heading = _otherwise(by_heading, shown) >= _LEAST_TURN
+    if not is_by_heading and _otherwise(by_tracks, shown) * _LEAST_EFFICIENCY < _LEAST_TURN:
+        return None
+    also = f", the heading {np.degrees(np.nansum(np.abs(by_heading))):.0f}°" if is_by_heading else ""
+    return Cause(
+        "gyro_frozen",
+        gyro.name,
+        f"the gyro shows {value:.4g} rad/s without change for "
+        f"{end - begin:.0f} s, while the tracks turn "
+        f"{np.degrees(np.nansum(np.abs(by_tracks))):.0f}°{also}",
+        odds_of(20.0),
+        "Check supply and cable of the unit, or leave it out: "
+        f"{remedies.parameter('yaw_rate_sources', '[]')}",
+    )
+
+
+def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
+    """How much of the turns (n,) what the gyro shows (n,) explains at no scale, rad.
+
+    A gyro without noise, as a simulator's, shows the same for as long as the machine turns evenly.
+    """
+    known = np.isfinite(turns)
+    turns, shown = turns[known], shown[known]
+    scale = float(turns @ shown) / max(float(shown @ shown), 1e-12)
+    return float(min(np.abs(turns).sum(), np.abs(turns - scale * shown).sum()))
+
+
+def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
+    """Times in which all readings about z are bit for bit the same, s; the longest first, none too short."""
+    z = gyro.rates[:, 2]
+    if not len(z):
+        return []
+    changes = np.flatnonzero(np.diff(z) != 0.0)
+    edges = np.concatenate(([0], changes + 1, [len(z)]))
+    lengths = np.diff(edges)
+    order = [k for k in np.argsort(-lengths, kind="stable")[:_MOST_SPANS] if lengths[k] >= _LEAST_READINGS]
+    return [(float(gyro.t[edges[k]]), float(gyro.t[edges[k + 1] - 1])) for k in order]
+
+
+def frozen_share(gyro: Gyro) -> float:
+    """Share of its time in the longest frozen span."""
+    spans = frozen_spans(gyro)
+    return (spans[0][1] - spans[0][0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9) if spans else 0.0
