@@ -50,18 +50,22 @@ def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
     assert check(make_drive(seed, **HEALTHY[name])).causes == ()
 
 
-@pytest.mark.parametrize("factor", [1.0, -1.0, 180.0 / np.pi])
-@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize(
+    ("factor", "expected"), [(1.0, []), (-1.0, ["gyro_sign"]), (180.0 / np.pi, ["gyro_unit"])]
+)
+@pytest.mark.parametrize("headings", ["none", "with a gap", "all"])
 def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
-    factor: float, *, has_heading: bool
+    factor: float, expected: list[str], headings: str
 ) -> None:
     """As of a simulator: it shows the same for as long as the machine turns as it shows."""
-    log = make_drive(programme=LONG_TURNS, has_heading=has_heading)
+    log = make_drive(programme=LONG_TURNS, has_heading=headings != "none")
     (gyro,) = log.gyros
-    rates = factor * np.round(gyro.rates, 1)
-    assert frozen_spans(replace(gyro, rates=rates))
-    causes = check(replace(log, gyros=(replace(gyro, rates=rates),))).causes
-    assert [cause.cause for cause in causes] == {1.0: [], -1.0: ["gyro_sign"]}.get(factor, ["gyro_unit"])
+    exact = replace(gyro, rates=factor * np.round(gyro.rates, 1))
+    assert frozen_spans(exact)
+    kept = [(c, (c.t < 10.0) | (c.t > 20.0) | (headings == "all")) for c in log.compasses]
+    compasses = tuple(replace(c, t=c.t[k], headings=c.headings[k]) for c, k in kept)
+    causes = check(replace(log, gyros=(exact,), compasses=compasses)).causes
+    assert [cause.cause for cause in causes] == expected
 
 
 def test_an_outage_of_fixes_is_no_mistake() -> None:

@@ -30,7 +30,7 @@ def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | No
     apart = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
     by_tracks = apart / drive.machine.tread
     by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
-    by_heading = np.where(np.abs(by_heading) > HEADING_NOISE, by_heading, 0.0)
+    by_heading = np.where(np.abs(by_heading) <= HEADING_NOISE, 0.0, by_heading)  # nan stays: it is not known
     is_by_heading = _otherwise(by_heading, shown) >= _LEAST_TURN
     if not is_by_heading and _otherwise(by_tracks, shown) * _LEAST_EFFICIENCY < _LEAST_TURN:
         return None
