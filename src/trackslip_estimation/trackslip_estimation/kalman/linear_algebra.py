@@ -34,6 +34,14 @@ def used_size(P: FloatArray, n: int) -> int:
 
 
 @compiled
+def copy_square(A: FloatArray, B: FloatArray, n: int) -> None:
+    """The first n rows and columns of A into B."""
+    for i in range(n):
+        for j in range(n):
+            B[i, j] = A[i, j]
+
+
+@compiled
 def times(A: FloatArray, B: FloatArray) -> FloatArray:
     """A B; the zeros of A, of which Jacobians are full, cost nothing."""
     product = np.zeros((A.shape[0], B.shape[1]))
@@ -90,32 +98,35 @@ def root(P: FloatArray) -> FloatArray:
 def solve(L: FloatArray, B: FloatArray) -> FloatArray:
     """(L Lᵀ)⁻¹ B, nothing along directions in which L is singular."""
     X = B.copy()
-    for column in range(B.shape[1]):
-        _solve_in_place(L, X[:, column])
+    solve_in_place(L, X)
     return X
 
 
 @compiled
-def _solve_in_place(L: FloatArray, v: FloatArray) -> None:
-    """v (n,) becomes (L Lᵀ)⁻¹ v, as ``solve``."""
+def solve_in_place(L: FloatArray, B: FloatArray) -> None:
+    """B (n, k) becomes (L Lᵀ)⁻¹ B, as ``solve``."""
     n = L.shape[0]
     for i in range(n):
         for k in range(i):
-            v[i] -= L[i, k] * v[k]
-        v[i] = v[i] / L[i, i] if L[i, i] > 0.0 else 0.0
+            for j in range(B.shape[1]):
+                B[i, j] -= L[i, k] * B[k, j]
+        for j in range(B.shape[1]):
+            B[i, j] = B[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
-            v[i] -= L[k, i] * v[k]
-        v[i] = v[i] / L[i, i] if L[i, i] > 0.0 else 0.0
+            for j in range(B.shape[1]):
+                B[i, j] -= L[k, i] * B[k, j]
+        for j in range(B.shape[1]):
+            B[i, j] = B[i, j] / L[i, i] if L[i, i] > 0.0 else 0.0
 
 
 @compiled
 def weighted_square(L: FloatArray, v: FloatArray) -> float:
     """vᵀ (L Lᵀ)⁻¹ v."""
-    total, weighed = 0.0, v.copy()
-    _solve_in_place(L, weighed)
+    total, weighed = 0.0, v.copy().reshape((v.size, 1))
+    solve_in_place(L, weighed)
     for i in range(v.size):
-        total += v[i] * weighed[i]
+        total += v[i] * weighed[i, 0]
     return total
 
 

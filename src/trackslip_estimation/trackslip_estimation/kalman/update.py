@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman.linear_algebra import root, solve, used_size, weighted_square
+from trackslip_estimation.kalman.linear_algebra import root, solve_in_place, used_size, weighted_square
 
 FloatArray = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Observation(NamedTuple):
 @compiled
 def observe_alone(innovation: FloatArray, H: FloatArray, R: FloatArray) -> Observation:
     """An observation that corrects all, and whose noise is its own."""
-    return Observation(innovation, H, R, 0, 0, np.zeros((0, H.shape[1])))
+    return Observation(innovation, H, R, 0, 0, H[:0])
 
 
 @compiled
@@ -73,23 +73,14 @@ def soften(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: 
 @compiled
 def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
     """x and P given an observation; what they have beyond H stays as it is."""
-    m, n, H, R, shares = o.innovation.size, o.jacobian.shape[1], o.jacobian, o.noise, o.shared.shape[0] > 0
+    m, n, shares = o.innovation.size, o.jacobian.shape[1], o.shared.shape[0] > 0
     if not shares:
         n = used_size(P, n)
-    B, S = _shown_by(P, H, n), R.copy()
+    B = _shown_by(P, o.jacobian, n)
+    K = B.copy()
     if shares:
-        B += o.shared
-    for i in range(m):
-        for k in range(n):
-            h = H[i, k]
-            if h != 0.0:
-                for j in range(m):
-                    S[i, j] += h * B[j, k]
-                    if shares:
-                        S[j, i] += h * o.shared[j, k]
-    K = _gain(P, B, S, o)
-    if shares:
-        B -= o.shared
+        K += o.shared
+    _to_gain(P, K, o)
     for i in range(m):
         for k in range(n):
             x[k] += K[i, k] * o.innovation[i]
@@ -100,43 +91,52 @@ def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
 
 
 @inlined
-def _gain(P: FloatArray, B: FloatArray, S: FloatArray, o: Observation) -> FloatArray:
-    """K (m, n); B (m, n) is H P + C."""
-    if o.known == 0:
-        K = solve(root(S), B)
-    else:
-        H, given = o.jacobian, B.copy()
-        _take_as_known(P, given, o.known)
-        S = o.noise.copy()
-        for i in range(S.shape[0]):
-            for j in range(S.shape[0]):
-                for k in range(B.shape[1]):
-                    S[i, j] += H[i, k] * given[j, k]
-        K = solve(root(S), given)
+def _to_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
+    """K (m, n), which is H P + C, becomes the gain, transposed."""
+    H, shares, S = o.jacobian, o.shared.shape[0] > 0, o.noise.copy()
+    _take_as_known(P, K, o.known)
+    for i in range(S.shape[0]):
+        for k in range(K.shape[1]):
+            h = H[i, k]
+            if h != 0.0:
+                for j in range(S.shape[0]):
+                    S[i, j] += h * K[j, k]
+                    if shares:
+                        S[j, i] += h * o.shared[j, k]
+    solve_in_place(root(S), K)
     held = o.considered | o.known
     for k in range(K.shape[1]):
         if held >> k & 1:
-            K[:, k] = 0.0
-    return K
+            for i in range(K.shape[0]):
+                K[i, k] = 0.0
 
 
 @inlined
 def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
     """B (m, n), which is H P, becomes what it would be if some states were known."""
-    n, used = B.shape[1], 0
-    rows, pivots = np.empty((8, n)), np.empty(8, np.int64)
+    n, used, most = B.shape[1], 0, 0
+    for a in range(n):
+        most += known >> a & 1
+    rows, pivots = np.empty((most, n)), np.empty(most, np.int64)
     for a in range(n):
         if known >> a & 1 == 0:
             continue
-        row = P[a, :n].copy()
+        row = rows[used]
+        for k in range(n):
+            row[k] = P[a, k]
         for j in range(used):
-            row -= rows[j] * (row[pivots[j]] / rows[j, pivots[j]])
-        if row[a] > _NOTHING * P[a, a] and used < 8:
-            for i in range(B.shape[0]):
-                B[i] -= row * (B[i, a] / row[a])
-            rows[used], pivots[used] = row, a
+            share = row[pivots[j]] / rows[j, pivots[j]]
+            for k in range(n):
+                row[k] -= rows[j, k] * share
+        lasts = row[a] > _NOTHING * P[a, a]
+        for i in range(B.shape[0]):
+            share = B[i, a] / row[a] if lasts else 0.0
+            for k in range(n):
+                B[i, k] -= row[k] * share
+            B[i, a] = 0.0
+        if lasts:
+            pivots[used] = a
             used += 1
-        B[:, a] = 0.0
 
 
 @inlined

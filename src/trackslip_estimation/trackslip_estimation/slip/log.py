@@ -121,7 +121,7 @@ def begin_log(
 
 def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
     """Runs over measurements in the order of their stamps, from the first entry of ``start``."""
-    window = _begin(start, _BLOCK)
+    window = _begin(start, 4 * _BLOCK)  # with those that later ones look back to
     first = 0
     while first < len(rest):
         last = _end_of_block(rest, first)

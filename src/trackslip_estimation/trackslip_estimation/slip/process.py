@@ -17,12 +17,11 @@ import numpy as np
 from trackslip_common.clock_monitor import NEVER_NS, StampStatus, check_other, check_sample
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.bank.rows import make_row
+from trackslip_estimation.slip.bank.rows import make_rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.outputs import fill_estimate, fill_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
-from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.start import begin
 from trackslip_estimation.slip.usable import fault_of
 from trackslip_estimation.slip.window import (
@@ -34,7 +33,6 @@ from trackslip_estimation.slip.window import (
     is_full,
     is_same,
     last_sample,
-    next_sample,
     place_of,
     trim,
 )
@@ -62,17 +60,12 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
     measurements, arrival = window.measurements, window.measurements[window.measurements.size - 1]
     taken, outcome, entry, was_head_ns = 0, _WAITING, 0, NEVER_NS
     while True:
-        closing, count = -1, status.count
+        count = status.count
         first, status.known = status.known if status.started else count, count
-        for k in range(first, count):
-            if closing < k:
-                closing = next_sample(measurements, k, count)
-            make_row(window, k, closing, c)
-            if not is_sound(window.states[0, k], c.size):
-                clear(window)
-                status.divergences += 1
-                outcome, entry = _DIVERGED, 0
-                break
+        if not make_rows(window, first, count, c):
+            clear(window)
+            status.divergences += 1
+            outcome, entry = _DIVERGED, 0
         if taken > 0:
             _fill_result(window, arrival, (outcome, entry), was_head_ns, results[taken - 1], c)
         if taken == arrivals.size or (is_full(window) and not trim(window, c)):

@@ -11,7 +11,7 @@ from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.bank.receivers import add_first_fix
-from trackslip_estimation.slip.bank.rows import begin_row, split_unknown_heading
+from trackslip_estimation.slip.bank.rows import begin_row, drives_unheaded, split_unknown_heading
 from trackslip_estimation.slip.bank.script import play_script
 from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.levers import to_sensor
@@ -64,7 +64,7 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
     if status.scripted:
         play_script(window, 0, 1, c)
-    else:
+    elif drives_unheaded(window.states[0, 0]):
         split_unknown_heading(window, 0, c)
     status.started, status.known = True, 1
     return _ACCEPTED

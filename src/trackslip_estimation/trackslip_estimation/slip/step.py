@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
 from trackslip_estimation.kalman import daf
-from trackslip_estimation.kalman.linear_algebra import sandwich, used_size
+from trackslip_estimation.kalman.linear_algebra import copy_square, sandwich, used_size
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
@@ -77,7 +77,8 @@ def step(
     update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
     update.coarse, update.stated, update.shown[:] = 0, 0.0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
-    prior.mean, prior.covariance = state.mean, state.covariance
+    prior.mean = state.mean
+    copy_square(state.covariance, prior.covariance, c.size)
     if measurement.kind == POSE:
         state.fixed_ns = measurement.stamp_ns
     if measurement.kind == SPROCKETS:

@@ -157,7 +157,8 @@ def enlarged(window: Window) -> Window:
 def copy_first(window: Window, other: Window) -> None:
     """The first entry of ``other``, with all that the next row is made from, becomes that of a window."""
     window.measurements[0], window.counts[0] = other.measurements[0], other.counts[0]
-    window.states[:, 0], window.branches[:, 0] = other.states[:, 0], other.branches[:, 0]
+    rows = int(other.counts[0])  # memory of further ones was never touched
+    window.states[:rows, 0], window.branches[:rows, 0] = other.states[:rows, 0], other.branches[:rows, 0]
     window.receivers[0], window.masses[0] = other.receivers[0], other.masses[0]
 
 
@@ -175,12 +176,14 @@ def prior_of(window: Window, k: int) -> Prior:
 
 
 @compiled
-def copy_receivers(window: Window, k: int, before: int, masses: bool) -> None:
+def copy_receivers(
+    receivers: Table[Receiver], masses: Table[Masses], k: int, before: int, with_masses: bool
+) -> None:
     """Those of entry k become those of the entry ``before``, with their masses or without."""
-    for n in range(window.receivers.shape[1]):
-        window.receivers[k, n] = window.receivers[before, n]
-        if masses and window.receivers[k, n].known != 0:
-            window.masses[k, n] = window.masses[before, n]
+    for n in range(receivers.shape[1]):
+        receivers[k, n] = receivers[before, n]
+        if with_masses and receivers[k, n].known != 0:
+            masses[k, n] = masses[before, n]
 
 
 @compiled
@@ -246,36 +249,48 @@ def insert(window: Window, k: int) -> None:
 @compiled
 def drop(window: Window, entries: int, whole: int) -> None:
     """Remove the first entries, and of rows before ``whole`` all that no row from there on looks back to."""
-    status = window.status[0]
-    count = status.count - entries
+    status, measurements, counts = window.status[0], window.measurements, window.counts
+    count, known = status.count - entries, status.known - entries
     for i in range(count):
-        window.measurements[i] = window.measurements[i + entries]
-    for i in range(min(count, status.known - entries)):
-        old = i + entries
-        stays = old >= whole
-        window.counts[i] = window.counts[old]
-        copy_receivers(window, i, old, stays)
-        if stays:
-            window.updates[i] = window.updates[old]
-            if status.scripted:
-                window.priors[i] = window.priors[old]
-        for s in range(window.counts[i]):
-            if stays or _is_snapshot(window, whole, s, old):
-                window.states[s, i] = window.states[s, old]
-                window.branches[s, i] = window.branches[s, old]
-                window.branches[s, i].snapshot = max(window.branches[s, i].snapshot - entries, 0)
-    status.count = count
-    status.known -= entries
+        measurements[i] = measurements[i + entries]
+    for i in range(known):
+        counts[i] = counts[i + entries]
+        copy_receivers(window.receivers, window.masses, i, i + entries, i + entries >= whole)
+    _move_snapshots(window, entries, whole)
+    for i in range(whole - entries, known):
+        window.updates[i] = window.updates[i + entries]
+        if status.scripted:
+            window.priors[i] = window.priors[i + entries]
+        for s in range(counts[i]):
+            _move_branch(window, s, i + entries, entries)
+    status.count, status.known = count, known
 
 
 @compiled
-def _is_snapshot(window: Window, k: int, s: int, of: int) -> bool:
-    """Whether a branch of row k looks back to the branch s of the row ``of``."""
-    for b in range(window.counts[k]):
-        branch = window.branches[b, k]
-        if branch.snapshot == of and branch.slot == s:
-            return True
-    return False
+def _move_snapshots(window: Window, entries: int, whole: int) -> None:
+    """To where they are without the first entries: what row ``whole`` looks back to, the oldest first."""
+    moved = entries - 1
+    while True:
+        oldest = whole
+        for b in range(window.counts[whole]):
+            if moved < window.branches[b, whole].snapshot < oldest:
+                oldest = window.branches[b, whole].snapshot
+        if oldest == whole:
+            return
+        for b in range(window.counts[whole]):
+            if window.branches[b, whole].snapshot == oldest:
+                _move_branch(window, window.branches[b, whole].slot, oldest, entries)
+        moved = oldest
+
+
+@compiled
+def _move_branch(window: Window, s: int, k: int, entries: int) -> None:
+    """Branch s of row k to where the row is without the first entries."""
+    window.states[s, k - entries], window.branches[s, k - entries] = (
+        window.states[s, k],
+        window.branches[s, k],
+    )
+    window.branches[s, k - entries].snapshot = max(window.branches[s, k].snapshot - entries, 0)
 
 
 @compiled

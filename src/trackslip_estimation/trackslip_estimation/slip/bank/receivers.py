@@ -23,7 +23,9 @@ from trackslip_estimation.slip.records import GYROS, TRACKS
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
+    from trackslip_common.record_types import Table
     from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.correlated_errors import Masses, Receiver
     from trackslip_estimation.slip.records import State
 
 
@@ -37,36 +39,42 @@ def take_errors(state: State, window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def follow_receivers(window: Window, k: int, c: Config) -> None:
-    """What row k knows of the errors of fixes, by the way of the most probable branch before it.
-
-    While it drives with an unknown heading there is no way to compare them with.
-    """
-    state, before, update = window.states[0, k], window.states[0, k - 1], window.updates[k]
-    m, prior = window.measurements[k], prior_of(window, k)
-    copy_receivers(window, k, k - 1, True)
-    number = number_of(m.source, c) if is_weighed(m) else -1
-    for n in range(c.poses):
-        of = window.receivers[k, n]
+def carry_receivers(
+    receivers: Table[Receiver], masses: Table[Masses], k: int, before: State, state: State
+) -> None:
+    """What row k knows of the errors of fixes is what the row before knew, by the way between both."""
+    copy_receivers(receivers, masses, k, k - 1, True)
+    for n in range(receivers.shape[1]):
+        of = receivers[k, n]
         if of.known != 0:
             way = state.way[X] - before.way[X], state.way[Y] - before.way[Y]
             of.way[X] += way[X]
             of.way[Y] += way[Y]
             of.driven += math.hypot(way[X], way[Y])
-        strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
-        if n != number or strays or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
-            continue
-        spread = heading_variance(window, k - 1)
-        if update.coarse == 1 and (
-            spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
-        ):
-            if has_velocity_errors(c):
-                spread += prior.covariance[COMMON_SLIP, COMMON_SLIP]
-            add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns, c)
-            if spread >= c.receivers.most_spread:
-                of.observed = 0.0
-        elif of.known > 0:
-            of.known, of.way[:], of.driven = 2, 0.0, 0.0
+
+
+@compiled
+def compare_fix(window: Window, k: int, c: Config) -> None:
+    """What row k knows of the errors of fixes, with measurement k, by the most probable branch before it.
+
+    While it drives with an unknown heading there is no way to compare them with.
+    """
+    m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
+    n = number_of(m.source, c)
+    strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
+    if n < 0 or strays or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
+        return
+    of, spread = window.receivers[k, n], heading_variance(window, k - 1)
+    if update.coarse == 1 and (
+        spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
+    ):
+        if has_velocity_errors(c):
+            spread += prior_of(window, k).covariance[COMMON_SLIP, COMMON_SLIP]
+        add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns, c)
+        if spread >= c.receivers.most_spread:
+            of.observed = 0.0
+    elif of.known > 0:
+        of.known, of.way[:], of.driven = 2, 0.0, 0.0
 
 
 @compiled

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.children import outside_range, propose
 from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, update_of
-from trackslip_estimation.slip.bank.receivers import follow_receivers, take_errors
+from trackslip_estimation.slip.bank.receivers import carry_receivers, compare_fix, take_errors
 from trackslip_estimation.slip.bank.script import play_script, remember
 from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import (
@@ -49,48 +49,57 @@ if TYPE_CHECKING:
 
 
 @inlined
-def make_row(window: Window, k: int, closing: int, c: Config) -> None:
-    """Row k from the row before it; ``closing``: entry of the next sprocket sample.
+def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
+    """Rows from ``first`` up to ``count``, each from the row before it; whether all of them are sound.
 
     First the branches there are make their step, then the children that these have run up to here. With a
     script there is one branch, whose events are those of the script.
     """
-    measurements, entries, scripted = window.measurements, window.status[0].count, window.status[0].scripted
-    count = jobs = window.counts[k - 1]
-    window.counts[k] = count
-    for s in range(count):
-        window.states[s, k], window.branches[s, k] = window.states[s, k - 1], window.branches[s, k - 1]
-        window.branches[s, k].first = k
-    weighs, j, closes = is_weighed(measurements[k]) and not scripted, 0, closing
-    prior = prior_of(window, k)
-    while j < jobs:
-        state = window.states[j, k] if j < count else window.pool_states[j]
-        branch = window.branches[j, k] if j < count else window.pool_branches[j]
-        update = window.updates[k] if j == 0 else window.trials[j] if j < count else window.pool_updates[j]
-        if j < count:
-            update.opened, update.renewed = NONE, 0
-            if scripted:
-                play_script(window, k, 0, c)
-        for i in range(branch.first, k + 1):
-            take_errors(state, window, i - 1, c)
-            if closes < i or i == branch.first:
-                closes = closing if i == k else next_sample(measurements, i, entries)
-            sample = measurements[closes if closes < entries else i]
-            step(state, sample, measurements[i], c, update, prior)
-            if is_weighed(measurements[i]):
-                branch.weight += update.evidence
-        if j == 0:
-            follow_receivers(window, k, c)
-        j += 1
-        if j == count and weighs:
-            jobs = propose(window, k, c)
-    if scripted:
-        play_script(window, k, 1, c)
-        return
-    if weighs:
-        settle_row(window, k, jobs, c)
-    keep_snapshots(window, k, c)
-    split_unknown_heading(window, k, c)
+    measurements, states, branches = window.measurements, window.states, window.branches
+    scripted, closing = window.status[0].scripted, -1
+    for k in range(first, count):
+        if closing < k:  # entry of the next sprocket sample
+            closing = next_sample(measurements, k, count)
+        was = window.counts[k] = window.counts[k - 1]
+        for s in range(was):
+            states[s, k], branches[s, k] = states[s, k - 1], branches[s, k - 1]
+            branches[s, k].first = k
+        jobs, weighs, j, closes = was, is_weighed(measurements[k]) and not scripted, 0, closing
+        prior = prior_of(window, k)
+        while j < jobs:
+            state = states[j, k] if j < was else window.pool_states[j]
+            branch = branches[j, k] if j < was else window.pool_branches[j]
+            update = window.updates[k] if j == 0 else window.trials[j] if j < was else window.pool_updates[j]
+            if j < was:
+                update.opened, update.renewed = NONE, 0
+                if scripted:
+                    play_script(window, k, 0, c)
+            for i in range(branch.first, k + 1):
+                take_errors(state, window, i - 1, c)
+                if closes < i or i == branch.first:
+                    closes = closing if i == k else next_sample(measurements, i, count)
+                sample = measurements[closes if closes < count else i]
+                step(state, sample, measurements[i], c, update, prior)
+                if is_weighed(measurements[i]):
+                    branch.weight += update.evidence
+            if j == 0:
+                carry_receivers(window.receivers, window.masses, k, states[0, k - 1], state)
+                if is_weighed(measurements[k]):
+                    compare_fix(window, k, c)
+            j += 1
+            if j == was and weighs:
+                jobs = propose(window, k, c)
+        if scripted:
+            play_script(window, k, 1, c)
+        else:
+            if weighs:
+                settle_row(window, k, jobs, c)
+            keep_snapshots(window, k, c)
+            if drives_unheaded(states[0, k]):
+                split_unknown_heading(window, k, c)
+        if not is_sound(states[0, k], c.size):
+            return False
+    return True
 
 
 @compiled
@@ -109,14 +118,15 @@ def begin_row(window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def split_unknown_heading(window: Window, k: int, c: Config) -> None:
-    """A first branch of row k that drives with an unknown heading becomes one for each share of the circle.
+def drives_unheaded(state: State) -> bool:
+    """Whether tracks move and the heading is unknown; at rest nothing depends on it."""
+    moves = not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0)
+    return bool(moves and not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
 
-    At rest nothing depends on the heading.
-    """
-    state = window.states[0, k]
-    if state.is_sector or state.covariance[YAW, YAW] <= UNKNOWN_HEADING**2 or not _drives(state):
-        return
+
+@compiled
+def split_unknown_heading(window: Window, k: int, c: Config) -> None:
+    """The first branch of row k becomes one for each share of the circle."""
     count = to_pool(window, k)
     for part in range(1, HEADINGS):
         window.pool_states[count], window.pool_branches[count] = (
@@ -131,12 +141,6 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
     for s in range(window.counts[k]):
         if window.branches[s, k].fresh == 1:
             _keep_snapshot(window, s, k)
-
-
-@compiled
-def _drives(state: State) -> bool:
-    """Whether the tracks move, as far as it is known."""
-    return bool(not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0))
 
 
 @compiled

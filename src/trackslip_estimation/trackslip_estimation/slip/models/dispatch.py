@@ -31,7 +31,7 @@ from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turn
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
-from trackslip_estimation.slip.models.speed import FIRST, SPEED_ERROR, VELOCITY_ERRORS, YAW_RATE_ERROR
+from trackslip_estimation.slip.models.speed import FIRST, SPEED_ERROR, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
 from trackslip_estimation.slip.models.turning import TurningNoise
@@ -161,7 +161,8 @@ def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
     kept, share = _persistence(dt, drive, c)
     moved = x.copy()
     if has_velocity_errors(c):
-        moved[VELOCITY_ERRORS] *= share  # as they are on average over the step
+        for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):  # as they are on average over the step
+            moved[i] *= share
     v_x, v_y, rate = horizontal_twist(moved, drive.speeds.left, drive.speeds.right, drive, c)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway), math.sin(halfway)
@@ -169,7 +170,8 @@ def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
     moved[Y] += (v_x * sin + v_y * cos) * dt
     moved[YAW] = wrap(x[YAW] + rate * dt)
     if has_velocity_errors(c):
-        moved[VELOCITY_ERRORS] = x[VELOCITY_ERRORS] * kept
+        for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
+            moved[i] = x[i] * kept
     if c.swings:
         move_swing(x, moved, dt, drive, c)
     for i in range(SENSOR_ERRORS, x.size):
@@ -203,7 +205,8 @@ def linearize(
     left, right = drive.speeds.left, drive.speeds.right
     kept, share = _persistence(dt, drive, c)
     if has_velocity_errors(c):
-        moved[VELOCITY_ERRORS] *= share
+        for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
+            moved[i] *= share
     v_x, v_y, rate = horizontal_twist(moved, left, right, drive, c)
     J = body_jacobian(moved, left, right, drive, c)
     slope.horizontal_jacobian(J, drive.attitude.level)
@@ -225,7 +228,8 @@ def linearize(
         growth = speed.error_growth(dt, drive.motion.motion, c)
         _add_velocity_errors(F, Q, J, speed.error_variances(x, P, drive, c), growth, (kept, share))
         speed.add_track_error(Q, halfway, dt, drive, c)
-        moved[VELOCITY_ERRORS] = x[VELOCITY_ERRORS] * kept
+        for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
+            moved[i] = x[i] * kept
     else:
         S = free_slips.twist_by_speed(x, c)
         _integrate(S, (cos, sin), (east, north), dt)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.linear_algebra import copy_square, wrap
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_rate
 from trackslip_estimation.slip.gate import limit_of
@@ -72,8 +72,9 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     source, x = measurement.source, state.mean[: c.size]
     left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
     bias, scale, rate = bias_of(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
-    H = np.zeros((1, x.size))
-    H[0] = scale * twist_jacobian(x, left, right, c)[2]
+    H = twist_jacobian(x, left, right, c)[2:]
+    for k in range(x.size):
+        H[0, k] *= scale
     if c.above[source] == 1:
         rate += x[SWING_RATE]
         H[0, SWING_RATE] += scale
@@ -86,7 +87,7 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
         by_right = scale * (twist(x, left, right + e, c)[2] - twist(x, left, right - e, c)[2])
         R += (by_left * by_left + by_right * by_right) / 4.0
     known = _known(left, right, bias, c)
-    return Observation(np.array((nu,)), H, np.array(((R,),)), 0, known, np.zeros((0, x.size)))
+    return Observation(np.array((nu,)), H, np.array(((R,),)), 0, known, H[:0])
 
 
 @compiled
@@ -134,7 +135,8 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
         soften(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
     update.nis, update.log_determinant = nis, np.log(S)
     if least_nis > update.gate or not possible:
-        update.outcome, P[:] = _GATED, prior.covariance
+        update.outcome = _GATED
+        copy_square(prior.covariance, P, c.size)
         return
     if least_nis > limit:
         if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
@@ -143,7 +145,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
             bias = bias_of(source, c)
             P[bias, bias] += innovation * innovation
     if forgets or least_nis > limit:
-        prior.covariance[:] = P
+        copy_square(P, prior.covariance, c.size)
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
     state.consistent_ns[source] = measurement.stamp_ns

@@ -51,4 +51,4 @@ def observe_heading(state: State, measurement: MeasurementRecord, c: Config) -> 
         H[0, c.offsets[source]] = 1.0
         nu -= x[c.offsets[source]]
     R = max(measurement.noise[0, 0], c.heading_floor[source] ** 2, LEAST_VARIANCE)
-    return Observation(np.array((wrap(nu),)), H, np.array(((R,),)), 0, 0, np.zeros((0, x.size)))
+    return Observation(np.array((wrap(nu),)), H, np.array(((R,),)), 0, 0, H[:0])

@@ -31,7 +31,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
+from trackslip_estimation.kalman.linear_algebra import (
+    copy_square,
+    log_determinant,
+    root,
+    weighted_square,
+    wrap,
+)
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
 from trackslip_estimation.slip.gate import limit_of
@@ -152,7 +158,7 @@ def _use(
         of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
         own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / drive.T, 1.0)
         _weigh_slip(state, before, innovation[0], drive, H, own, c)
-        prior.covariance[:] = P
+        copy_square(P, prior.covariance, c.size)
     predicted = predicted_covariance(P, H) + D
     update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
     least_nis = _least_nis(state, source, innovation, predicted, stated, drive, update.gate, c)
@@ -165,7 +171,7 @@ def _use(
     if least_nis > limit:
         prior.covariance[SPEED_ERROR, SPEED_ERROR] += innovation[0] ** 2
         prior.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] += innovation[2] ** 2
-        P[:] = prior.covariance
+        copy_square(prior.covariance, P, c.size)
     else:
         soften(R, innovation, predicted, limit)
     scale = c.own_errors[source]

@@ -106,7 +106,7 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     coarse = is_coarse(R, c)
     take_new(state, source, coarse, R, c)
     considered = 1 << GYRO_BIAS if coarse and is_new(state, source, c) else 0
-    return Observation(nu, H, R, considered | delay_considered(state, c), 0, np.zeros((0, x.size)))
+    return Observation(nu, H, R, considered | delay_considered(state, c), 0, H[:0])
 
 
 @compiled

@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
+from trackslip_estimation.kalman.linear_algebra import (
+    copy_square,
+    log_determinant,
+    root,
+    weighted_square,
+    wrap,
+)
 from trackslip_estimation.kalman.update import Observation, correct, observe_alone, predicted_covariance
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.measurements import Outcome
@@ -81,7 +87,7 @@ def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: U
         state.consistent_ns[measurement.source] = measurement.stamp_ns
     else:
         _inflate_slips(P, o.innovation, c)
-        prior.covariance[:] = P
+        copy_square(P, prior.covariance, c.size)
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
 
