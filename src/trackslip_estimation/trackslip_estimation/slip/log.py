@@ -29,7 +29,7 @@ from trackslip_estimation.slip.window import (
     make_like,
 )
 
-_BLOCK = 256  # entries: their states and updates, 3 MB, stay near the processor
+_BLOCK = 512  # entries: fewer are carried over too often, more do not stay near the processor
 _NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)
 _USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
 
@@ -121,7 +121,7 @@ def begin_log(
 
 def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
     """Runs over measurements in the order of their stamps, from the first entry of ``start``."""
-    window = _begin(start, 4 * _BLOCK)  # with those that later ones look back to
+    window = _begin(start, 3 * _BLOCK)  # with those that later ones look back to
     first = 0
     while first < len(rest):
         last = _end_of_block(rest, first)

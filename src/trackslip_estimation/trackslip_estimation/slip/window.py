@@ -250,12 +250,13 @@ def insert(window: Window, k: int) -> None:
 def drop(window: Window, entries: int, whole: int) -> None:
     """Remove the first entries, and of rows before ``whole`` all that no row from there on looks back to."""
     status, measurements, counts = window.status[0], window.measurements, window.counts
+    receivers, masses = window.receivers, window.masses
     count, known = status.count - entries, status.known - entries
     for i in range(count):
         measurements[i] = measurements[i + entries]
     for i in range(known):
         counts[i] = counts[i + entries]
-        copy_receivers(window.receivers, window.masses, i, i + entries, i + entries >= whole)
+        copy_receivers(receivers, masses, i, i + entries, i + entries >= whole)
     _move_snapshots(window, entries, whole)
     for i in range(whole - entries, known):
         window.updates[i] = window.updates[i + entries]
