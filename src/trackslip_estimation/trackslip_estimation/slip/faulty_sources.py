@@ -60,11 +60,29 @@ def density_of_scatter(kind: int, innovation: FloatArray, c: Config) -> float:
 
 
 @compiled
-def weigh_repeat(again: float, m: int, c: Config, update: Update) -> None:
-    """Evidence of a source that repeats itself, by the squared distance to its fix before."""
-    limit = c.gate_limits[YAW]
-    update.dof, update.gate, update.nis = YAW, limit, again / c.bank.repeat_stddev**2
+def is_exact(update: Update, c: Config) -> bool:
+    """Whether a fix is the one before, but for the rounding of a map projection."""
+    return bool(update.again <= c.gate_limits[YAW] * c.bank.repeat_stddev**2)
+
+
+@compiled
+def may_repeat(update: Update, c: Config) -> bool:
+    """Whether a fix may be the one before with another noise, as that of a machine that stands would be."""
+    return bool(update.again <= 2.0 * c.gate_limits[YAW] * update.stated**2)
+
+
+@compiled
+def weigh_repeat(m: int, c: Config, update: Update) -> None:
+    """Evidence of a source that repeats itself, by the distance to its fix before.
+
+    No fix tells a source that holds its place, and jitters on, from a machine that is stuck: such a fix is
+    *tied*, as likely as in the most probable branch that may use it (``bank.rows``).
+    """
+    limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
+    if not is_exact(update, c) and may_repeat(update, c):
+        update.tied, stddev = 1, math.sqrt(2.0) * update.stated
+    update.dof, update.gate, update.nis = YAW, limit, update.again / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
     heading = _LOG_TURN if m > YAW else 0.0
-    update.evidence = -(squared + 4.0 * math.log(c.bank.repeat_stddev)) / 2.0 - _LOG_TURN - heading
+    update.evidence = -(squared + 4.0 * math.log(stddev)) / 2.0 - _LOG_TURN - heading
     update.outcome = _GATED

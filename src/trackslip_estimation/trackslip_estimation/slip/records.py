@@ -207,7 +207,8 @@ class Update(Record):
     stated: float  # standard deviation that a fix states, m
     coarse: int  # 0 or 1: whether its error may last
     shown: Annotated[FloatArray, 2]  # place of base_link by a coarse fix, m
-    repeated: int  # 0 or 1: the fix is bit for bit the one before
+    again: float  # squared distance of a fix from the source's fix before, m²
+    tied: int  # 0 or 1: the fix is as likely as in the most probable branch that may use it
     opened: int  # last ``events.Event`` that opened states since the state before
     attitude: int  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted
     follows: bool  # whether the prior follows from the state before by the model

@@ -74,7 +74,8 @@ def step(
     """The state at the measurement's stamp, with the measurement used or not."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
-    update.attitude, update.evidence, update.repeated, update.whitened[:] = 0, 0.0, 0, 0.0
+    update.attitude, update.evidence, update.whitened[:] = 0, 0.0, 0.0
+    update.again, update.tied = math.inf, 0
     update.coarse, update.stated, update.shown[:] = 0, 0.0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
     prior.mean = state.mean

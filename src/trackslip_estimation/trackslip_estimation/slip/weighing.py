@@ -83,12 +83,11 @@ def use_weighed(
     """Weigh a measurement, and update with it; arguments as in ``update``."""
     kind, source, fault = measurement.kind, measurement.source, state.fault[measurement.source]
     elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
-    again = 0.0
     if kind == POSE:
         stated = stated_noise(measurement, state, c)
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
         update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated, c) else 0
-        again = _compare_with_last(state, measurement, update)
+        _compare_with_last(state, measurement, update)
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
         _show_place(state, source, o, elapsed, update, c)
@@ -97,7 +96,7 @@ def use_weighed(
     predicted = predicted_covariance(P, o.jacobian)
     outside = density_of_outlier(kind, o, predicted, c)
     if fault == IS_REPEATING:
-        weigh_repeat(again, m, c, update)
+        weigh_repeat(m, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
@@ -241,13 +240,11 @@ def _weigh(
 
 
 @compiled
-def _compare_with_last(state: State, measurement: MeasurementRecord, update: Update) -> float:
-    """Squared distance to the source's fix before, m²; the fix becomes the last one."""
+def _compare_with_last(state: State, measurement: MeasurementRecord, update: Update) -> None:
+    """How far a fix is from the source's fix before; it becomes the last one."""
     last, z = state.last_fix[measurement.source], measurement.value
-    again = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
-    update.repeated = 1 if z[X] == last[X] and z[Y] == last[Y] else 0
+    update.again = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
     last[X], last[Y] = z[X], z[Y]
-    return float(again)
 
 
 @compiled

@@ -45,7 +45,7 @@ from trackslip_estimation.slip.events import (
     reach,
     wanders,
 )
-from trackslip_estimation.slip.faulty_sources import log_density_of_any_size
+from trackslip_estimation.slip.faulty_sources import is_exact, log_density_of_any_size, may_repeat
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -160,7 +160,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
-        return bool((update.repeated == 1 and moves) or branch.cusum.max() > c.bank.cusum_limit)
+        return bool((is_exact(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
 
@@ -210,8 +210,11 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind == VELOCITY and (contradicts or shows):
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
-    if fault == IS_SOUND and update.repeated == 1 and before.motion.motion != _STANDING:
-        _child(window, p, k, REPEATS, source, 0, False, now + log_rate(REPEATS, source, c), c)
+    exact = is_exact(update, c)
+    repeats = exact or (contradicts and may_repeat(update, c))
+    if fault == IS_SOUND and repeats and before.motion.motion != _STANDING:
+        prior = now + log_rate(REPEATS, source, c) + (0.0 if exact else math.log(c.bank.repeat_jitter))
+        _child(window, p, k, REPEATS, source, 0, False, prior, c)
     implausible = outside_range(before, c) > 0.0
     shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if contradicts:
@@ -297,6 +300,9 @@ def _have_earlier_children(
             _child(
                 window, p, k, SWUNG, source, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c
             )
+    if before.fault[source] == IS_SOUND and m.kind == POSE and drove and may_repeat(update, c):
+        prior = since + log_rate(REPEATS, source, c) + math.log(c.bank.repeat_jitter)
+        _child(window, p, k, REPEATS, source, 0, True, prior, c)
     if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     if has_velocity_errors(c):

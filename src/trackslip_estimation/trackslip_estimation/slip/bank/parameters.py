@@ -46,6 +46,7 @@ class BankParameters(Parameters):
     outlier_share: float = parameter("share of outliers that an outlier shows", gt=0.0, lt=1.0)
     sound_share: float = parameter("share of outliers that a sound measurement shows", gt=0.0, lt=1.0)
     repeat_stddev: float = parameter("of a fix that repeats the one before", unit="m", gt=0.0)
+    repeat_jitter: float = parameter("share of frozen sources whose fixes jitter on", gt=0.0, lt=1.0)
     longest_way: float = parameter("between fixes that show what tracks err by", unit="s", gt=0.0)
     initial_outlier_share: float = parameter(
         "share of outliers of a source that nothing is known of", gt=0.0, lt=1.0

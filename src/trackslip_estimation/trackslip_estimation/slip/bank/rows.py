@@ -159,6 +159,7 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
     """Row k of the branches and children that ran, ``jobs`` in all: merged and pruned."""
     measurement, count = window.measurements[k], window.counts[k]
     if jobs > 1:
+        _tie(window, count, measurement.source)
         for h in range(jobs):
             if not is_sound(window.pool_states[h], c.size) or math.isnan(window.pool_branches[h].weight):
                 window.pool_branches[h].weight = -math.inf
@@ -171,6 +172,20 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
         merge(window, jobs, c)
         from_pool(window, k, jobs, c)
     _move_snapshots(window, k, c)
+
+
+@compiled
+def _tie(window: Window, count: int, source: int) -> None:
+    """A tied measurement is as likely as in the most probable branch that may use it: the odds stay."""
+    best = -1
+    for h in range(count):
+        heavier = best < 0 or window.pool_branches[h].weight > window.pool_branches[best].weight
+        if window.pool_states[h].fault[source] == IS_SOUND and heavier:
+            best = h
+    for h in range(count):
+        update = window.pool_updates[h]
+        if best >= 0 and update.tied == 1:
+            window.pool_branches[h].weight += window.pool_updates[best].evidence - update.evidence
 
 
 @compiled

@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes that stand still while the tracks turn: of a frozen receiver, or of a machine that is stuck."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive
+from fixtures.fault_cases.case import GNSS, FaultCase, Truth, fix_parameters, seconds
+from fixtures.fault_cases.injections import change_fixes
+from fixtures.fault_cases.scoring import score
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, PoseFix
+
+BEGIN, END = 20.0, 28.0  # s
+STATED = 0.05  # m
+REPEATS = "gnss_pose repeats itself"
+
+
+def of_receiver(machine: Machine, frozen: float | None = None) -> FaultCase:
+    """A drive by fixes of a receiver, which jitter by ``frozen`` m about one place from BEGIN to END."""
+    recording, held, random = drive(machine), np.zeros(3), np.random.default_rng(3)
+
+    def change(fix: PoseFix, t: float) -> PoseFix:
+        nonlocal held
+        if frozen is None or not BEGIN <= t < END:
+            held = fix.pose
+            return replace(fix, source=GNSS)
+        jitter = random.normal(0.0, frozen, 2) if frozen > 0.0 else np.zeros(2)
+        return replace(fix, source=GNSS, pose=held + np.array((*jitter, 0.0)))
+
+    given: list[Measurement] = change_fixes(recording.measurements, change)
+    truth = Truth(recording.t, recording.poses)
+    return FaultCase(fix_parameters(GNSS, initial_yaw_stddev=0.02), given, truth, (BEGIN, END + 4.0))
+
+
+def probabilities(case: FaultCase, text: str) -> Iterator[float]:
+    """Of the explanations that begin with these words, at each fix from 2 s after BEGIN until END."""
+    estimator = SlipEstimator(case.parameters)
+    for m in case.measurements:
+        estimator.process(m)
+        if isinstance(m, PoseFix) and BEGIN + 2.0 <= seconds(m) < END:
+            found = estimator.explained.found
+            yield sum(e.probability for e in found if e.text.startswith(text))
+
+
+@pytest.mark.parametrize("rate", [1, 5])
+@pytest.mark.parametrize("difference", [0.0, 1e-5])
+def test_a_frozen_receiver_does_not_hold_the_machine(difference: float, rate: int) -> None:
+    machine = Machine(duration=45.0, fix_noise=STATED, fix_stated=STATED, fix_rate=rate, track_error=0.03)
+    found = score(of_receiver(machine, frozen=difference))
+    assert found.nees <= 5.0
+    assert found.inconsistent <= 0.06
+    assert found.live_equals_replay
+
+
+@pytest.mark.parametrize("rate", [1, 5])
+@pytest.mark.parametrize("jitter", [0.003, 0.01])
+def test_a_frozen_receiver_whose_fixes_jitter_on_is_not_ruled_out(jitter: float, rate: int) -> None:
+    machine = Machine(duration=45.0, fix_noise=STATED, fix_stated=STATED, fix_rate=rate, track_error=0.03)
+    assert min(probabilities(of_receiver(machine, frozen=jitter), REPEATS)) >= 0.005
+    assert score(of_receiver(machine, frozen=jitter)).live_equals_replay
+
+
+@pytest.mark.parametrize("rate", [1, 5, 10])
+@pytest.mark.parametrize(("noise", "stated"), [(0.05, 0.05), (0.005, 0.05)])
+def test_a_stuck_machine_is_where_its_fixes_show_it(noise: float, stated: float, rate: int) -> None:
+    machine = Machine(
+        duration=45.0,
+        fix_noise=noise,
+        fix_stated=stated,
+        fix_rate=rate,
+        track_error=0.05,
+        stuck=(BEGIN, 40.0),
+    )
+    found = score(replace(of_receiver(machine), window=(BEGIN + 2.0, END)))
+    assert found.rmse <= 2.0 * stated
+    assert found.nees <= 5.0
