@@ -15,7 +15,7 @@ e_i     error of the slip of each driven track, while turning       1
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
@@ -161,15 +161,16 @@ def header(names: list[str]) -> str:
     return "\n".join((" " * 26 + line).rstrip() for line in lines)
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(prog="make bars", description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=1, help="runs of each drive on each soil (default: 1)")
+    args = parser.parse_args(argv)
     failed = False
     names = list(vars(LIMITS))
     print(header(names))
     print(f"{'limit':<26}" + "".join(f"{limit:>8.4f} " for limit in astuple(LIMITS)))
-    for what, bars in table(parser.parse_args().seeds):
+    for what, bars in table(args.seeds):
         exceeded = bars.exceeded()
         failed |= bool(exceeded)
         cells = (f"{getattr(bars, name):.4f}{'!' if name in exceeded else ' '}" for name in names)
