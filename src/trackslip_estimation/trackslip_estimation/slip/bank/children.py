@@ -211,7 +211,7 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
     exact = is_exact(update, c)
-    repeats = exact or (contradicts and may_repeat(update, c) and _is_heard(before))
+    repeats = exact or (contradicts and may_repeat(update, c) and _shows_tracks(before))
     if fault == IS_SOUND and repeats and before.motion.motion != _STANDING:
         prior = now + log_rate(REPEATS, source, c) + (0.0 if exact else math.log(c.bank.repeat_jitter))
         _child(window, p, k, REPEATS, source, 0, False, prior, c)
@@ -224,7 +224,7 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
 
 
 @compiled
-def _is_heard(before: State) -> bool:
+def _shows_tracks(before: State) -> bool:
     """Whether the sprockets show what the tracks do, and are not just taken to go on."""
     return bool(before.unheard == 0.0 and not before.coasting)
 
@@ -306,8 +306,8 @@ def _have_earlier_children(
             _child(
                 window, p, k, SWUNG, source, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c
             )
-    heard = drove and _is_heard(before)
-    if before.fault[source] == IS_SOUND and m.kind == POSE and heard and may_repeat(update, c):
+    turning = drove and _shows_tracks(before)
+    if before.fault[source] == IS_SOUND and m.kind == POSE and turning and may_repeat(update, c):
         prior = since + log_rate(REPEATS, source, c) + math.log(c.bank.repeat_jitter)
         _child(window, p, k, REPEATS, source, 0, True, prior, c)
     if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
