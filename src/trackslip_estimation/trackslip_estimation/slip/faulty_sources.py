@@ -60,14 +60,14 @@ def density_of_scatter(kind: int, innovation: FloatArray, c: Config) -> float:
 
 
 @compiled
-def is_exact(update: Update, c: Config) -> bool:
+def is_repeated(update: Update, c: Config) -> bool:
     """Whether a fix is the one before, but for the rounding of a map projection."""
     return bool(update.again <= c.gate_limits[YAW] * c.bank.repeat_stddev**2)
 
 
 @compiled
 def may_repeat(update: Update, c: Config) -> bool:
-    """Whether a fix may be the one before with another noise, as that of a machine that stands would be."""
+    """Whether a fix differs from the one before by no more than the noise that both state."""
     return bool(update.again <= 2.0 * c.gate_limits[YAW] * update.stated**2)
 
 
@@ -79,7 +79,7 @@ def weigh_repeat(m: int, c: Config, update: Update) -> None:
     *tied*, as likely as in the most probable branch that may use it (``bank.rows``).
     """
     limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
-    if not is_exact(update, c) and may_repeat(update, c):
+    if not is_repeated(update, c) and may_repeat(update, c):
         update.tied, stddev = 1, math.sqrt(2.0) * update.stated
     update.dof, update.gate, update.nis = YAW, limit, update.again / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit

@@ -45,7 +45,7 @@ from trackslip_estimation.slip.events import (
     reach,
     wanders,
 )
-from trackslip_estimation.slip.faulty_sources import is_exact, log_density_of_any_size, may_repeat
+from trackslip_estimation.slip.faulty_sources import is_repeated, log_density_of_any_size, may_repeat
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -160,7 +160,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
-        return bool((is_exact(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
+        return bool((is_repeated(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
 
@@ -210,10 +210,10 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind == VELOCITY and (contradicts or shows):
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
-    exact = is_exact(update, c)
-    repeats = exact or (contradicts and may_repeat(update, c) and _shows_tracks(before))
+    exactly = is_repeated(update, c)
+    repeats = exactly or (contradicts and may_repeat(update, c) and _tracks_are_known(before))
     if fault == IS_SOUND and repeats and before.motion.motion != _STANDING:
-        prior = now + log_rate(REPEATS, source, c) + (0.0 if exact else math.log(c.bank.repeat_jitter))
+        prior = now + log_rate(REPEATS, source, c) + (0.0 if exactly else math.log(c.bank.repeat_jitter))
         _child(window, p, k, REPEATS, source, 0, False, prior, c)
     implausible = outside_range(before, c) > 0.0
     shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
@@ -224,7 +224,7 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
 
 
 @compiled
-def _shows_tracks(before: State) -> bool:
+def _tracks_are_known(before: State) -> bool:
     """Whether the sprockets show what the tracks do, and are not just taken to go on."""
     return bool(before.unheard == 0.0 and not before.coasting)
 
@@ -306,7 +306,7 @@ def _have_earlier_children(
             _child(
                 window, p, k, SWUNG, source, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c
             )
-    turning = drove and _shows_tracks(before)
+    turning = drove and _tracks_are_known(before)
     if before.fault[source] == IS_SOUND and m.kind == POSE and turning and may_repeat(update, c):
         prior = since + log_rate(REPEATS, source, c) + math.log(c.bank.repeat_jitter)
         _child(window, p, k, REPEATS, source, 0, True, prior, c)
