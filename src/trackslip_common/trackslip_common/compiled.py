@@ -8,13 +8,14 @@ function, which have one caller: they become part of it.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 os.environ.setdefault("NUMBA_OPT", "1")  # compiles in 60 % of the time, and what it makes is as fast here
 
 import llvmlite.binding
 import numba
+from numba.core.types import unliteral
 
 from trackslip_common.machine_code import KernelCache
 
@@ -34,9 +35,23 @@ def compiled(function: F) -> F:
     kernel = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     if kernel is not function:  # compilation is not switched off
         kernel._cache = KernelCache(function)
+        _forget_constants(kernel)
     return cast(F, kernel)
 
 
 def inlined(function: F) -> F:
     """Compile as part of the one function that calls it."""
     return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))
+
+
+def _forget_constants(kernel: Any) -> None:
+    """Compile once for arguments of a type, not again for each constant that a caller writes there."""
+    template = kernel.get_call_template
+
+    def of_types(args: Sequence[Any], names: Mapping[str, Any]) -> Any:
+        return template(
+            tuple(unliteral(type_) for type_ in args),
+            {name: unliteral(type_) for name, type_ in names.items()},
+        )
+
+    kernel.get_call_template = of_types
