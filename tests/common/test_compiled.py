@@ -37,10 +37,23 @@ def outer(x: float) -> float:
 
 print(outer(1.0), sum(outer.stats.cache_hits.values()))
 """
+CONSTANTS = """
+from trackslip_common.compiled import compiled
+
+@compiled
+def multiple(x: float, times: int) -> float:
+    return x if times == 1 else x * times
+
+@compiled
+def sum_of_multiples(x: float, n: int) -> float:
+    return multiple(x, 1) + multiple(x, 2) + multiple(x, n)
+
+print(sum_of_multiples(2.0, 3), len(multiple.overloads))
+"""
 
 
 def run(folder: Path) -> list[float]:
-    """What the caller prints: its result, and how many of its compilations it found on disk."""
+    """The numbers that ``outer.py`` prints, with machine code of its own."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
     done = subprocess.run(
@@ -56,6 +69,12 @@ def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path
     assert run(tmp_path) == [20.0, 1.0]
     (tmp_path / "inner.py").write_text(CALLEE.format(added=2.0), encoding="utf-8")
     assert run(tmp_path) == [30.0, 0.0]
+
+
+def test_a_kernel_is_compiled_once_whatever_constants_its_callers_write(tmp_path: Path) -> None:
+    """That which opens an event was compiled 21 times, once for each event that a caller named."""
+    (tmp_path / "outer.py").write_text(CONSTANTS, encoding="utf-8")
+    assert run(tmp_path) == [12.0, 1.0]
 
 
 @pytest.mark.slow

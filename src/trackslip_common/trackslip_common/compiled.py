@@ -50,8 +50,7 @@ def _forget_constants(kernel: Any) -> None:
 
     def of_types(args: Sequence[Any], names: Mapping[str, Any]) -> Any:
         return template(
-            tuple(unliteral(type_) for type_ in args),
-            {name: unliteral(type_) for name, type_ in names.items()},
+            tuple(map(unliteral, args)), {name: unliteral(type_) for name, type_ in names.items()}
         )
 
     kernel.get_call_template = of_types
