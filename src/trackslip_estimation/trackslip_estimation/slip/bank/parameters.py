@@ -51,7 +51,7 @@ class BankParameters(Parameters):
     initial_outlier_share: float = parameter(
         "share of outliers of a source that nothing is known of", gt=0.0, lt=1.0
     )
-    least_slip: float = parameter("common slip at the least: tracks do not drive a machine backwards")
+    least_slip: float = parameter("common slip at the least: tracks are hardly outrun on the flat")
     most_slip: float = parameter("common slip at the most")
 
 
