@@ -6,6 +6,7 @@ Loads are in percent of one core, each beside its floor: a bare rclpy node that 
 often. Measure on a quiet machine; every number is the median of three windows or runs.
 """
 
+import argparse
 import os
 import platform
 import statistics
@@ -43,6 +44,7 @@ _NODES = (
 
 def main() -> int:
     """Measure and print; returns the exit code."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     print(f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}")
     show("", "here", "beside", "bar")
     seconds = _median(_truth_seconds)

@@ -7,6 +7,7 @@ come between them. None raises; what is published is finite; what is refused is 
 and changes nothing; and the good messages are used.
 """
 
+import argparse
 import math
 import struct
 import sys
@@ -306,8 +307,12 @@ def fuzz_soil(count: int, seed: int = 0) -> Findings:
 
 
 def main() -> int:
-    """``fuzz_messages.py COUNT``: so many of each topic; the exit code is 1 where anything was found."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else COUNT
+    """Send random messages; returns the exit code, 1 where anything was found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "count", type=int, nargs="?", default=COUNT, help="of each topic (default: %(default)s)"
+    )
+    count = parser.parse_args().count
     found_any = False
     for name, fuzz in (("slip", fuzz_slip), ("soil", fuzz_soil)):
         found = fuzz(count)

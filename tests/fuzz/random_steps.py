@@ -9,6 +9,7 @@ their covariances positive semidefinite and all that is published finite; and a 
 with the same bits.
 """
 
+import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, NamedTuple
@@ -241,8 +242,10 @@ def _set_others(
 
 
 def main() -> int:
-    """``random_steps.py STEPS``: as many steps on all cores; the exit code is 1 where anything was found."""
-    wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000_000
+    """Make random steps on all cores; returns the exit code, 1 where anything was found."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("steps", type=int, nargs="?", default=10_000_000, help="(default: %(default)s)")
+    wanted = parser.parse_args().steps
     steps, least = 0, 0.0
     outcomes, faults = np.zeros(len(Outcome), np.int64), 0
     with ProcessPoolExecutor() as pool:
