@@ -118,11 +118,6 @@ class Log:
         """The same with another version of one source of places."""
         return replace(self, fixes=tuple(fixes if f.name == fixes.name else f for f in self.fixes))
 
-    def with_compass(self, compass: Compass) -> "Log":
-        """The same with another version of one source of headings."""
-        same = [compass if c.name == compass.name else c for c in self.compasses]
-        return replace(self, compasses=tuple(same))
-
 
 def group_of(topic: str) -> str:
     """Its group of parameters: ``sources.imu_data_raw``."""
