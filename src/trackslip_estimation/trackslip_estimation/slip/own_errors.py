@@ -49,6 +49,14 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
+def lasting_share(offset: Offset, c: Config) -> float:
+    """Share of the variance of a source's fixes that lasts; the rest is white."""
+    if offset.stddev > c.receivers.precise:
+        return float(offset.g / (offset.g + offset.f))
+    return correlated_share(offset, c)
+
+
+@compiled
 def is_new(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err to one side, and were not observed for several times that long."""
     offset = state.offsets[number_of(source, c)]

@@ -10,7 +10,7 @@
 
 An altitude corrects the height of the attitude filter, and with it tilt and biases: a way that leads higher
 than the pitch says shows what the pitch is off by. So does a slip that is off: the height is doubted by the
-variance of ż times Δt max(2 T, Δt), and R counts coth(Δt/2τ) times.
+variance of ż times Δt max(2 T, Δt), and the share of R that lasts counts coth(Δt/2τ) times.
 
 Inside its gate an altitude is used in full, up to the soft gate with less weight. Beyond it is refused, until
 some that agree have insisted for three timeouts of their source: then the height is another one.
@@ -33,7 +33,7 @@ from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.own_errors import is_correlated, number_of
+from trackslip_estimation.slip.own_errors import lasting_share, number_of
 from trackslip_estimation.slip.usable import HIGHEST
 
 if TYPE_CHECKING:
@@ -107,9 +107,12 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
     stated *= state.adaptation.fix_factors[source]
     steep = level.downhill_x**2 + level.downhill_y**2
     stated += steep * unknown_arm(state.covariance, source, c)
-    if not is_correlated(state, source, c):
+    number = number_of(source, c)
+    if number < 0:
         return stated, stated
-    return stated, stated / math.tanh(dt / (2.0 * state.offsets[number_of(source, c)].time))
+    offset = state.offsets[number]
+    share = lasting_share(offset, c)
+    return stated, stated * (1.0 - share + share / math.tanh(dt / (2.0 * offset.time)))
 
 
 @compiled
