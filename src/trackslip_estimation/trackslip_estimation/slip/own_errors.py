@@ -49,11 +49,16 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
-def lasting_share(offset: Offset, c: Config) -> float:
-    """Share of the variance of a source's fixes that lasts; the rest is white."""
+def lasting_share(state: State, source: int, c: Config) -> float:
+    """Share of the variance of a source's fixes that lasts, or may: a receiver may err so until it jitters."""
+    number = number_of(source, c)
+    if number < 0 or c.standing_share[source] > 0.0:
+        return 0.0
+    offset = state.offsets[number]
     if offset.stddev > c.receivers.precise:
         return float(offset.g / (offset.g + offset.f))
-    return correlated_share(offset, c)
+    is_known = offset.count >= c.receivers.jitters
+    return correlated_share(offset, c) if is_known else float(c.receivers.most_lasting)
 
 
 @compiled

@@ -107,12 +107,11 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
     stated *= state.adaptation.fix_factors[source]
     steep = level.downhill_x**2 + level.downhill_y**2
     stated += steep * unknown_arm(state.covariance, source, c)
-    number = number_of(source, c)
-    if number < 0:
+    share = lasting_share(state, source, c)
+    if share == 0.0:
         return stated, stated
-    offset = state.offsets[number]
-    share = lasting_share(offset, c)
-    return stated, stated * (1.0 - share + share / math.tanh(dt / (2.0 * offset.time)))
+    time = state.offsets[number_of(source, c)].time
+    return stated, stated * (1.0 - share + share / math.tanh(dt / (2.0 * time)))
 
 
 @compiled
