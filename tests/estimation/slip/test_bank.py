@@ -276,7 +276,7 @@ def test_fixes_that_stay_with_noise_and_go_on_leave_no_error() -> None:
         return replace(m, pose=held.pose + random.normal(0.0, 0.03, 3)) if 20.0 <= t < 28.0 else m
 
     error, _, estimator = errors(changed(recording, stay), recording, parameters(**GNSS))
-    assert {Event.SLIPPED, Event.REPEATS} & set(events(estimator))
+    assert {Event.SLIPPED, Event.STAYS} & set(events(estimator))
     assert error[error.size * 60 // 70 :].max() < 0.2
 
 

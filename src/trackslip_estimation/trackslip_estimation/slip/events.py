@@ -11,6 +11,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                 one of a compass
     WANDERS     the same, which begins at zero and wanders            since the last consistent measurement
     REPEATS     nothing; bit-identical fixes                          just before it
+    STAYS       nothing; fixes that jitter about one place            just before it, or since the last
+                                                                      consistent measurement
     SCATTERS    nothing; measurements uniform over an area            just before it
     SOUND       nothing; a fault of the source ended                  just before it
     MOVED       x, y                                                  just before it
@@ -87,6 +89,7 @@ class Event(IntEnum):
     STRAYS = 14
     WANDERS = 15
     BIASED = 16
+    STAYS = 17
 
 
 class SourceFault(IntEnum):
@@ -98,6 +101,7 @@ class SourceFault(IntEnum):
     SCATTERS = 3
     IGNORED = 4  # for one measurement
     STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
+    STAYS = 6  # where it was, and jitters on
 
 
 (
@@ -118,8 +122,17 @@ class SourceFault(IntEnum):
     STRAYS,
     WANDERS,
     BIASED,
+    STAYS,
 ) = map(int, Event)
-(IS_SOUND, IS_OFFSET, IS_REPEATING, IS_SCATTERING, IS_IGNORED, IS_STRAYING) = map(int, SourceFault)
+(
+    IS_SOUND,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_IGNORED,
+    IS_STRAYING,
+    IS_STAYING,
+) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``
@@ -167,6 +180,8 @@ def log_rate(event: int, source: int, c: Config) -> float:
         return math.log(c.fault_rate[source])
     if event == REPEATS:
         return math.log(c.fault_rate[source] * e.repeat_share)
+    if event == STAYS:
+        return math.log(c.fault_rate[source] * e.repeat_share * c.bank.repeat_jitter)
     if event == WANDERS:
         return math.log(c.fault_rate[source] * e.wander_share)
     if event == SCATTERS:
@@ -273,10 +288,12 @@ def _assume(state: State, event: int, source: int) -> None:
         state.rests_on = source
         if state.fault[source] == IS_SCATTERING:
             state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
-    elif event in (REPEATS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
+    elif event in (REPEATS, STAYS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
         state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
         if event == REPEATS:
             state.fault[source] = IS_REPEATING
+        elif event == STAYS:
+            state.fault[source] = IS_STAYING
         elif event == SCATTERS:
             state.fault[source] = IS_SCATTERING
         elif event == STRAYS:

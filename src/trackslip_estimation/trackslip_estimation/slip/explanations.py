@@ -86,7 +86,7 @@ class Sources(NamedTuple):
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
-_FAULTS = (Event.OFFSET, Event.WANDERS, Event.REPEATS, Event.SCATTERS, Event.STRAYS)
+_FAULTS = (Event.OFFSET, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.STRAYS)
 _STRAYS = "{source} and motion disagree"
 _WORDS = {
     Event.NONE: AS_BEFORE,
@@ -94,6 +94,7 @@ _WORDS = {
     Event.OFFSET: "{source} is off",
     Event.WANDERS: "{source} wanders",
     Event.REPEATS: "{source} repeats itself",
+    Event.STAYS: "{source} stays where it was",
     Event.SCATTERS: "{source} scatters",
     Event.SOUND: "{source} is sound again",
     Event.MOVED: "the machine was moved",
@@ -214,6 +215,8 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
         return _STRAYS.format(source=name)
     if fault is SourceFault.REPEATS:
         return f"{name} repeats itself"
+    if fault is SourceFault.STAYS:
+        return f"{name} stays where it was"
     if fault is not SourceFault.OFFSET or own < 0:
         return f"{name} scatters"
     if name in sources.compasses:

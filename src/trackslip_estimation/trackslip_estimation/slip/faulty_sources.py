@@ -72,15 +72,15 @@ def may_repeat(update: Update, c: Config) -> bool:
 
 
 @compiled
-def weigh_repeat(m: int, c: Config, update: Update) -> None:
-    """Evidence of a source that repeats itself, by the distance to its fix before.
+def weigh_repeat(m: int, stays: bool, c: Config, update: Update) -> None:
+    """Evidence of a source that repeats itself, or ``stays`` where it was, by the distance to its fix before.
 
-    No fix tells a source that holds its place, and jitters on, from a machine that is stuck: such a fix is
-    *tied*, as likely as in the most probable branch that may use it (``bank.rows``).
+    No fix tells a source that stays, and jitters on, from a machine that is stuck: such a fix is *tied*, as
+    likely as in the most probable branch that may use it (``bank.rows``).
     """
     limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
-    if not is_repeated(update, c) and may_repeat(update, c):
-        update.tied, stddev = 1, math.sqrt(2.0) * update.stated
+    if stays:
+        update.tied, stddev = int(may_repeat(update, c)), math.sqrt(2.0) * update.stated
     update.dof, update.gate, update.nis = YAW, limit, update.again / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
     heading = _LOG_TURN if m > YAW else 0.0

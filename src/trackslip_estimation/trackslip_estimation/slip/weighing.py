@@ -38,6 +38,7 @@ from trackslip_estimation.slip.events import (
     IS_REPEATING,
     IS_SCATTERING,
     IS_SOUND,
+    IS_STAYING,
     latest_pose_source,
 )
 from trackslip_estimation.slip.faulty_sources import (
@@ -95,8 +96,8 @@ def use_weighed(
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
     outside = density_of_outlier(kind, o, predicted, c)
-    if fault == IS_REPEATING:
-        weigh_repeat(m, c, update)
+    if fault in (IS_REPEATING, IS_STAYING):
+        weigh_repeat(m, fault == IS_STAYING, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)

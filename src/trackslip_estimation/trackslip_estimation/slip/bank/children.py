@@ -23,6 +23,7 @@ from trackslip_estimation.slip.events import (
     IS_REPEATING,
     IS_SCATTERING,
     IS_SOUND,
+    IS_STAYING,
     MEASURED,
     MOVED,
     NOISE,
@@ -34,6 +35,7 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     SOUND,
+    STAYS,
     STRAYS,
     SWUNG,
     TURNED,
@@ -210,11 +212,11 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind == VELOCITY and (contradicts or shows):
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
-    exactly = is_repeated(update, c)
-    repeats = exactly or (contradicts and may_repeat(update, c) and _tracks_are_known(before))
-    if fault == IS_SOUND and repeats and before.motion.motion != _STANDING:
-        prior = now + log_rate(REPEATS, source, c) + (0.0 if exactly else math.log(c.bank.repeat_jitter))
-        _child(window, p, k, REPEATS, source, 0, False, prior, c)
+    if fault == IS_SOUND and before.motion.motion != _STANDING:
+        if is_repeated(update, c):
+            _child(window, p, k, REPEATS, source, 0, False, now + log_rate(REPEATS, source, c), c)
+        if contradicts and may_repeat(update, c) and _tracks_are_known(before):
+            _child(window, p, k, STAYS, source, 0, False, now + log_rate(STAYS, source, c), c)
     implausible = outside_range(before, c) > 0.0
     shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if contradicts:
@@ -308,13 +310,12 @@ def _have_earlier_children(
             )
     turning = drove and _tracks_are_known(before)
     if before.fault[source] == IS_SOUND and m.kind == POSE and turning and may_repeat(update, c):
-        prior = since + log_rate(REPEATS, source, c) + math.log(c.bank.repeat_jitter)
-        _child(window, p, k, REPEATS, source, 0, True, prior, c)
+        _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
     if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
-    if before.fault[source] != IS_REPEATING and update.coarse == 0:
+    if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
         _child(window, p, k, NOISE, source, 0, True, since + log_rate(NOISE, source, c), c)
     if is_steep(before) and has_velocity_errors(c):
         _child(window, p, k, SLID, source, 0, True, since + log_rate(SLID, source, c), c)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.correlated_errors import add_fix
-from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING, IS_SOUND
+from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING, IS_SOUND, IS_STAYING
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
@@ -62,7 +62,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
     n = number_of(m.source, c)
     strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
-    if n < 0 or strays or state.fault[m.source] in (IS_REPEATING, IS_SCATTERING):
+    if n < 0 or strays or state.fault[m.source] in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return
     of, spread = window.receivers[k, n], heading_variance(window, k - 1)
     if update.coarse == 1 and (
