@@ -77,7 +77,7 @@ def drive(
     return found
 
 
-def with_lasting_errors(rate: int, seed: int) -> list[Measurement]:
+def with_time_correlated_errors(rate: int, seed: int) -> list[Measurement]:
     """A drive on the flat with fixes of a receiver, half of whose variance lasts for 10 s."""
     rng, found, error = np.random.default_rng(seed), list[Measurement](), np.zeros(3)
     left, stddevs = math.exp(-0.1 / rate), np.array((0.01, 0.01, STDDEV))
@@ -160,7 +160,7 @@ def test_altitudes_show_what_the_pitch_is_off_by() -> None:
 @pytest.mark.parametrize("rate", [1, 10])  # Hz
 def test_errors_of_altitudes_that_last_do_not_pitch_the_machine(rate: int, seed: int) -> None:
     """Ten altitudes a second were ten measurements: 0.8° off with 0.3° claimed, and the place with it."""
-    estimates, _ = run(with_lasting_errors(rate, seed), RECEIVER)
+    estimates, _ = run(with_time_correlated_errors(rate, seed), RECEIVER)
     nees = []
     for e in estimates:
         tilt = e.outputs.tilt

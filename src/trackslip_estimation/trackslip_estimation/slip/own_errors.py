@@ -49,7 +49,7 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
-def lasting_share(state: State, source: int, c: Config) -> float:
+def time_correlated_share(state: State, source: int, c: Config) -> float:
     """Share of the variance of a source that lasts, or may: a receiver may err so until it jitters."""
     number = number_of(source, c)
     if number < 0 or c.standing_share[source] > 0.0:

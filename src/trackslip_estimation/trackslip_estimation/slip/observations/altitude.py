@@ -33,7 +33,7 @@ from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.own_errors import lasting_share, number_of
+from trackslip_estimation.slip.own_errors import number_of, time_correlated_share
 from trackslip_estimation.slip.usable import HIGHEST
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
     stated *= state.adaptation.fix_factors[source]
     steep = level.downhill_x**2 + level.downhill_y**2
     stated += steep * unknown_arm(state.covariance, source, c)
-    share = lasting_share(state, source, c)
+    share = time_correlated_share(state, source, c)
     if share == 0.0:
         return stated, stated
     time = state.offsets[number_of(source, c)].time
