@@ -11,7 +11,6 @@ from typing import Any
 
 import yaml
 
-from trackslip_common.errors import ExitCode
 from trackslip_tools.cli.main import main
 
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
@@ -24,15 +23,13 @@ class NotMeasured(Exception):
 def run(line: str, folder: Path) -> str:
     """What ``trackslip LINE`` prints; ``{}`` in the line stands for ``folder``.
 
-    A replay that names a mistake of the setup has measured all the same: some are made here on purpose.
-
     Raises:
-        NotMeasured: the command could not be run.
+        NotMeasured: the command failed.
     """
     output = io.StringIO()
     with redirect_stdout(output), redirect_stderr(output):
         code = main(shlex.split(line.replace("{}", str(folder))))
-    if code not in (ExitCode.DONE, ExitCode.FAILED):
+    if code:
         raise NotMeasured(f"trackslip {line}: {output.getvalue().strip()}")
     return output.getvalue()
 

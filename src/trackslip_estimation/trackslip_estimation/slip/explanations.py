@@ -213,10 +213,8 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
     name, own = sources.names[number], sources.offsets[number]
     if fault is SourceFault.STRAYS:
         return _STRAYS.format(source=name)
-    if fault is SourceFault.REPEATS:
-        return f"{name} repeats itself"
-    if fault is SourceFault.STAYS:
-        return f"{name} stays where it was"
+    if fault in (SourceFault.REPEATS, SourceFault.STAYS):
+        return _WORDS[Event[fault.name]].format(source=name)
     if fault is not SourceFault.OFFSET or own < 0:
         return f"{name} scatters"
     if name in sources.compasses:
