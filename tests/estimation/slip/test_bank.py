@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import FIX, Machine, Recording, drive, parameters
+from fixtures.drawn_machine import FIX, FIXES, Machine, Recording, drive, parameters
 from fixtures.records import assert_same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -249,10 +249,21 @@ def test_a_gyro_that_fails_does_not_turn_the_machine() -> None:
     assert np.mean(nees > 13.8) < 0.05
 
 
-@pytest.mark.parametrize("turn", [0.25, 0.5])  # rad/s
-def test_fixes_that_wander_off_do_not_take_the_machine_with_them(turn: float) -> None:
-    """The slower ones were tracks that push the machine faster than they turn, by half."""
-    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
+@pytest.mark.parametrize(
+    ("turn", "rate", "noise", "track_error"),  # rad/s, 1/s, m, 1
+    [(0.25, FIXES, 0.03, 0.05), (0.5, FIXES, 0.03, 0.05), (0.25, 5, 0.02, 0.01), (0.25, 10, 0.02, 0.01)],
+)
+def test_fixes_that_wander_off_do_not_take_the_machine_with_them(
+    turn: float, rate: int, noise: float, track_error: float
+) -> None:
+    """Slow ones were tracks that push the machine by half more than they turn.
+
+    Fixes close to each other might wander as far from one to the next as those further apart.
+    """
+    machine = Machine(
+        duration=50.0, track_error=track_error, fix_noise=noise, fix_stated=noise, fix_rate=rate
+    )
+    recording = drive(machine)
 
     def around(m: PoseFix, t: float) -> PoseFix:
         turned = min(max(turn * (t - 20.0), 0.0), math.tau)

@@ -153,7 +153,8 @@ class EventParameters(Parameters):
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
-    wander: float = parameter("standard deviation of fixes that wander off", unit="m", gt=0.0)
+    wander: float = parameter("standard deviation of fixes that wander off, at the most", unit="m", gt=0.0)
+    wander_speed: float = parameter("at which they do so from one fix to the next", unit="m/s", gt=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
@@ -240,7 +241,8 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
     ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a
-    skid, of fixes that are off and of a machine that was moved ``value`` is the standard deviation, m.
+    skid, of fixes that are off and of a machine that was moved ``value`` is the standard deviation, m; of
+    fixes that wander the time between two of them, s.
     """
     x, P, renewed = state.mean[: c.size], state.covariance[:], 0
     _assume(state, event, source)
@@ -310,7 +312,9 @@ def _set_opened(
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
     if event == WANDERS:
-        count, state.offsets[number_of(source, c)].variance = 2, c.events.wander**2
+        count, offset = 2, state.offsets[number_of(source, c)]
+        of_speed = c.events.wander_speed**2 * value * offset.time / 2.0
+        offset.variance = min(of_speed, c.events.wander**2)
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, 0.0
     elif event in (OFFSET, SOUND, FOLDED) and own >= 0:

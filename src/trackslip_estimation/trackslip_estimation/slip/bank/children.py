@@ -403,6 +403,8 @@ def _child(
     value = m.value[0]
     if event == SKIDDED:
         value = c.events.skid_share * _driven_since(window, p, k)
+    elif event == WANDERS:
+        value = max((m.stamp_ns - window.states[p, k - 1].last_ns[source]) * 1e-9, c.bank.shortest_time)
     elif m.kind == POSE and event in (OFFSET, MOVED):
         value = reach(_squared_jump(m, window.states[p, k - 1]))
     remember(branch, event, source, part, value, m, window.measurements[first], 0)
