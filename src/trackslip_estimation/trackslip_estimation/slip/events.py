@@ -169,6 +169,7 @@ class EventParameters(Parameters):
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
     bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)
+    bias_unseen: float = parameter("for which it turned the heading before a fix shows it", unit="s", ge=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
 
@@ -253,7 +254,7 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
         P[X, X] += value * value
         P[Y, Y] += value * value
     elif event == BIASED:
-        P[GYRO_BIAS, GYRO_BIAS] += c.events.bias_stddev**2
+        _open_bias(P, c)
     elif event in (SLIPPED, SLID):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
@@ -269,6 +270,16 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     if event == TURNED:
         to_sensor(x, P, state.attitude.level, about, -1.0, c)
     return renewed
+
+
+@compiled
+def _open_bias(P: FloatArray, c: Config) -> None:
+    """The bias of the first gyro, and the heading that it turned for ``bias_unseen`` at the most; in place."""
+    variance, unseen = c.events.bias_stddev**2, c.events.bias_unseen
+    P[GYRO_BIAS, GYRO_BIAS] += variance
+    P[YAW, YAW] += variance * unseen**2 / 3.0
+    P[YAW, GYRO_BIAS] -= variance * unseen / 2.0
+    P[GYRO_BIAS, YAW] -= variance * unseen / 2.0
 
 
 class Opened(NamedTuple):
