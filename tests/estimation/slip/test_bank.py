@@ -249,6 +249,21 @@ def test_a_gyro_that_fails_does_not_turn_the_machine() -> None:
     assert np.mean(nees > 13.8) < 0.05
 
 
+@pytest.mark.parametrize(("rate", "seed"), [(5, 1), (5, 2), (10, 0), (10, 2)])
+def test_a_gyro_whose_bias_changes_does_not_turn_the_machine(rate: int, seed: int) -> None:
+    """It has turned the heading before a fix shows it; fixes that wander were the better explanation."""
+    recording = drive(
+        Machine(duration=60.0, track_error=0.01, fix_noise=0.02, fix_stated=0.02, fix_rate=rate, seed=seed)
+    )
+    biased = [
+        replace(m, rate=m.rate + 0.03) if isinstance(m, YawRate) and m.stamp_ns / S - 1.0 > 20.0 else m
+        for m in recording.measurements
+    ]
+    error, nees, _ = errors(biased, recording, parameters(**GNSS))
+    assert error.max() < 0.15
+    assert np.mean(nees > 13.8) < 0.1
+
+
 @pytest.mark.parametrize(
     ("turn", "rate", "noise", "track_error"),  # rad/s, 1/s, m, 1
     [(0.25, FIXES, 0.03, 0.05), (0.5, FIXES, 0.03, 0.05), (0.25, 5, 0.02, 0.01), (0.25, 10, 0.02, 0.01)],

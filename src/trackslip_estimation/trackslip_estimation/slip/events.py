@@ -26,7 +26,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     STRAYS      speed and yaw rate: the machine does not move as its  since the last consistent measurement
                 sprockets turn (encoder fault, towed, slides); or
                 nothing: its gyros do not show how it turns
-    BIASED      bias of the first gyro                                since the last consistent measurement
+    BIASED      bias of the first gyro, and the heading               since the last consistent measurement
     FOLDED      the source's offset, which becomes a jump of what     just before it
                 it measures
 
@@ -274,7 +274,7 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
 
 @compiled
 def _open_bias(P: FloatArray, c: Config) -> None:
-    """The bias of the first gyro, and the heading that it turned for ``bias_unseen`` at the most; in place."""
+    """The bias of the first gyro, and the heading that it turned meanwhile; in place."""
     variance, unseen = c.events.bias_stddev**2, c.events.bias_unseen
     P[GYRO_BIAS, GYRO_BIAS] += variance
     P[YAW, YAW] += variance * unseen**2 / 3.0
