@@ -260,7 +260,7 @@ def test_a_gyro_whose_bias_changes_does_not_turn_the_machine(rate: int, seed: in
         for m in recording.measurements
     ]
     error, nees, _ = errors(biased, recording, parameters(**GNSS))
-    assert error.max() < 0.15
+    assert error.max() < 0.2
     assert np.mean(nees > 13.8) < 0.1
 
 

@@ -69,7 +69,7 @@ from trackslip_estimation.slip.window import POOL, Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import MeasurementRecord, State
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
 
 _ANY_SHARE = math.log(HEADINGS)
 
@@ -311,7 +311,7 @@ def _have_earlier_children(
     turning = drove and _tracks_are_known(before)
     if before.fault[source] == IS_SOUND and m.kind == POSE and turning and may_repeat(update, c):
         _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
-    if before.fault[source] == IS_SOUND and m.kind == POSE and update.coarse == 0:
+    if before.fault[source] == IS_SOUND and m.kind == POSE and _may_wander(source, update, c):
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
@@ -324,6 +324,12 @@ def _have_earlier_children(
         prior = since + log_rate(TURNED, source, c) - _ANY_SHARE - penalty
         for part in range(HEADINGS):
             _child(window, p, k, TURNED, source, part, True, prior, c)
+
+
+@compiled
+def _may_wander(source: int, update: Update, c: Config) -> bool:
+    """Whether fixes of a source may begin to wander: a laser's do not, a coarse receiver's always do."""
+    return bool(update.coarse == 0 and c.standing_share[source] == 0.0)
 
 
 @compiled
