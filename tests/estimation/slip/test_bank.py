@@ -25,7 +25,11 @@ from trackslip_estimation.slip.records import EVENT, to_records
 FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
-GNSS = {"sources.box_pose.fault_rate": 1 / 300, "sources.box_pose.jump_rate": 1 / 3000}
+GNSS = {
+    "sources.box_pose.fault_rate": 1 / 300,
+    "sources.box_pose.jump_rate": 1 / 3000,
+    "sources.box_pose.standing_share": 0.0,
+}
 
 
 def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:
