@@ -154,7 +154,7 @@ class EventParameters(Parameters):
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
     wander: float = parameter("standard deviation of fixes that wander off, at the most", unit="m", gt=0.0)
-    wander_speed: float = parameter("at which they do so from one fix to the next", unit="m/s", gt=0.0)
+    wander_speed: float = parameter("speed of fixes that wander, from one to the next", unit="m/s", gt=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
@@ -169,7 +169,9 @@ class EventParameters(Parameters):
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
     bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)
-    bias_unseen: float = parameter("for which it turned the heading before a fix shows it", unit="s", ge=0.0)
+    bias_unseen: float = parameter(
+        "for which a changed bias turned the heading before a fix shows it", unit="s", ge=0.0
+    )
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
 
