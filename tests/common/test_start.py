@@ -5,6 +5,7 @@
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from fixtures.patience import PATIENCE
@@ -28,6 +29,9 @@ class Object:
         time.sleep(600.0)
 made = Object()
 del made
+""",
+    "code_that_a_string_holds": """
+exec("print('here', flush=True); time.sleep(600.0)")
 """,
 }
 LATE = """
@@ -74,11 +78,16 @@ def test_a_library_that_is_not_installed_was_a_traceback() -> None:
 
 
 @pytest.mark.parametrize("place", LOSING)
-def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str) -> None:
-    """A study that compiled went on, and a traceback was shown."""
+def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str, tmp_path: Path) -> None:
+    """A study that compiled went on, and a traceback was shown.
+
+    Where a library ran code of a string, Python killed itself by SIGINT at the end of a module that had
+    caught the interrupt.
+    """
     body = "\n".join(f"    {line}" for line in LOSING[place].splitlines())
-    command = [sys.executable, "-c", PROGRAM.format(body=body)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    (tmp_path / "program.py").write_text(PROGRAM.format(body=body))
+    command, output = [sys.executable, "-m", "program"], subprocess.PIPE
+    with subprocess.Popen(command, stdout=output, stderr=output, text=True, cwd=tmp_path) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         assert process.stdout.readline() == "here\n"

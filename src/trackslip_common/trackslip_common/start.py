@@ -18,6 +18,14 @@ _MANY = 1_000_000
 _received: list[int] = []  # SIGINT, each time
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C.
+
+    Python kills itself at its end if a ``KeyboardInterrupt``, of this very class, has left code that a string
+    held (``exec`` of a library), whoever caught it.
+    """
+
+
 def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
     """Import ``module`` and leave with what its ``main`` returns, or as ``interrupted`` by an early Ctrl-C.
 
@@ -56,10 +64,10 @@ def repeat_lost_interrupts() -> None:
 
     def interrupt(number: int, *_: object) -> None:
         _received.append(number)
-        raise KeyboardInterrupt
+        raise Interrupted
 
     def unraisable(lost: Any) -> None:
-        if lost.exc_type is KeyboardInterrupt:
+        if issubclass(lost.exc_type, KeyboardInterrupt):
             if not ends:
                 signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         elif not _received:
