@@ -19,14 +19,19 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.slip.adaptation import repeats, shared_error
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.correlated_errors import MASSES, RECEIVER, add_fix, reset_receiver
+from trackslip_estimation.slip.correlated_errors import (
+    MASSES,
+    PRECISE,
+    RECEIVER,
+    add_fix,
+    quality_of,
+    reset_receiver,
+)
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, Y
 from trackslip_estimation.slip.own_errors import (
     begin_offset,
-    correlated_share,
-    learn_jitter,
     pass_offsets,
     prepare_offset,
     to_offset,
@@ -93,10 +98,9 @@ def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float =
     """A record of ``STATE`` with an offset of the source that fixes of 1 m showed last."""
     state = state_of(known)[0]
     offset = state["offsets"][0]
-    offset["f"], offset["g"], offset["time"], offset["variance"], offset["stddev"] = (
-        0.5,
-        g,
-        time,
+    offset["f"], offset["g"], offset["times"] = 0.5, g, time
+    offset["g"][PRECISE] = 0.0
+    offset["variance"], offset["stddev"] = (
         variance,
         1.0,
     )
@@ -181,42 +185,34 @@ def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> Non
     np.testing.assert_allclose(state["covariance"], F @ P @ F.T + Q, atol=1e-12)
 
 
-@pytest.mark.parametrize(("correlated", "least", "most"), [(0.0, 0.0, 0.0), (0.5, 0.3, 0.7), (0.9, 0.7, 0.9)])
-def test_what_precise_fixes_do_not_jitter_by_lasts(correlated: float, least: float, most: float) -> None:
-    """Ten a second of 1 cm, of which a part lasts for 5 s: of a driving machine, whatever its way errs by."""
-    rng, offset, t = (
-        np.random.default_rng(3),
-        given_offset(made_up(), 0.0)["offsets"][0],
-        np.arange(0.0, 30.0, 0.1),
-    )
-    slow = math.sqrt(correlated) * gauss_markov(t, 0.01, 5.0, rng)
-    way = np.column_stack((0.5 * t, 0.1 * t))
-    fixes = way + slow + math.sqrt(1.0 - correlated) * 0.01 * rng.normal(size=(t.size, 2))
-    for fix, driven in zip(fixes, 1.01 * way, strict=True):
-        learn_jitter(offset, fix, driven, 0.1, 1e-4, C)
-    assert least <= correlated_share(offset, C) <= most
+@pytest.mark.parametrize("size", [1.0, 2.0])
+@pytest.mark.parametrize("rate", [1, 5, 10])  # Hz
+def test_precise_fixes_whose_errors_last_leave_the_estimate_consistent(rate: int, size: float) -> None:
+    """For ten seconds, of what they state and of twice that: NEES was 19 at 1 Hz, and 46 at 5 Hz.
 
-
-def test_ten_fixes_a_second_whose_errors_last_leave_the_estimate_consistent() -> None:
-    """Taken for white they would seem to tell ten times as much."""
+    Taken for white, many fixes seemed to tell more than one.
+    """
     nees = []
     for seed in range(3):
-        recorded, noise = drive(Machine(duration=60.0, seed=seed)), np.random.default_rng(seed)
-        error = gauss_markov(recorded.t[::2], 0.02, 5.0, noise)
-        at = [np.append(true + off, 0.0) for true, off in zip(recorded.poses[::2, :2], error, strict=True)]
+        recorded, noise = drive(Machine(duration=120.0, seed=seed)), np.random.default_rng(seed)
+        every = round(1.0 / rate / (recorded.t[1] - recorded.t[0]))
+        times = recorded.t[::every]
+        error = size * gauss_markov(times, 0.02, 10.0, noise) + 0.006 * noise.normal(size=(times.size, 2))
         fixes = [
-            PoseFix("box_pose", S + round(t * S), place, np.diag((0.02**2, 0.02**2, 100.0)))
-            for t, place in zip(recorded.t[::2], at, strict=True)
+            PoseFix(
+                "box_pose", S + round(t * S), np.append(true + off, 0.0), np.diag((0.02**2, 0.02**2, 100.0))
+            )
+            for t, true, off in zip(times, recorded.poses[::every, :2], error, strict=True)
         ]
         others = [m for m in recorded.measurements if not isinstance(m, PoseFix)]
         p = parameters(**{"sources.box_pose.standing_share": 0.0})
         estimates = SlipEstimator(p).process_all(sorted([*others, *fixes], key=lambda m: m.stamp_ns))
-        found_ = [e for _, e in estimates if e is not None and e.stamp_ns > 11 * S]
+        found_ = [e for _, e in estimates if e is not None and e.stamp_ns > 41 * S]
         stamps = np.array([e.stamp_ns for e in found_]) / S - 1.0
         for e, t in zip(found_, stamps, strict=True):
             off = e.pose[:2] - [np.interp(t, recorded.t, recorded.poses[:, k]) for k in (0, 1)]
             nees.append(off @ np.linalg.solve(e.pose_covariance[:2, :2], off))
-    assert 0.5 < np.mean(nees) < 4.0  # 2 if consistent
+    assert np.mean(nees) < 5.0  # 2 if consistent
 
 
 def found(fixes: FloatArray, stddev: float, period: float) -> Any:
@@ -224,7 +220,7 @@ def found(fixes: FloatArray, stddev: float, period: float) -> Any:
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
     reset_receiver(receiver[0], C)
     for k, fix in enumerate(fixes):
-        add_fix(receiver[0], masses[0], fix, stddev, 0.0, S + round(k * period * S), C)
+        add_fix(receiver[0], masses[0], fix, stddev, 0.0, 0.0, S + round(k * period * S), C)
     return receiver[0]
 
 
@@ -232,9 +228,9 @@ def found(fixes: FloatArray, stddev: float, period: float) -> Any:
 @pytest.mark.parametrize("seed", range(3))
 def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
     fixes = math.sqrt(factor) * 0.9 * np.random.default_rng(seed).normal(size=(300, 2))
-    receiver = found(fixes, 0.9, 1.0)
-    assert receiver["white"] > 0.8
-    assert receiver["f"] == pytest.approx(factor, rel=0.4)
+    receiver, quality = found(fixes, 0.9, 1.0), quality_of(0.9, C)
+    assert receiver["white"][quality] > 0.8
+    assert receiver["f"][quality] == pytest.approx(factor, rel=0.4)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -242,10 +238,31 @@ def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
 def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: float, seed: int) -> None:
     t = np.arange(0.0, 900.0, 1.0)
     receiver = found(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
-    assert receiver["white"] < 0.01
-    assert receiver["f"] < 0.5
-    assert 0.3 < receiver["g"] * 0.9**2 / stddev**2 < 3.0
-    assert 0.3 < receiver["time"] / time < 3.0
+    quality = quality_of(0.9, C)
+    assert receiver["white"][quality] < 0.01
+    assert receiver["f"][quality] < 0.5
+    assert 0.3 < receiver["g"][quality] * 0.9**2 / stddev**2 < 3.0
+    assert 0.3 < receiver["times"][quality] / time < 3.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("period", [0.1, 1.0])
+def test_errors_of_precise_fixes_are_white_until_they_show_otherwise(period: float, seed: int) -> None:
+    noise, t = np.random.default_rng(seed), np.arange(0.0, 120.0, period)
+    white = found(0.02 * noise.normal(size=(t.size, 2)), 0.02, period)
+    assert white["white"][PRECISE] > 0.9
+    assert white["g"][PRECISE] == 0.0
+    lasting = found(gauss_markov(t, 0.04, 10.0, noise), 0.02, period)
+    assert lasting["white"][PRECISE] < 0.1
+    assert 0.2 < lasting["g"][PRECISE] * 0.02**2 / 0.04**2 < 5.0
+
+
+@pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])
+def test_a_jump_is_no_error_that_lasts(jump: float) -> None:
+    """It was the whole evidence, and fixes of a machine that was moved were then believed less."""
+    fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
+    fixes[100:] += jump
+    assert found(fixes, 0.02, 0.1)["white"][PRECISE] > 0.9
 
 
 @settings(max_examples=5, deadline=None)

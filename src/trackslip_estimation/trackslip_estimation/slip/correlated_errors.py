@@ -13,10 +13,10 @@
 f, g and τ are found by point masses. Each has a small Kalman filter of r = b + c + n, and is weighed by its
 innovations under Student's t; fixes that are correlated are explained best by the mass that knows how. Some
 masses have g = 0: the errors are white. One record belongs to a source, not to a branch of the bank: the way
-is that of the most probable branch.
+is that of the most probable branch, and errs as its speed does.
 
-Fixes that state no more than ``precise`` do not weigh the masses: a sudden offset of theirs is an event, and
-what lasts of them is seen by their jitter (``own_errors``).
+Errors of coarse fixes are correlated until they show otherwise, those of precise ones the other way round.
+As long as these are white, what they err by is left to the noise factor of their source (``adaptation``).
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
 """
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
 
 MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
-QUALITIES = 2  # of coarse fixes: ambiguities float, or code alone
+QUALITIES = 3  # of fixes: precise; ambiguities float; code alone
+PRECISE = 0
 
 _WHITE_F = np.exp(0.35 * (np.arange(13) - 2 + np.maximum(np.arange(13) - 8, 0)))
 _F, _G, _TIMES = (0.01, 0.1, 0.4, 1.0, 3.0), (0.3, 1.0, 3.0, 10.0, 30.0), (10.0, 30.0, 100.0)
@@ -53,28 +54,30 @@ LOG_PRIOR = np.concatenate(
     )
 )
 
+_ANY_WHITE = -1.0 - np.square(np.log(_WHITE_F) / 1.2) / 2.0
 _LEAST_G = 1e-3
 _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
 _UNKNOWN_WAY = 1e4  # variance of c at first, over R
 _NEGLIGIBLE = -6.0  # w below the best
+_JUMP = 30.0  # squared standard deviations, of two numbers
+_EVEN = 0.5  # probability that errors are white, from which on they are taken for it
 
 
 class Receiver(Record):
     """What is known of the errors of a source's fixes."""
 
-    known: int  # 0: it gave no coarse fix yet; 1; 2: precise ones came since
-    quality: int
-    stddev: float  # that the last coarse fix stated, m
-    f: float
-    g: float
-    time: float  # τ, s
-    white: float  # probability that errors are white
+    known: int  # 0: no fix has weighed masses yet; 1; 2: some came since whose way is not known
+    stddev: float  # that the last fix stated, m
+    f: Annotated[FloatArray, QUALITIES]
+    g: Annotated[FloatArray, QUALITIES]
+    times: Annotated[FloatArray, QUALITIES]  # τ, s
+    white: Annotated[FloatArray, QUALITIES]  # probability that errors are white
+    observed: Annotated[FloatArray, QUALITIES]  # s, for which it gave such fixes
     elapsed: float  # s since masses learned last
     driven: float  # m since then
     way: Annotated[FloatArray, 2]  # as predicted since the last fix, m
     last: Annotated[FloatArray, 2]  # place that it showed, m
     last_ns: int
-    observed: float  # s, for which it gave coarse fixes
     beyond: Annotated[FloatArray, 2]  # r
 
 
@@ -93,9 +96,11 @@ MASSES = dtype_of(Masses)
 
 
 @compiled
-def is_coarse(R: FloatArray, c: Config) -> bool:
-    """Whether a fix of covariance R states so much that its error may last."""
-    return bool((R[0, 0] + R[1, 1]) / 2.0 > c.receivers.precise**2)
+def quality_of(stddev: float, c: Config) -> int:
+    """Which solution of a receiver states a standard deviation, m: one of ``QUALITIES``."""
+    if stddev <= c.receivers.precise:
+        return PRECISE
+    return 1 if stddev < c.receivers.floating else 2
 
 
 @compiled
@@ -107,25 +112,44 @@ def same_quality(stddev: float, other: float, c: Config) -> bool:
 @compiled
 def reset_receiver(s: Receiver, c: Config) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
-    s.known, s.quality, s.stddev, s.elapsed, s.driven = 0, 0, 0.0, 0.0, 0.0
-    s.way[:] = s.beyond[:] = s.last[:] = 0.0
-    s.last_ns, s.observed = 0, 0.0
-    _set_means(s, LOG_PRIOR, c)
+    s.known, s.stddev, s.elapsed, s.driven = 0, 0.0, 0.0, 0.0
+    s.way[:] = s.beyond[:] = s.last[:] = s.observed[:] = 0.0
+    s.last_ns = 0
+    for quality in range(QUALITIES):
+        _set_means(s, quality, _log_priors(quality, c), c)
+
+
+@compiled
+def _log_priors(quality: int, c: Config) -> FloatArray:
+    """(COUNT,) w of masses before any fix of a quality."""
+    priors = LOG_PRIOR.copy()
+    if quality == PRECISE:  # other than errors that last, noise of any size is found elsewhere, too
+        priors[:_WHITES] = _ANY_WHITE
+        priors[_WHITES:] -= c.receivers.white_odds
+    return priors
 
 
 @compiled
 def add_fix(
-    s: Receiver, masses: Masses, shown: FloatArray, stddev: float, spread: float, stamp_ns: int, c: Config
+    s: Receiver,
+    masses: Masses,
+    shown: FloatArray,
+    stddev: float,
+    speed_variance: float,
+    spread: float,
+    stamp_ns: int,
+    c: Config,
 ) -> None:
-    """One more coarse fix weighs the masses of its source.
+    """One more fix weighs the masses of its source.
 
-    ``shown``: place that it shows (2,), m; ``spread``: variance of the way's direction and length.
+    ``shown``: place that it shows (2,), m. Of the way since the one before: ``speed_variance`` of the speed,
+    (m/s)²; ``spread``: variance of its direction and length.
     """
-    quality = 0 if stddev < c.receivers.floating else 1
+    quality = quality_of(stddev, c)
     begins, other = s.known != 1, not same_quality(stddev, s.stddev, c) if s.known > 0 else False
     if s.known == 0:
         for q in range(QUALITIES):
-            masses.weights[q] = LOG_PRIOR
+            masses.weights[q] = _log_priors(q, c)
     if begins:
         _begin_means(masses, stddev * stddev)
         s.beyond[:] = s.elapsed = s.driven = 0.0
@@ -134,17 +158,17 @@ def add_fix(
             s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
         elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
         s.elapsed += elapsed
-        s.observed += min(elapsed, c.receivers.longest_time)
-    s.known, s.quality, s.stddev, s.last_ns = 1, quality, stddev, stamp_ns
+        s.observed[quality] += min(elapsed, c.receivers.longest_time)
+    s.known, s.stddev, s.last_ns = 1, stddev, stamp_ns
     s.way[:] = 0.0
     for axis in range(2):
         s.last[axis] = shown[axis]
     if other:
         _renew_offsets(masses, stddev * stddev)
     if begins:
-        _set_means(s, masses.weights[quality], c)
-    elif s.elapsed >= (c.receivers.interval if s.white < 0.5 else 0.0):
-        _learn(s, masses, stddev * stddev, spread, c)
+        _set_means(s, quality, masses.weights[quality], c)
+    elif s.elapsed >= (c.receivers.interval if s.white[quality] < _EVEN else 0.0):
+        _learn(s, masses, stddev, speed_variance, spread, c)
         s.elapsed = s.driven = 0.0
 
 
@@ -167,42 +191,72 @@ def _renew_offsets(masses: Masses, R: float) -> None:
 
 
 @compiled
-def _learn(s: Receiver, masses: Masses, R: float, spread: float, c: Config) -> None:
-    """All masses predict r, are weighed by it and corrected."""
-    n, dt, squared = c.receivers, s.elapsed, (s.driven / s.elapsed) ** 2
-    walk = dt * (squared * n.way_error**2 + n.way_rate**2)
-    kept, turned = math.exp(-dt / n.direction_time), squared * (spread + n.direction_error**2)
-    w = masses.weights[s.quality]
+def _learn(
+    s: Receiver, masses: Masses, stddev: float, speed_variance: float, spread: float, c: Config
+) -> None:
+    """All masses predict r, are weighed by it and corrected; what the best one cannot explain is a jump."""
+    quality, R = quality_of(stddev, c), stddev * stddev
+    _predict(s, masses, R, speed_variance, spread, c)
+    S, nis = np.empty(COUNT), np.empty(COUNT)
     for k in range(COUNT):
-        x, P, rho = masses.means[k], masses.covariances[k], 0.0
-        if G[k] > 0.0:
-            rho = math.exp(-dt / TIMES[k])
-        bb = rho * rho * P[0] + (1.0 - rho * rho) * G[k] * R
-        bc, bd = rho * (P[1] + dt * P[2]), rho * kept * P[2]
-        cc = P[3] + 2.0 * dt * P[4] + dt * dt * P[5] + walk
-        cd, dd = kept * (P[4] + dt * P[5]), kept * kept * P[5] + (1.0 - kept * kept) * turned
-        S, squares = bb + 2.0 * bc + cc + F[k] * R, 0.0
+        x, P, squares = masses.means[k], masses.covariances[k], 0.0
+        S[k] = P[0] + 2.0 * P[1] + P[3] + F[k] * R
+        for axis in range(2):
+            squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
+        nis[k] = squares / S[k]
+    if quality == PRECISE and nis[masses.weights[quality].argmax()] > _JUMP:
+        _begin_means(masses, R)
+        s.beyond[:] = 0.0
+        return
+    w, priors, memory = masses.weights[quality], _log_priors(quality, c), c.receivers.memory
+    for k in range(COUNT):
+        heavy = (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis[k] / _HEAVY)
+        w[k] = memory * w[k] + (1.0 - memory) * priors[k] - math.log(S[k]) - heavy
+        more = student_inflation(nis[k], 2) * S[k] if nis[k] > 2.0 else 0.0
+        _correct(masses.means[k], masses.covariances[k], s.beyond, S[k], more, G[k] > 0.0)
+    w -= w.max()
+    if quality == PRECISE:  # errors may be of another kind at any time
+        w[:] = np.maximum(w, priors - c.receivers.most_odds)
+    _set_means(s, quality, w, c)
+
+
+@compiled
+def _predict(s: Receiver, masses: Masses, R: float, speed_variance: float, spread: float, c: Config) -> None:
+    """b, c and ċ of all masses at the next fix."""
+    n, dt, squared = c.receivers, s.elapsed, (s.driven / s.elapsed) ** 2
+    of_speed = 2.0 * speed_variance * c.velocity_errors.time
+    walk = dt * (squared * n.way_error**2 + of_speed + n.way_rate**2)
+    kept, turned = math.exp(-dt / n.direction_time), squared * (spread + n.direction_error**2)
+    for k in range(COUNT):
+        x, P = masses.means[k], masses.covariances[k]
+        rho = math.exp(-dt / TIMES[k]) if G[k] > 0.0 else 0.0
         for axis in range(2):
             x[0, axis], x[1, axis] = rho * x[0, axis], x[1, axis] + dt * x[2, axis]
             x[2, axis] *= kept
-            squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
-        nis = squares / S
-        likelihood = -math.log(S) - (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis / _HEAVY)
-        w[k] = n.memory * w[k] + (1.0 - n.memory) * LOG_PRIOR[k] + likelihood
-        if nis > 2.0:
-            more = student_inflation(nis, 2) * S
-            S += more
-            bb += more if G[k] > 0.0 else 0.0
-        hb, hc, hd = bb + bc, bc + cc, bd + cd
-        for axis in range(2):
-            nu = s.beyond[axis] - x[0, axis] - x[1, axis]
-            x[0, axis] += hb / S * nu
-            x[1, axis] += hc / S * nu
-            x[2, axis] += hd / S * nu
-        P[0], P[1], P[2] = bb - hb * hb / S, bc - hb * hc / S, bd - hb * hd / S
-        P[3], P[4], P[5] = cc - hc * hc / S, cd - hc * hd / S, dd - hd * hd / S
-    w -= w.max()
-    _set_means(s, w, c)
+        P[3] += 2.0 * dt * P[4] + dt * dt * P[5] + walk
+        P[0], P[1] = rho * rho * P[0] + (1.0 - rho * rho) * G[k] * R, rho * (P[1] + dt * P[2])
+        P[4], P[2] = kept * (P[4] + dt * P[5]), rho * kept * P[2]
+        P[5] = kept * kept * P[5] + (1.0 - kept * kept) * turned
+
+
+@compiled
+def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float, lasts: bool) -> None:
+    """b, c and ċ of a mass (3, 2) by r (2,), where r has the variance S, and ``more`` as it surprises."""
+    S += more
+    if lasts:
+        P[0] += more
+    hb, hc, hd = P[0] + P[1], P[1] + P[3], P[2] + P[4]
+    for axis in range(2):
+        nu = r[axis] - x[0, axis] - x[1, axis]
+        x[0, axis] += hb / S * nu
+        x[1, axis] += hc / S * nu
+        x[2, axis] += hd / S * nu
+    P[0] -= hb * hb / S
+    P[1] -= hb * hc / S
+    P[2] -= hb * hd / S
+    P[3] -= hc * hc / S
+    P[4] -= hc * hd / S
+    P[5] -= hd * hd / S
 
 
 @compiled
@@ -212,8 +266,8 @@ def student_inflation(nis: float, m: int) -> float:
 
 
 @compiled
-def _set_means(s: Receiver, w: FloatArray, c: Config) -> None:
-    """f, g and τ as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
+def _set_means(s: Receiver, quality: int, w: FloatArray, c: Config) -> None:
+    """f, g and τ of a quality as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
     best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):
         if w[k] - best > _NEGLIGIBLE:
@@ -221,6 +275,10 @@ def _set_means(s: Receiver, w: FloatArray, c: Config) -> None:
             total, f, g = total + mass, f + mass * F[k], g + mass * G[k]
             driving += mass * G[k] / TIMES[k]
             white += mass if k < _WHITES else 0.0
-    s.f, s.g, s.white = f / total, max(g / total, _LEAST_G), white / total
+    s.f[quality], s.g[quality], s.white[quality] = f / total, max(g / total, _LEAST_G), white / total
     longest = c.receivers.longest_time
-    s.time = min(g / driving, longest) if driving > 0.0 else longest
+    s.times[quality] = min(g / driving, longest) if driving > 0.0 else longest
+    if quality == PRECISE:
+        s.f[quality] = max(s.f[quality], 1.0 - c.receivers.most_lasting)
+        if s.white[quality] >= _EVEN:
+            s.g[quality], s.times[quality] = 0.0, c.receivers.precise_time

@@ -48,6 +48,7 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
+from trackslip_estimation.slip.correlated_errors import quality_of
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
@@ -326,7 +327,7 @@ def _set_opened(
     x, count, own = state.mean, 0, c.offsets[source]
     if event == WANDERS:
         count, offset = 2, state.offsets[number_of(source, c)]
-        of_speed = c.events.wander_speed**2 * value * offset.time / 2.0
+        of_speed = c.events.wander_speed**2 * value * offset.times[quality_of(offset.stddev, c)] / 2.0
         offset.variance = min(of_speed, c.events.wander**2)
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, 0.0

@@ -4,10 +4,9 @@
 
 The first gyro's bias is that of the model, which what it learned keeps. Every further one has its own.
 
-The offset of a source of poses, or of headings, is what its measurements err by for a while. That of a
-coarse receiver is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
-find. Of precise fixes that follow each other closely, what they state and do not jitter by lasts. Any other
-offset is zero until an event opens it.
+The offset of a source of poses, or of headings, is what its measurements err by for a while. Of a receiver
+whose errors are correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows
+what the masses find. Any other offset is zero until an event opens it.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state, decay_state, replace_state
-from trackslip_estimation.slip.correlated_errors import is_coarse, same_quality
+from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, same_quality
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 if TYPE_CHECKING:
@@ -45,27 +44,43 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
     if number < 0:
         return False
     offset = state.offsets[number]
-    return bool(offset.variance > 0.0 and offset.stddev > c.receivers.precise and offset.g > offset.f)
+    quality = quality_of(offset.stddev, c)
+    return bool(offset.variance > 0.0 and quality != PRECISE and offset.g[quality] > offset.f[quality])
 
 
 @compiled
 def time_correlated_share(state: State, source: int, c: Config) -> float:
-    """Share of the variance of a source that lasts, or may: a receiver may err so until it jitters."""
+    """Share of the variance of a source that lasts, or may: a receiver may err so until it was observed."""
     number = number_of(source, c)
     if number < 0 or c.standing_share[source] > 0.0:
         return 0.0
     offset = state.offsets[number]
-    if offset.stddev > c.receivers.precise:
-        return float(offset.g / (offset.g + offset.f))
-    is_known = offset.count >= c.receivers.jitters
-    return correlated_share(offset, c) if is_known else float(c.receivers.most_lasting)
+    quality = quality_of(offset.stddev, c)
+    f, g = offset.f[quality], offset.g[quality]
+    if g > 0.0:
+        return float(g / (g + f))
+    least = 1.0 - f if _is_observed(offset, quality, c) else 1.0  # what white errors leave of what is stated
+    return float(min(max(least, 0.0), c.receivers.most_lasting))
+
+
+@compiled
+def _is_observed(offset: Offset, quality: int, c: Config) -> bool:
+    """Whether fixes of a quality were observed for several times as long as their errors last."""
+    return bool(offset.observed[quality] >= c.receivers.observed * offset.times[quality])
 
 
 @compiled
 def is_new(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err to one side, and were not observed for several times that long."""
     offset = state.offsets[number_of(source, c)]
-    return is_correlated(state, source, c) and bool(offset.observed < c.receivers.observed * offset.time)
+    return is_correlated(state, source, c) and not _is_observed(offset, quality_of(offset.stddev, c), c)
+
+
+@compiled
+def lasts(state: State, source: int, stddev: float, c: Config) -> bool:
+    """Whether fixes of a source that state a standard deviation, m, have errors that f, g and τ describe."""
+    number = number_of(source, c)
+    return bool(number >= 0 and state.offsets[number].g[quality_of(stddev, c)] > 0.0)
 
 
 @compiled
@@ -75,16 +90,15 @@ def prepare_offset(
     """The offset of a source as its next fix, of covariance R, finds it.
 
     When the standard deviation becomes another (ambiguities fixed, floating, code alone), so does the offset.
-    Else its prior variance goes to what the masses have now. One that an event opened stays as it is.
+    Else its prior variance goes to what the masses have now; one of white errors is none. One that an event
+    opened stays as it is.
     """
     offset, own, stddev = state.offsets[number_of(source, c)], c.offsets[source], spread_of(R)
     if is_open:
         offset.stddev = stddev
         return
     other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev, c)
-    if other:
-        offset.count = 0.0
-    wanted = (offset.g if is_coarse(R, c) else correlated_share(offset, c)) * stddev * stddev
+    wanted = offset.g[quality_of(stddev, c)] * stddev * stddev
     if other or (wanted > 0.0) != (offset.variance > 0.0):
         update.renewed |= 3 << own
         begins = wanted > 0.0 and not other and offset.stddev > 0.0
@@ -97,30 +111,6 @@ def prepare_offset(
         for i in (own, own + 1):
             _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
     offset.variance, offset.stddev = wanted, stddev
-
-
-@compiled
-def correlated_share(offset: Offset, c: Config) -> float:
-    """Share of the variance of precise fixes by which they do not jitter, although they state it."""
-    share = 1.0 - offset.jitter
-    known = offset.count >= c.receivers.jitters and share > c.receivers.least_lasting
-    return float(min(share, c.receivers.most_lasting) if known else 0.0)
-
-
-@compiled
-def learn_jitter(
-    offset: Offset, shown: FloatArray, way: FloatArray, elapsed: float, variance: float, c: Config
-) -> None:
-    """How far a fix is from the one before, but for the way between both; ``variance`` is what it states."""
-    if 0.0 < elapsed <= c.receivers.close:
-        squared = 0.0
-        for axis in (X, Y):
-            squared += (shown[axis] - offset.shown[axis] - way[axis] + offset.way[axis]) ** 2
-        offset.count = min(offset.count + 1.0, 2.0 * c.receivers.jitters)
-        found = min(squared / (4.0 * variance), c.receivers.most_jitter)
-        offset.jitter += (found - offset.jitter) / offset.count
-    for axis in (X, Y):
-        offset.shown[axis], offset.way[axis] = shown[axis], way[axis]
 
 
 @compiled
@@ -155,23 +145,29 @@ def _exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: fl
 
 
 @compiled
-def offset_left(state: State, number: int, dt: float) -> float:
+def offset_left(state: State, number: int, dt: float, c: Config) -> float:
     """Share of an offset that is left after dt."""
     offset = state.offsets[number]
-    return math.exp(-dt / offset.time) if offset.variance > 0.0 else 1.0
+    return math.exp(-dt / offset.times[quality_of(offset.stddev, c)]) if offset.variance > 0.0 else 1.0
 
 
 @compiled
 def pass_offsets(state: State, dt: float, c: Config) -> None:
-    """Offsets of coarse receivers dt later."""
+    """Offsets of receivers dt later.
+
+    One that an event opened for precise fixes stays, but for what their errors change by.
+    """
     x, P = state.mean, state.covariance
     for number in range(c.poses):
-        variance = state.offsets[number].variance
-        if variance == 0.0:
-            continue
-        left = offset_left(state, number, dt)
-        for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
-            decay_state(x, P, k, left, variance)
+        offset, own = state.offsets[number], SENSOR_ERRORS + 2 * number
+        if offset.variance > 0.0:
+            left = offset_left(state, number, dt, c)
+            for k in (own, own + 1):
+                decay_state(x, P, k, left, offset.variance)
+        elif offset.g[PRECISE] > 0.0 and 0.0 < offset.stddev <= c.receivers.precise:
+            left = math.exp(-dt / offset.times[PRECISE])
+            for k in (own, own + 1):
+                P[k, k] += (1.0 - left * left) * offset.g[PRECISE] * offset.stddev**2
 
 
 @compiled
@@ -179,7 +175,7 @@ def fade_offsets(F: FloatArray, state: State, dt: float, c: Config) -> None:
     """The transition F (n, n) of a step, with what is left of offsets after it."""
     for number in range(c.poses):
         for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
-            F[k, k] *= offset_left(state, number, dt)
+            F[k, k] *= offset_left(state, number, dt, c)
 
 
 @compiled
@@ -204,20 +200,22 @@ def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Config) -> None
 def usual_variance(state: State, source: int, c: Config) -> float:
     """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
     offset = state.offsets[number_of(source, c)]
-    return float(offset.g * offset.stddev**2) if offset.stddev > c.receivers.precise else 0.0
+    return float(offset.g[quality_of(offset.stddev, c)] * offset.stddev**2)
 
 
 @compiled
 def begin_offset(state: State, source: int, c: Config) -> None:
-    """The state at the start, whose place is that of a coarse fix: its error is in both."""
+    """The state at the start, whose place is that of a fix with an error that lasts: it is in both."""
     x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
-    if not is_coarse(R, c):
+    stddev = spread_of(R)
+    quality = quality_of(stddev, c)
+    if offset.g[quality] == 0.0:
         return
-    offset.stddev = spread_of(R)
-    offset.variance = offset.g * offset.stddev**2
+    offset.stddev = stddev
+    offset.variance = offset.g[quality] * stddev**2
     _renew(x, P, c.offsets[source], offset.variance)
-    P[: Y + 1, : Y + 1] = offset.f * R
+    P[: Y + 1, : Y + 1] = offset.f[quality] * R
     to_offset(x, P, source, -1.0, c)
 
 

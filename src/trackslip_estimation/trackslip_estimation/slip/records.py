@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of
 from trackslip_estimation.attitude.records import Attitude
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
-from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS
+from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS, QUALITIES
 from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,
@@ -140,16 +140,12 @@ class Stand(Record):
 class Offset(Record):
     """Of a source of poses, as ``correlated_errors`` has it."""
 
-    f: float
-    g: float
-    time: float  # τ, s
-    observed: float  # s, for which the source gave coarse fixes
+    f: Annotated[FloatArray, QUALITIES]
+    g: Annotated[FloatArray, QUALITIES]  # 0: its errors are white
+    times: Annotated[FloatArray, QUALITIES]  # τ, s
+    observed: Annotated[FloatArray, QUALITIES]  # s, for which the source gave such fixes
     variance: float  # a priori of each of its two states, m²; 0: it has none, or an event
     stddev: float  # that the source's last fix stated, m
-    jitter: float  # share of that variance which is another one in each fix
-    count: float  # fixes that showed it
-    shown: Annotated[FloatArray, 2]  # place that the last fix showed, m
-    way: Annotated[FloatArray, 2]  # of the state then, m
 
 
 OFFSET = dtype_of(Offset)

@@ -76,8 +76,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     forget_attitude(state.attitude)
     for number in range(c.poses):
-        offset = state.offsets[number]
-        offset.variance = offset.stddev = offset.count = offset.jitter = 0.0
+        state.offsets[number].variance = state.offsets[number].stddev = 0.0
     x[:] = c.prior_mean
     P[:] = c.prior_covariance
     x[:3], P[:3, :3] = c.initial_pose, c.initial_covariance

@@ -31,7 +31,7 @@ from trackslip_estimation.slip.adaptation import (
     repeats,
     shared_error,
 )
-from trackslip_estimation.slip.correlated_errors import is_coarse, student_inflation
+from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, student_inflation
 from trackslip_estimation.slip.events import (
     IS_IGNORED,
     IS_OFFSET,
@@ -59,7 +59,7 @@ from trackslip_estimation.slip.observations.velocity import observe_velocity
 from trackslip_estimation.slip.own_errors import (
     inflate_offset,
     is_correlated,
-    learn_jitter,
+    lasts,
     number_of,
     prepare_offset,
     spread_of,
@@ -87,11 +87,12 @@ def use_weighed(
     if kind == POSE:
         stated = stated_noise(measurement, state, c)
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
-        update.stated, update.coarse = spread_of(stated), 1 if is_coarse(stated, c) else 0
+        update.stated = spread_of(stated)
+        update.coarse = 0 if quality_of(update.stated, c) == PRECISE else 1
         _compare_with_last(state, measurement, update)
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
-        _show_place(state, source, o, elapsed, update, c)
+        _show_place(state, source, o, update, c)
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
@@ -160,16 +161,12 @@ def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int
 
 
 @compiled
-def _show_place(state: State, source: int, o: Observation, elapsed: float, update: Update, c: Config) -> None:
-    """The place of base_link that a pose shows, and what precise fixes jitter by."""
+def _show_place(state: State, source: int, o: Observation, update: Update, c: Config) -> None:
+    """The place of base_link that a pose shows."""
     for axis in (X, Y):
         update.shown[axis] = o.innovation[axis] + state.mean[axis]
         if has_offset(state, source, c):
             update.shown[axis] += state.mean[c.offsets[source] + axis]
-    if update.coarse == 0 and c.standing_share[source] == 0.0:
-        offset = state.offsets[number_of(source, c)]
-        since = np.inf if state.coasting else elapsed  # while it coasts the way is that of the fixes
-        learn_jitter(offset, update.shown, state.way, since, update.stated * update.stated, c)
 
 
 @compiled
@@ -205,8 +202,9 @@ def _weigh(
 
     ``predicted``: H P Hᵀ (m, m); ``outside``: ln of the density of an outlier.
     """
-    source, m, a, coarse = measurement.source, o.innovation.size, state.adaptation, update.coarse == 1
+    source, m, a = measurement.source, o.innovation.size, state.adaptation
     limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
+    coarse = update.coarse == 1
     R = o.noise.copy() if coarse else a.fix_factors[source] * o.noise
     L = root(predicted + R)
     update.dof, update.gate = m, limit
@@ -228,8 +226,10 @@ def _weigh(
     if not coarse and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
         learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
         number = number_of(source, c)
-        lasts = c.repeat_times[source] > 0.0 or (number >= 0 and state.offsets[number].variance > 0.0)
-        if lasts:  # that it is followed well shows nothing
+        errs_aside = number >= 0 and (
+            state.offsets[number].variance > 0.0 or lasts(state, source, update.stated, c)
+        )
+        if errs_aside or c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
         R = a.fix_factors[source] * o.noise
     update.evidence = evidence

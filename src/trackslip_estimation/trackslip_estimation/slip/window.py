@@ -88,7 +88,7 @@ class Window(NamedTuple):
     pool_branches: Table[Branch]
     pool_updates: Table[Update]
     receivers: Table[Receiver]  # (capacity, r) of ``RECEIVER``: errors of the fixes of each pose source
-    masses: Table[Masses]  # (capacity, r) of ``MASSES``; of receivers that gave coarse fixes
+    masses: Table[Masses]  # (capacity, r) of ``MASSES``; of receivers whose fixes weigh them
     other: Table[EstimateRecord]  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
     script: Table[EventRecord]  # (n,) of ``EVENT``
 
@@ -149,8 +149,8 @@ def enlarged(window: Window) -> Window:
     larger.states[:rows, :count] = window.states[:rows, :count]
     larger.branches[:rows, :count] = window.branches[:rows, :count]
     larger.receivers[:count] = window.receivers[:count]
-    coarse = window.receivers["known"][:count].any(axis=0)
-    larger.masses[:count, coarse] = window.masses[:count, coarse]
+    known = window.receivers["known"][:count].any(axis=0)
+    larger.masses[:count, known] = window.masses[:count, known]
     return larger
 
 

@@ -59,9 +59,7 @@ class BankParameters(Parameters):
 class ReceiverParameters(Parameters):
     """How errors of fixes last."""
 
-    precise: float = parameter(
-        "standard deviation that a fix states, below which its error is white", unit="m", gt=0.0
-    )
+    precise: float = parameter("standard deviation that a precise fix states at the most", unit="m", gt=0.0)
     floating: float = parameter(
         "standard deviation of the worse of those whose ambiguities float", unit="m", gt=0.0
     )
@@ -72,6 +70,9 @@ class ReceiverParameters(Parameters):
         gt=0.0,
     )
     memory: float = parameter("of what is known of a receiver, from one fix to the next", gt=0.0, lt=1.0)
+    most_odds: float = parameter(
+        "ln of the odds at the most that errors of precise fixes remain of the kind that they were", gt=0.0
+    )
     interval: float = parameter(
         "between fixes that are learned from, once errors are correlated", unit="s", ge=0.0
     )
@@ -85,13 +86,10 @@ class ReceiverParameters(Parameters):
     observed: float = parameter(
         "times its time constant, after which a coarse receiver may correct the bias of a gyro", ge=0.0
     )
-    close: float = parameter("between fixes that show what they jitter by", unit="s", gt=0.0)
-    jitters: float = parameter("of them, after which it is known", ge=1.0)
-    least_lasting: float = parameter(
-        "share of the variance of precise fixes that lasts, from which on it counts", gt=0.0, lt=1.0
+    most_lasting: float = parameter(
+        "share of what precise fixes state that lasts, at the most: their times err, too", gt=0.0, lt=1.0
     )
-    most_lasting: float = parameter("the same at the most", gt=0.0, lt=1.0)
-    most_jitter: float = parameter("variance of a jitter over what is stated, at the most", gt=1.0)
+    white_odds: float = parameter("ln of the odds that errors of precise fixes are white", ge=0.0)
     precise_time: float = parameter("for which an error of precise fixes lasts", unit="s", gt=0.0)
     surprised: float = parameter(
         "variance of an offset at the most by fixes that surprise, over its prior", gt=1.0

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.correlated_errors import add_fix
-from trackslip_estimation.slip.events import IS_REPEATING, IS_SCATTERING, IS_SOUND, IS_STAYING
+from trackslip_estimation.slip.events import IS_IGNORED, IS_REPEATING, IS_SCATTERING, IS_SOUND, IS_STAYING
+from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.models.speed import COMMON_SLIP
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
 from trackslip_estimation.slip.own_errors import number_of
 from trackslip_estimation.slip.records import GYROS, TRACKS
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
@@ -29,13 +30,15 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 
+_GATED = int(Outcome.GATED)
+
+
 @compiled
 def take_errors(state: State, window: Window, k: int, c: Config) -> None:
     """What row k knows of the errors of fixes, for the next step."""
     for n in range(c.poses):
         offset, of = state.offsets[n], window.receivers[k, n]
-        offset.f, offset.g, offset.observed = of.f, of.g, of.observed
-        offset.time = of.time if of.known == 1 else c.receivers.precise_time
+        offset.f, offset.g, offset.times, offset.observed = of.f, of.g, of.times, of.observed
 
 
 @compiled
@@ -64,17 +67,22 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
     if n < 0 or strays or state.fault[m.source] in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return
+    is_outlier = update.outcome == _GATED and state.fault[m.source] in (IS_SOUND, IS_IGNORED)
+    if update.coarse == 0 and (is_outlier or c.standing_share[m.source] > 0.0):  # a laser's go by the place
+        return
     of, spread = window.receivers[k, n], heading_variance(window, k - 1)
-    if update.coarse == 1 and (
-        spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
-    ):
-        if has_velocity_errors(c):
-            spread += prior_of(window, k).covariance[COMMON_SLIP, COMMON_SLIP]
-        add_fix(of, window.masses[k, n], update.shown, update.stated, spread, m.stamp_ns, c)
-        if spread >= c.receivers.most_spread:
-            of.observed = 0.0
-    elif of.known > 0:
-        of.known, of.way[:], of.driven = 2, 0.0, 0.0
+    is_off = update.coarse == 0 and state.fault[m.source] != IS_SOUND
+    is_known = spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
+    if is_off or not is_known:
+        if of.known > 0:
+            of.known, of.way[:], of.driven = 2, 0.0, 0.0
+        return
+    P, of_speed = prior_of(window, k).covariance, 0.0
+    if has_velocity_errors(c):
+        spread, of_speed = spread + P[COMMON_SLIP, COMMON_SLIP], P[SPEED_ERROR, SPEED_ERROR]
+    add_fix(of, window.masses[k, n], update.shown, update.stated, of_speed, spread, m.stamp_ns, c)
+    if spread >= c.receivers.most_spread:
+        of.observed[:] = 0.0
 
 
 @compiled
@@ -91,7 +99,7 @@ def heading_variance(window: Window, k: int) -> float:
 
 @compiled
 def add_first_fix(window: Window, c: Config) -> None:
-    """A coarse fix with which the estimate begins is the first that its receiver's masses know."""
+    """A fix with which the estimate begins, and whose error lasts, is the first that its masses know."""
     state, m = window.states[0, 0], window.measurements[0]
     number = number_of(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:
@@ -101,6 +109,7 @@ def add_first_fix(window: Window, c: Config) -> None:
             window.masses[0, number],
             state.mean[:YAW],
             stddev,
+            0.0,
             0.0,
             m.stamp_ns,
             c,

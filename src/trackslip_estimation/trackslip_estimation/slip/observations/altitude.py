@@ -29,6 +29,7 @@ from trackslip_estimation.attitude.level import downward, set_level
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance, soften
+from trackslip_estimation.slip.correlated_errors import quality_of
 from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
@@ -110,7 +111,8 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
     share = time_correlated_share(state, source, c)
     if share == 0.0:
         return stated, stated
-    time = state.offsets[number_of(source, c)].time
+    offset = state.offsets[number_of(source, c)]
+    time = offset.times[quality_of(offset.stddev, c)]
     return stated, stated * (1.0 - share + share / math.tanh(dt / (2.0 * time)))
 
 

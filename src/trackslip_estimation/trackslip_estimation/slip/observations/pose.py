@@ -8,8 +8,8 @@
     b    offset of the source (``own_errors``), where it has one                         (2,), m
     ε    yaw offset of the source                                                        rad
 
-R is what the source states, no less than its floors; of a coarse fix, or one whose error lasts in part, what
-is new in each. It has what the unknown tilt, or an unknown swing, move the sensor by.
+R is what the source states, no less than its floors; of a fix whose error lasts in part, what is new in each.
+It has what the unknown tilt, or an unknown swing, move the sensor by.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.correlated_errors import is_coarse
+from trackslip_estimation.slip.correlated_errors import quality_of
 from trackslip_estimation.slip.events import IS_OFFSET
 from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above, stamp_shift, unknown_arm
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
-from trackslip_estimation.slip.own_errors import correlated_share, is_new, number_of
+from trackslip_estimation.slip.own_errors import is_new, lasts, number_of, spread_of
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:
@@ -103,22 +103,18 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
             nu[axis] -= x[own + axis]
     if m > YAW:
         nu[YAW] = wrap(nu[YAW])
-    coarse = is_coarse(R, c)
-    take_new(state, source, coarse, R, c)
-    considered = 1 << GYRO_BIAS if coarse and is_new(state, source, c) else 0
+    take_new(state, source, R, c)
+    considered = 1 << GYRO_BIAS if is_new(state, source, c) else 0
     return Observation(nu, H, R, considered | delay_considered(state, c), 0, H[:0])
 
 
 @compiled
-def take_new(state: State, source: int, coarse: bool, R: FloatArray, c: Config) -> None:
+def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
     """R of a fix without what of it lasts."""
-    number = number_of(source, c)
-    if number < 0:
+    stddev = spread_of(R)
+    if not lasts(state, source, stddev, c):
         return
-    offset = state.offsets[number]
-    if offset.variance == 0.0 and not (coarse and state.fault[source] == IS_OFFSET):
-        return
-    share = math.sqrt(offset.f if coarse else 1.0 - correlated_share(offset, c))
+    share = math.sqrt(state.offsets[number_of(source, c)].f[quality_of(stddev, c)])
     R[:YAW] *= share
     R[:, :YAW] *= share
 
