@@ -16,7 +16,8 @@ masses have g = 0: the errors are white. One record belongs to a source, not to 
 is that of the most probable branch, and errs as its speed does.
 
 Errors of coarse fixes are correlated until they show otherwise, those of precise ones the other way round.
-As long as these are white, what they err by is left to the noise factor of their source (``adaptation``).
+What is white of these has the noise factor of their source besides (``adaptation``). Where they are white,
+but jitter by less than they state, the rest lasts: of that the way shows nothing.
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
 """
@@ -60,6 +61,7 @@ _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``ada
 _UNKNOWN_WAY = 1e4  # variance of c at first, over R
 _NEGLIGIBLE = -6.0  # w below the best
 _JUMP = 30.0  # squared standard deviations, of two numbers
+_LEAST_REST = 0.25  # of what is stated, less what fixes jitter by, from which on it lasts
 _EVEN = 0.5  # probability that errors are white, from which on they are taken for it
 
 
@@ -281,4 +283,6 @@ def _set_means(s: Receiver, quality: int, w: FloatArray, c: Config) -> None:
     if quality == PRECISE:
         s.f[quality] = max(s.f[quality], 1.0 - c.receivers.most_lasting)
         if s.white[quality] >= _EVEN:
-            s.g[quality], s.times[quality] = 0.0, c.receivers.precise_time
+            rest = 1.0 - s.f[quality]
+            s.g[quality] = rest if rest > _LEAST_REST else 0.0
+            s.times[quality] = c.receivers.precise_time
