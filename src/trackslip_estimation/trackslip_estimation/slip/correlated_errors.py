@@ -61,7 +61,7 @@ _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``ada
 _UNKNOWN_WAY = 1e4  # variance of c at first, over R
 _NEGLIGIBLE = -6.0  # w below the best
 _JUMP = 30.0  # squared standard deviations, of two numbers
-_LEAST_REST = 0.25  # of what is stated, less what fixes jitter by, from which on it lasts
+_LEAST_REST = 0.3  # of what is stated, less what fixes jitter by, from which on it lasts
 _EVEN = 0.5  # probability that errors are white, from which on they are taken for it
 
 
