@@ -202,7 +202,7 @@ def _learn(
     S, nis = np.empty(COUNT), np.empty(COUNT)
     for k in range(COUNT):
         x, P, squares = masses.means[k], masses.covariances[k], 0.0
-        S[k] = P[0] + 2.0 * P[1] + P[3] + F[k] * R
+        S[k] = max(P[0] + 2.0 * P[1] + P[3], 0.0) + F[k] * R
         for axis in range(2):
             squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
         nis[k] = squares / S[k]
@@ -259,6 +259,12 @@ def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float,
     P[3] -= hc * hc / S
     P[4] -= hc * hd / S
     P[5] -= hd * hd / S
+    for i in (
+        0,
+        3,
+        5,
+    ):  # where the way errs by 1e7 times what the fix states, rounding is more than what is left
+        P[i] = max(P[i], 0.0)
 
 
 @compiled
