@@ -259,7 +259,7 @@ def test_errors_of_precise_fixes_are_white_until_they_show_otherwise(period: flo
 
 @pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])
 def test_a_jump_is_no_error_that_lasts(jump: float) -> None:
-    """It was the whole evidence, and fixes of a machine that was moved were then believed less."""
+    """It was the whole evidence, and fixes of a machine that was moved then had less weight."""
     fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
     fixes[100:] += jump
     assert found(fixes, 0.02, 0.1)["white"][PRECISE] > 0.9
