@@ -23,6 +23,7 @@ from trackslip_estimation.slip.correlated_errors import (
     MASSES,
     PRECISE,
     RECEIVER,
+    WayError,
     add_fix,
     quality_of,
     reset_receiver,
@@ -98,12 +99,10 @@ def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float =
     """A record of ``STATE`` with an offset of the source that fixes of 1 m showed last."""
     state = state_of(known)[0]
     offset = state["offsets"][0]
-    offset["f"], offset["g"], offset["times"] = 0.5, g, time
-    offset["g"][PRECISE] = 0.0
-    offset["variance"], offset["stddev"] = (
-        variance,
-        1.0,
-    )
+    errors = offset["errors"]
+    errors["f"], errors["g"], errors["time"] = 0.5, g, time
+    errors["g"][PRECISE] = 0.0
+    offset["variance"], offset["stddev"] = variance, 1.0
     return state
 
 
@@ -216,33 +215,32 @@ def test_precise_fixes_whose_errors_last_leave_the_estimate_consistent(rate: int
 
 
 def found(fixes: FloatArray, stddev: float, period: float) -> Any:
-    """Record of ``RECEIVER`` after fixes of a machine that stands."""
+    """Record of what fixes of a machine that stands, and of this quality, err by."""
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
     reset_receiver(receiver[0], C)
     for k, fix in enumerate(fixes):
-        add_fix(receiver[0], masses[0], fix, stddev, 0.0, 0.0, S + round(k * period * S), C)
-    return receiver[0]
+        add_fix(receiver[0], masses[0], fix, stddev, WayError(0.0, 0.0), S + round(k * period * S), C)
+    return receiver[0]["errors"][quality_of(stddev, C)]
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
     fixes = math.sqrt(factor) * 0.9 * np.random.default_rng(seed).normal(size=(300, 2))
-    receiver, quality = found(fixes, 0.9, 1.0), quality_of(0.9, C)
-    assert receiver["white"][quality] > 0.8
-    assert receiver["f"][quality] == pytest.approx(factor, rel=0.4)
+    errors = found(fixes, 0.9, 1.0)
+    assert errors["white"] > 0.8
+    assert errors["f"] == pytest.approx(factor, rel=0.4)
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("stddev", "time"), [(2.0, 30.0), (5.0, 10.0)])
 def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: float, seed: int) -> None:
     t = np.arange(0.0, 900.0, 1.0)
-    receiver = found(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
-    quality = quality_of(0.9, C)
-    assert receiver["white"][quality] < 0.01
-    assert receiver["f"][quality] < 0.5
-    assert 0.3 < receiver["g"][quality] * 0.9**2 / stddev**2 < 3.0
-    assert 0.3 < receiver["times"][quality] / time < 3.0
+    errors = found(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
+    assert errors["white"] < 0.01
+    assert errors["f"] < 0.5
+    assert 0.3 < errors["g"] * 0.9**2 / stddev**2 < 3.0
+    assert 0.3 < errors["time"] / time < 3.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -250,11 +248,11 @@ def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: floa
 def test_errors_of_precise_fixes_are_white_until_they_show_otherwise(period: float, seed: int) -> None:
     noise, t = np.random.default_rng(seed), np.arange(0.0, 120.0, period)
     white = found(0.02 * noise.normal(size=(t.size, 2)), 0.02, period)
-    assert white["white"][PRECISE] > 0.9
-    assert white["g"][PRECISE] == 0.0
+    assert white["white"] > 0.9
+    assert white["g"] == 0.0
     lasting = found(gauss_markov(t, 0.04, 10.0, noise), 0.02, period)
-    assert lasting["white"][PRECISE] < 0.1
-    assert 0.2 < lasting["g"][PRECISE] * 0.02**2 / 0.04**2 < 5.0
+    assert lasting["white"] < 0.1
+    assert 0.2 < lasting["g"] * 0.02**2 / 0.04**2 < 5.0
 
 
 @pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])
@@ -262,7 +260,7 @@ def test_a_jump_is_no_error_that_lasts(jump: float) -> None:
     """It was the whole evidence, and fixes of a machine that was moved then had less weight."""
     fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
     fixes[100:] += jump
-    assert found(fixes, 0.02, 0.1)["white"][PRECISE] > 0.9
+    assert found(fixes, 0.02, 0.1)["white"] > 0.9
 
 
 @settings(max_examples=5, deadline=None)

@@ -79,7 +79,7 @@ def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
         level["tilted"], level["forward"], level["sideways"] = 1, math.cos(pitch) - 1.0, math.cos(roll) - 1.0
         level["across"], level["lean_x"] = math.sin(roll) * math.sin(pitch), math.cos(roll) * math.sin(pitch)
         level["lean_y"] = -math.sin(roll)
-    state["offsets"]["variance"], state["offsets"]["f"] = 0.5, 1.0
+    state["offsets"]["variance"], state["offsets"]["errors"]["f"] = 0.5, 1.0
     numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
     state["fault"][0, numbers["compass"]] = IS_OFFSET
     return state, config[0], numbers

@@ -25,12 +25,12 @@ Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import FloatArray, Record, Table, dtype_of
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 
 if TYPE_CHECKING:
@@ -60,9 +60,17 @@ _LEAST_G = 1e-3
 _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
 _UNKNOWN_WAY = 1e4  # variance of c at first, over R
 _NEGLIGIBLE = -6.0  # w below the best
-_JUMP = 30.0  # squared standard deviations, of two numbers
-_LEAST_REST = 0.3  # of what is stated, less what fixes jitter by, from which on it lasts
 _EVEN = 0.5  # probability that errors are white, from which on they are taken for it
+
+
+class FixErrors(Record):
+    """What fixes of one quality err by."""
+
+    f: float
+    g: float  # 0: they are white
+    time: float  # τ, s
+    white: float  # probability that they are
+    observed: float  # s, for which the source gave such fixes
 
 
 class Receiver(Record):
@@ -70,11 +78,7 @@ class Receiver(Record):
 
     known: int  # 0: no fix has weighed masses yet; 1; 2: some came since whose way is not known
     stddev: float  # that the last fix stated, m
-    f: Annotated[FloatArray, QUALITIES]
-    g: Annotated[FloatArray, QUALITIES]
-    times: Annotated[FloatArray, QUALITIES]  # τ, s
-    white: Annotated[FloatArray, QUALITIES]  # probability that errors are white
-    observed: Annotated[FloatArray, QUALITIES]  # s, for which it gave such fixes
+    errors: Annotated[Table[FixErrors], QUALITIES]
     elapsed: float  # s since masses learned last
     driven: float  # m since then
     way: Annotated[FloatArray, 2]  # as predicted since the last fix, m
@@ -115,10 +119,11 @@ def same_quality(stddev: float, other: float, c: Config) -> bool:
 def reset_receiver(s: Receiver, c: Config) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
     s.known, s.stddev, s.elapsed, s.driven = 0, 0.0, 0.0, 0.0
-    s.way[:] = s.beyond[:] = s.last[:] = s.observed[:] = 0.0
+    s.way[:] = s.beyond[:] = s.last[:] = 0.0
     s.last_ns = 0
     for quality in range(QUALITIES):
-        _set_means(s, quality, _log_priors(quality, c), c)
+        s.errors[quality].observed = 0.0
+        _set_means(s.errors[quality], quality, _log_priors(quality, c), c)
 
 
 @compiled
@@ -131,22 +136,18 @@ def _log_priors(quality: int, c: Config) -> FloatArray:
     return priors
 
 
+class WayError(NamedTuple):
+    """How the way between two fixes errs, as it is predicted."""
+
+    speed: float  # variance of the speed, (m/s)²
+    direction: float  # variance of its direction, and of its length over it, rad²
+
+
 @compiled
 def add_fix(
-    s: Receiver,
-    masses: Masses,
-    shown: FloatArray,
-    stddev: float,
-    speed_variance: float,
-    spread: float,
-    stamp_ns: int,
-    c: Config,
+    s: Receiver, masses: Masses, shown: FloatArray, stddev: float, way: WayError, stamp_ns: int, c: Config
 ) -> None:
-    """One more fix weighs the masses of its source.
-
-    ``shown``: place that it shows (2,), m. Of the way since the one before: ``speed_variance`` of the speed,
-    (m/s)²; ``spread``: variance of its direction and length.
-    """
+    """One more fix weighs the masses of its source; ``shown``: place that it shows (2,), m."""
     quality = quality_of(stddev, c)
     begins, other = s.known != 1, not same_quality(stddev, s.stddev, c) if s.known > 0 else False
     if s.known == 0:
@@ -160,7 +161,7 @@ def add_fix(
             s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
         elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
         s.elapsed += elapsed
-        s.observed[quality] += min(elapsed, c.receivers.longest_time)
+        s.errors[quality].observed += min(elapsed, c.receivers.longest_time)
     s.known, s.stddev, s.last_ns = 1, stddev, stamp_ns
     s.way[:] = 0.0
     for axis in range(2):
@@ -168,9 +169,9 @@ def add_fix(
     if other:
         _renew_offsets(masses, stddev * stddev)
     if begins:
-        _set_means(s, quality, masses.weights[quality], c)
-    elif s.elapsed >= (c.receivers.interval if s.white[quality] < _EVEN else 0.0):
-        _learn(s, masses, stddev, speed_variance, spread, c)
+        _set_means(s.errors[quality], quality, masses.weights[quality], c)
+    elif s.elapsed >= (c.receivers.interval if s.errors[quality].white < _EVEN else 0.0):
+        _learn(s, masses, stddev, way, c)
         s.elapsed = s.driven = 0.0
 
 
@@ -193,12 +194,10 @@ def _renew_offsets(masses: Masses, R: float) -> None:
 
 
 @compiled
-def _learn(
-    s: Receiver, masses: Masses, stddev: float, speed_variance: float, spread: float, c: Config
-) -> None:
+def _learn(s: Receiver, masses: Masses, stddev: float, way: WayError, c: Config) -> None:
     """All masses predict r, are weighed by it and corrected; what the best one cannot explain is a jump."""
     quality, R = quality_of(stddev, c), stddev * stddev
-    _predict(s, masses, R, speed_variance, spread, c)
+    _predict(s, masses, R, way, c)
     S, nis = np.empty(COUNT), np.empty(COUNT)
     for k in range(COUNT):
         x, P, squares = masses.means[k], masses.covariances[k], 0.0
@@ -206,7 +205,7 @@ def _learn(
         for axis in range(2):
             squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
         nis[k] = squares / S[k]
-    if quality == PRECISE and nis[masses.weights[quality].argmax()] > _JUMP:
+    if quality == PRECISE and nis[masses.weights[quality].argmax()] > c.receivers.jump:
         _begin_means(masses, R)
         s.beyond[:] = 0.0
         return
@@ -219,16 +218,16 @@ def _learn(
     w -= w.max()
     if quality == PRECISE:  # errors may be of another kind at any time
         w[:] = np.maximum(w, priors - c.receivers.most_odds)
-    _set_means(s, quality, w, c)
+    _set_means(s.errors[quality], quality, w, c)
 
 
 @compiled
-def _predict(s: Receiver, masses: Masses, R: float, speed_variance: float, spread: float, c: Config) -> None:
+def _predict(s: Receiver, masses: Masses, R: float, way: WayError, c: Config) -> None:
     """b, c and ċ of all masses at the next fix."""
     n, dt, squared = c.receivers, s.elapsed, (s.driven / s.elapsed) ** 2
-    of_speed = 2.0 * speed_variance * c.velocity_errors.time
+    of_speed = 2.0 * way.speed * c.velocity_errors.time
     walk = dt * (squared * n.way_error**2 + of_speed + n.way_rate**2)
-    kept, turned = math.exp(-dt / n.direction_time), squared * (spread + n.direction_error**2)
+    kept, turned = math.exp(-dt / n.direction_time), squared * (way.direction + n.direction_error**2)
     for k in range(COUNT):
         x, P = masses.means[k], masses.covariances[k]
         rho = math.exp(-dt / TIMES[k]) if G[k] > 0.0 else 0.0
@@ -259,11 +258,7 @@ def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float,
     P[3] -= hc * hc / S
     P[4] -= hc * hd / S
     P[5] -= hd * hd / S
-    for i in (
-        0,
-        3,
-        5,
-    ):  # where the way errs by 1e7 times what the fix states, rounding is more than what is left
+    for i in (0, 3, 5):  # a way that errs by 1e7 times what a fix states leaves less than the rounding
         P[i] = max(P[i], 0.0)
 
 
@@ -274,7 +269,7 @@ def student_inflation(nis: float, m: int) -> float:
 
 
 @compiled
-def _set_means(s: Receiver, quality: int, w: FloatArray, c: Config) -> None:
+def _set_means(found: FixErrors, quality: int, w: FloatArray, c: Config) -> None:
     """f, g and τ of a quality as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
     best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):
@@ -283,12 +278,12 @@ def _set_means(s: Receiver, quality: int, w: FloatArray, c: Config) -> None:
             total, f, g = total + mass, f + mass * F[k], g + mass * G[k]
             driving += mass * G[k] / TIMES[k]
             white += mass if k < _WHITES else 0.0
-    s.f[quality], s.g[quality], s.white[quality] = f / total, max(g / total, _LEAST_G), white / total
+    found.f, found.g, found.white = f / total, max(g / total, _LEAST_G), white / total
     longest = c.receivers.longest_time
-    s.times[quality] = min(g / driving, longest) if driving > 0.0 else longest
+    found.time = min(g / driving, longest) if driving > 0.0 else longest
     if quality == PRECISE:
-        s.f[quality] = max(s.f[quality], 1.0 - c.receivers.most_lasting)
-        if s.white[quality] >= _EVEN:
-            rest = 1.0 - s.f[quality]
-            s.g[quality] = rest if rest > _LEAST_REST else 0.0
-            s.times[quality] = c.receivers.precise_time
+        found.f = max(found.f, 1.0 - c.receivers.most_lasting)
+        if found.white >= _EVEN:
+            rest = 1.0 - found.f
+            found.g = rest if rest > c.receivers.least_rest else 0.0
+            found.time = c.receivers.precise_time

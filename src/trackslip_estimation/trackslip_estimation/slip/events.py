@@ -48,7 +48,6 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
-from trackslip_estimation.slip.correlated_errors import quality_of
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
@@ -63,7 +62,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
-from trackslip_estimation.slip.own_errors import number_of, to_offset, usual_variance
+from trackslip_estimation.slip.own_errors import errors_of, number_of, to_offset, usual_variance
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -218,6 +217,13 @@ def wanders(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
+def wander_stddev(state: State, source: int, dt: float, c: Config) -> float:
+    """Of fixes of a source that wander, and come dt s after each other, m."""
+    time = errors_of(state.offsets[number_of(source, c)], c).time
+    return min(c.events.wander_speed * math.sqrt(dt * time / 2.0), c.events.wander)
+
+
+@compiled
 def latest_pose_source(state: State, c: Config) -> int:
     """Number of the source of poses that was consistent last; 0 where there is none."""
     latest = -1
@@ -245,8 +251,7 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
     ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a
-    skid, of fixes that are off and of a machine that was moved ``value`` is the standard deviation, m; of
-    fixes that wander the time between two of them, s.
+    skid, of fixes that are off or wander, and of a machine that was moved it is the standard deviation, m.
     """
     x, P, renewed = state.mean[: c.size], state.covariance[:], 0
     _assume(state, event, source)
@@ -326,9 +331,7 @@ def _set_opened(
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
     if event == WANDERS:
-        count, offset = 2, state.offsets[number_of(source, c)]
-        of_speed = c.events.wander_speed**2 * value * offset.times[quality_of(offset.stddev, c)] / 2.0
-        offset.variance = min(of_speed, c.events.wander**2)
+        count, state.offsets[number_of(source, c)].variance = 2, value * value
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, 0.0
     elif event in (OFFSET, SOUND, FOLDED) and own >= 0:

@@ -25,6 +25,7 @@ from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.correlated_errors import FixErrors
     from trackslip_estimation.slip.records import Offset, Prior, State, Update
 
 FloatArray = NDArray[np.float64]
@@ -38,49 +39,59 @@ def number_of(source: int, c: Config) -> int:
 
 
 @compiled
+def errors_of(offset: Offset, c: Config) -> FixErrors:
+    """What fixes of the quality that the source gave last err by."""
+    return offset.errors[quality_of(offset.stddev, c)]
+
+
+@compiled
+def errs_by_place(source: int, c: Config) -> bool:
+    """Whether fixes of a source err by where it stands, as a laser's do, and not by time."""
+    return bool(c.standing_share[source] > 0.0)
+
+
+@compiled
 def is_correlated(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err more to one side than at random."""
     number = number_of(source, c)
     if number < 0:
         return False
     offset = state.offsets[number]
-    quality = quality_of(offset.stddev, c)
-    return bool(offset.variance > 0.0 and quality != PRECISE and offset.g[quality] > offset.f[quality])
+    found, is_precise = errors_of(offset, c), quality_of(offset.stddev, c) == PRECISE
+    return bool(offset.variance > 0.0 and not is_precise and found.g > found.f)
 
 
 @compiled
 def time_correlated_share(state: State, source: int, c: Config) -> float:
     """Share of the variance of a source that lasts, or may: a receiver may err so until it was observed."""
     number = number_of(source, c)
-    if number < 0 or c.standing_share[source] > 0.0:
+    if number < 0 or errs_by_place(source, c):
         return 0.0
-    offset = state.offsets[number]
-    quality = quality_of(offset.stddev, c)
-    f, g = offset.f[quality], offset.g[quality]
-    if g > 0.0:
-        return float(g / (g + f))
-    least = 1.0 - f if _is_observed(offset, quality, c) else 1.0  # what white errors leave of what is stated
+    found = errors_of(state.offsets[number], c)
+    if found.g > 0.0:
+        return float(found.g / (found.g + found.f))
+    least = 1.0 - found.f if _are_observed(found, c) else 1.0  # what white errors leave of what is stated
     return float(min(max(least, 0.0), c.receivers.most_lasting))
 
 
 @compiled
-def _is_observed(offset: Offset, quality: int, c: Config) -> bool:
-    """Whether fixes of a quality were observed for several times as long as their errors last."""
-    return bool(offset.observed[quality] >= c.receivers.observed * offset.times[quality])
+def _are_observed(found: FixErrors, c: Config) -> bool:
+    """Whether fixes were observed for several times as long as their errors last."""
+    return bool(found.observed >= c.receivers.observed * found.time)
 
 
 @compiled
 def is_new(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err to one side, and were not observed for several times that long."""
     offset = state.offsets[number_of(source, c)]
-    return is_correlated(state, source, c) and not _is_observed(offset, quality_of(offset.stddev, c), c)
+    return is_correlated(state, source, c) and not _are_observed(errors_of(offset, c), c)
 
 
 @compiled
 def lasts(state: State, source: int, stddev: float, c: Config) -> bool:
     """Whether fixes of a source that state a standard deviation, m, have errors that f, g and τ describe."""
     number = number_of(source, c)
-    return bool(number >= 0 and state.offsets[number].g[quality_of(stddev, c)] > 0.0)
+    return bool(number >= 0 and state.offsets[number].errors[quality_of(stddev, c)].g > 0.0)
 
 
 @compiled
@@ -98,7 +109,7 @@ def prepare_offset(
         offset.stddev = stddev
         return
     other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev, c)
-    wanted = offset.g[quality_of(stddev, c)] * stddev * stddev
+    wanted = offset.errors[quality_of(stddev, c)].g * stddev * stddev
     if other or (wanted > 0.0) != (offset.variance > 0.0):
         update.renewed |= 3 << own
         begins = wanted > 0.0 and not other and offset.stddev > 0.0
@@ -148,7 +159,7 @@ def _exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: fl
 def offset_left(state: State, number: int, dt: float, c: Config) -> float:
     """Share of an offset that is left after dt."""
     offset = state.offsets[number]
-    return math.exp(-dt / offset.times[quality_of(offset.stddev, c)]) if offset.variance > 0.0 else 1.0
+    return math.exp(-dt / errors_of(offset, c).time) if offset.variance > 0.0 else 1.0
 
 
 @compiled
@@ -164,10 +175,11 @@ def pass_offsets(state: State, dt: float, c: Config) -> None:
             left = offset_left(state, number, dt, c)
             for k in (own, own + 1):
                 decay_state(x, P, k, left, offset.variance)
-        elif offset.g[PRECISE] > 0.0 and 0.0 < offset.stddev <= c.receivers.precise:
-            left = math.exp(-dt / offset.times[PRECISE])
+        elif offset.errors[PRECISE].g > 0.0 and 0.0 < offset.stddev <= c.receivers.precise:
+            found = offset.errors[PRECISE]
+            left = math.exp(-dt / found.time)
             for k in (own, own + 1):
-                P[k, k] += (1.0 - left * left) * offset.g[PRECISE] * offset.stddev**2
+                P[k, k] += (1.0 - left * left) * found.g * offset.stddev**2
 
 
 @compiled
@@ -200,7 +212,7 @@ def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Config) -> None
 def usual_variance(state: State, source: int, c: Config) -> float:
     """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
     offset = state.offsets[number_of(source, c)]
-    return float(offset.g[quality_of(offset.stddev, c)] * offset.stddev**2)
+    return float(errors_of(offset, c).g * offset.stddev**2)
 
 
 @compiled
@@ -209,13 +221,13 @@ def begin_offset(state: State, source: int, c: Config) -> None:
     x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
     stddev = spread_of(R)
-    quality = quality_of(stddev, c)
-    if offset.g[quality] == 0.0:
+    found = offset.errors[quality_of(stddev, c)]
+    if found.g == 0.0:
         return
     offset.stddev = stddev
-    offset.variance = offset.g[quality] * stddev**2
+    offset.variance = found.g * stddev**2
     _renew(x, P, c.offsets[source], offset.variance)
-    P[: Y + 1, : Y + 1] = offset.f[quality] * R
+    P[: Y + 1, : Y + 1] = found.f * R
     to_offset(x, P, source, -1.0, c)
 
 

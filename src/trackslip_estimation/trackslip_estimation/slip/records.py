@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of
 from trackslip_estimation.attitude.records import Attitude
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
-from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS, QUALITIES
+from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS, QUALITIES, FixErrors
 from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,
@@ -140,10 +140,7 @@ class Stand(Record):
 class Offset(Record):
     """Of a source of poses, as ``correlated_errors`` has it."""
 
-    f: Annotated[FloatArray, QUALITIES]
-    g: Annotated[FloatArray, QUALITIES]  # 0: its errors are white
-    times: Annotated[FloatArray, QUALITIES]  # τ, s
-    observed: Annotated[FloatArray, QUALITIES]  # s, for which the source gave such fixes
+    errors: Annotated[Table[FixErrors], QUALITIES]
     variance: float  # a priori of each of its two states, m²; 0: it has none, or an event
     stddev: float  # that the source's last fix stated, m
 

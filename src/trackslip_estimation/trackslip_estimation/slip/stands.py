@@ -20,6 +20,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.own_errors import errs_by_place
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -34,7 +35,7 @@ _SWUNG = 0.1  # rad, beyond which what sits above is seen from another side
 @compiled
 def stands_still(state: State, source: int, c: Config) -> bool:
     """Whether a sensor, whose fixes from one place share a part, stands where it was at the last."""
-    stand, shares = state.stands[source], c.standing_share[source] > 0.0
+    stand, shares = state.stands[source], errs_by_place(source, c)
     turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - stand.swing)) > _SWUNG
     stands = shares and state.motion.motion == _STANDING and not state.coasting
     return bool(stands and stand.count > 0 and not turned)

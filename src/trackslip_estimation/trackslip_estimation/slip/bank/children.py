@@ -45,6 +45,7 @@ from trackslip_estimation.slip.events import (
     is_steep,
     log_rate,
     reach,
+    wander_stddev,
     wanders,
 )
 from trackslip_estimation.slip.faulty_sources import is_repeated, log_density_of_any_size, may_repeat
@@ -54,7 +55,7 @@ from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.own_errors import is_correlated
+from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated
 from trackslip_estimation.slip.records import (
     GYROS,
     HEADING,
@@ -329,7 +330,7 @@ def _have_earlier_children(
 @compiled
 def _may_wander(source: int, update: Update, c: Config) -> bool:
     """Whether fixes of a source may begin to wander: a laser's do not, a coarse receiver's always do."""
-    return bool(update.coarse == 0 and c.standing_share[source] == 0.0)
+    return bool(update.coarse == 0 and not errs_by_place(source, c))
 
 
 @compiled
@@ -410,7 +411,8 @@ def _child(
     if event == SKIDDED:
         value = c.events.skid_share * _driven_since(window, p, k)
     elif event == WANDERS:
-        value = max((m.stamp_ns - window.states[p, k - 1].last_ns[source]) * 1e-9, c.bank.shortest_time)
+        dt = max((m.stamp_ns - window.states[p, k - 1].last_ns[source]) * 1e-9, c.bank.shortest_time)
+        value = wander_stddev(state, source, dt, c)
     elif m.kind == POSE and event in (OFFSET, MOVED):
         value = reach(_squared_jump(m, window.states[p, k - 1]))
     remember(branch, event, source, part, value, m, window.measurements[first], 0)

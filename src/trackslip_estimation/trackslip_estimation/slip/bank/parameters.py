@@ -73,6 +73,13 @@ class ReceiverParameters(Parameters):
     most_odds: float = parameter(
         "ln of the odds at the most that errors of precise fixes remain of the kind that they were", gt=0.0
     )
+    jump: float = parameter(
+        "squared standard deviations, of two numbers, beyond which precise fixes jumped and show no error",
+        gt=0.0,
+    )
+    least_rest: float = parameter(
+        "share of what precise fixes state and do not jitter by, from which on it lasts", gt=0.0, lt=1.0
+    )
     interval: float = parameter(
         "between fixes that are learned from, once errors are correlated", unit="s", ge=0.0
     )

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.correlated_errors import add_fix
+from trackslip_estimation.slip.correlated_errors import QUALITIES, WayError, add_fix
 from trackslip_estimation.slip.events import IS_IGNORED, IS_REPEATING, IS_SCATTERING, IS_SOUND, IS_STAYING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
-from trackslip_estimation.slip.own_errors import number_of
+from trackslip_estimation.slip.own_errors import errs_by_place, number_of
 from trackslip_estimation.slip.records import GYROS, TRACKS
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from trackslip_common.record_types import Table
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.correlated_errors import Masses, Receiver
-    from trackslip_estimation.slip.records import State
+    from trackslip_estimation.slip.records import State, Update
 
 
 _GATED = int(Outcome.GATED)
@@ -38,7 +38,8 @@ def take_errors(state: State, window: Window, k: int, c: Config) -> None:
     """What row k knows of the errors of fixes, for the next step."""
     for n in range(c.poses):
         offset, of = state.offsets[n], window.receivers[k, n]
-        offset.f, offset.g, offset.times, offset.observed = of.f, of.g, of.times, of.observed
+        for quality in range(QUALITIES):
+            offset.errors[quality] = of.errors[quality]
 
 
 @compiled
@@ -60,29 +61,41 @@ def carry_receivers(
 def compare_fix(window: Window, k: int, c: Config) -> None:
     """What row k knows of the errors of fixes, with measurement k, by the most probable branch before it.
 
-    While it drives with an unknown heading there is no way to compare them with.
+    While it drives with an unknown heading there is no way to compare them with; nor is there one while an
+    event holds what precise fixes are off by.
     """
     m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
     n = number_of(m.source, c)
-    strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
-    if n < 0 or strays or state.fault[m.source] in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
+    if n < 0 or not _shows_errors(state, update, m.source, c):
         return
-    is_outlier = update.outcome == _GATED and state.fault[m.source] in (IS_SOUND, IS_IGNORED)
-    if update.coarse == 0 and (is_outlier or c.standing_share[m.source] > 0.0):  # a laser's go by the place
-        return
-    of, spread = window.receivers[k, n], heading_variance(window, k - 1)
+    of, heading = window.receivers[k, n], heading_variance(window, k - 1)
     is_off = update.coarse == 0 and state.fault[m.source] != IS_SOUND
-    is_known = spread < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
+    is_known = heading < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
     if is_off or not is_known:
         if of.known > 0:
             of.known, of.way[:], of.driven = 2, 0.0, 0.0
         return
-    P, of_speed = prior_of(window, k).covariance, 0.0
+    P, way = prior_of(window, k).covariance, WayError(0.0, heading)
     if has_velocity_errors(c):
-        spread, of_speed = spread + P[COMMON_SLIP, COMMON_SLIP], P[SPEED_ERROR, SPEED_ERROR]
-    add_fix(of, window.masses[k, n], update.shown, update.stated, of_speed, spread, m.stamp_ns, c)
-    if spread >= c.receivers.most_spread:
-        of.observed[:] = 0.0
+        way = WayError(P[SPEED_ERROR, SPEED_ERROR], heading + P[COMMON_SLIP, COMMON_SLIP])
+    add_fix(of, window.masses[k, n], update.shown, update.stated, way, m.stamp_ns, c)
+    if way.direction >= c.receivers.most_spread:
+        for quality in range(QUALITIES):
+            of.errors[quality].observed = 0.0
+
+
+@compiled
+def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
+    """Whether a fix shows what its receiver errs by: source, tracks and gyros are taken for sound.
+
+    A precise fix shows nothing as an outlier, or where its source errs by its place.
+    """
+    fault = state.fault[source]
+    strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
+    if strays or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
+        return False
+    is_outlier = update.outcome == _GATED and fault in (IS_SOUND, IS_IGNORED)
+    return bool(update.coarse == 1 or not (is_outlier or errs_by_place(source, c)))
 
 
 @compiled
@@ -103,14 +116,5 @@ def add_first_fix(window: Window, c: Config) -> None:
     state, m = window.states[0, 0], window.measurements[0]
     number = number_of(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:
-        stddev = state.offsets[number].stddev
-        add_fix(
-            window.receivers[0, number],
-            window.masses[0, number],
-            state.mean[:YAW],
-            stddev,
-            0.0,
-            0.0,
-            m.stamp_ns,
-            c,
-        )
+        of, masses = window.receivers[0, number], window.masses[0, number]
+        add_fix(of, masses, state.mean[:YAW], state.offsets[number].stddev, WayError(0.0, 0.0), m.stamp_ns, c)

@@ -29,12 +29,11 @@ from trackslip_estimation.attitude.level import downward, set_level
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance, soften
-from trackslip_estimation.slip.correlated_errors import quality_of
 from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.own_errors import number_of, time_correlated_share
+from trackslip_estimation.slip.own_errors import errors_of, number_of, time_correlated_share
 from trackslip_estimation.slip.usable import HIGHEST
 
 if TYPE_CHECKING:
@@ -112,7 +111,7 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
     if share == 0.0:
         return stated, stated
     offset = state.offsets[number_of(source, c)]
-    time = offset.times[quality_of(offset.stddev, c)]
+    time = errors_of(offset, c).time
     return stated, stated * (1.0 - share + share / math.tanh(dt / (2.0 * time)))
 
 

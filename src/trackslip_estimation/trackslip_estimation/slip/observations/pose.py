@@ -114,7 +114,7 @@ def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
     stddev = spread_of(R)
     if not lasts(state, source, stddev, c):
         return
-    share = math.sqrt(state.offsets[number_of(source, c)].f[quality_of(stddev, c)])
+    share = math.sqrt(state.offsets[number_of(source, c)].errors[quality_of(stddev, c)].f)
     R[:YAW] *= share
     R[:, :YAW] *= share
 
