@@ -90,7 +90,6 @@ class Config(Record):
     heading_offset: Annotated[FloatArray, MOST_SOURCES]  # rad
     velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
     body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether its velocities are along axes of its own
-    compass: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether it is a source of headings
     repeat_times: Annotated[FloatArray, MOST_SOURCES]  # s, for which fixes err alike by where they are
     standing_share: Annotated[FloatArray, MOST_SOURCES]
     events: EventParameters
@@ -100,8 +99,8 @@ class Config(Record):
     fault_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     jump_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     poses: int  # how many sources of poses there are
-    offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or headings; −1: none
-    yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all headings of its poses are off by; −1
+    offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places; −1: none
+    yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all its headings are off by; −1: none
     own_errors: Annotated[IntArray, MOST_SOURCES]  # place of its own error in the state; −1: it has none
     lean_errors: int  # place of the two of the tilt, over its standard deviation; −1: none
     lean_stddev: float  # of what lasts of it, rad
@@ -199,7 +198,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
     for name, compass in p.compasses().items():
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
-        c["stamp_errors"][k], c["compass"][k] = compass.stamp_error, 1
+        c["stamp_errors"][k] = compass.stamp_error
         c["fault_rate"][k], c["jump_rate"][k] = compass.fault_rate, compass.jump_rate
     for name, angle in p.angles().items():
         k = numbers[name]
@@ -247,19 +246,13 @@ def _set_own_errors(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str,
     for name in p.poses():
         c["offsets"][numbers[name]] = place
         place += 2
-    for name in p.compasses():
-        c["offsets"][numbers[name]] = place
-        place += 1
-    for name, pose in p.poses().items():
-        if pose.has_yaw_offset:
-            c["yaw_offsets"][numbers[name]] = place
-            c["prior_variance"][place] = c["prior_covariance"][place, place] = pose.yaw_offset_stddev**2
+    turned = {name: (stddev**2, stddev**2 / DRIFT_TIME) for name, stddev in p.yaw_offsets().items()}
+    for places, found in (("yaw_offsets", turned), ("own_errors", errors)):
+        for name, (variance, walk) in found.items():
+            c[places][numbers[name]] = place
+            c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
+            c["process_noise"][..., place] = walk
             place += 1
-    for name, (variance, walk) in errors.items():
-        c["own_errors"][numbers[name]] = place
-        c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
-        c["process_noise"][..., place] = walk
-        place += 1
     if p.leans:
         c["lean_errors"], c["lean_stddev"] = place, p.attitude.accelerometer_bias_stddev / GRAVITY
         for axis in (place, place + 1):

@@ -249,7 +249,8 @@ class SlipEstimator:
         self.config = make_config(p, self._window_ns)
         self.meaning = meaning(p)
         names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
-        self._named = Sources(names, self.config["offsets"][0].tolist(), set(p.compasses()))
+        c = self.config[0]
+        self._named = Sources(names, c["offsets"].tolist(), c["yaw_offsets"].tolist())
         if self._start is not None:
             start_from(self._start, self.config, self.meaning, self.sources)
 

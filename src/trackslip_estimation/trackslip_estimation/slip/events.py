@@ -7,8 +7,9 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
 
     event       opens                                                 happened
     OUTLIER     nothing; this one measurement is left out             at the measurement
-    OFFSET      the source's offset: two states of a pose source,     just before it
-                one of a compass
+    OFFSET      the offset of a source's places: two states           just before it
+    HEADING_OFF the yaw offset of its headings                        just before it
+    HEADING_WANDERS  the same, which goes on to change                just before it
     WANDERS     the same, which begins at zero and wanders            since the last consistent measurement
     REPEATS     nothing; bit-identical fixes                          just before it
     STAYS       nothing; fixes that jitter about one place            just before it, or since the last
@@ -62,7 +63,13 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
-from trackslip_estimation.slip.own_errors import errors_of, number_of, to_offset, usual_variance
+from trackslip_estimation.slip.own_errors import (
+    errors_of,
+    number_of,
+    to_offset,
+    to_shown_heading,
+    usual_variance,
+)
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -90,6 +97,8 @@ class Event(IntEnum):
     WANDERS = 15
     BIASED = 16
     STAYS = 17
+    HEADING_OFF = 18
+    HEADING_WANDERS = 19
 
 
 class SourceFault(IntEnum):
@@ -102,6 +111,8 @@ class SourceFault(IntEnum):
     IGNORED = 4  # for one measurement
     STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
     STAYS = 6  # where it was, and jitters on
+    HEADING_OFF = 7  # its headings are off, not its places
+    HEADING_WANDERS = 8  # the same, by something else at any time
 
 
 (
@@ -123,6 +134,8 @@ class SourceFault(IntEnum):
     WANDERS,
     BIASED,
     STAYS,
+    HEADING_OFF,
+    HEADING_WANDERS,
 ) = map(int, Event)
 (
     IS_SOUND,
@@ -132,6 +145,8 @@ class SourceFault(IntEnum):
     IS_IGNORED,
     IS_STRAYING,
     IS_STAYING,
+    IS_HEADING_OFF,
+    IS_HEADING_WANDERING,
 ) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
@@ -140,6 +155,18 @@ ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of one that ma
 AREA = 1e4  # m², of a place of which nothing is known
 MEASURED = -1  # part of the circle: the one that a compass shows
 
+_ABOUT_SOURCES = (
+    REPEATS,
+    STAYS,
+    SCATTERS,
+    OFFSET,
+    WANDERS,
+    HEADING_OFF,
+    HEADING_WANDERS,
+    SOUND,
+    FOLDED,
+    STRAYS,
+)
 _LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET
 _MOST_OPENED = 1 + len(_LEARNED_BY_HEADING)  # states
 _SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
@@ -155,6 +182,7 @@ class EventParameters(Parameters):
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
     wander: float = parameter("standard deviation of fixes that wander off, at the most", unit="m", gt=0.0)
     wander_speed: float = parameter("speed of fixes that wander, from one to the next", unit="m/s", gt=0.0)
+    heading_walk: float = parameter("random walk of headings that are off", unit="rad/√s", ge=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
@@ -180,7 +208,7 @@ class EventParameters(Parameters):
 def log_rate(event: int, source: int, c: Config) -> float:
     """ln of the rate of an event of a source, 1/s."""
     e = c.events
-    if event == OFFSET:
+    if event in (OFFSET, HEADING_OFF, HEADING_WANDERS):
         return math.log(c.fault_rate[source])
     if event == REPEATS:
         return math.log(c.fault_rate[source] * e.repeat_share)
@@ -217,6 +245,21 @@ def wanders(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
+def is_heading_off(fault: int) -> bool:
+    """Whether a source is assumed to show headings that are off."""
+    return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
+
+
+@compiled
+def pass_faults(state: State, dt: float, c: Config) -> None:
+    """Headings that wander are off by something else dt later."""
+    for source in range(state.fault.size):
+        if state.fault[source] == IS_HEADING_WANDERING:
+            own = c.yaw_offsets[source]
+            state.covariance[own, own] += c.events.heading_walk**2 * dt
+
+
+@compiled
 def wander_stddev(state: State, source: int, dt: float, c: Config) -> float:
     """Of fixes of a source that wander, and come dt s after each other, m."""
     time = errors_of(state.offsets[number_of(source, c)], c).time
@@ -228,8 +271,7 @@ def latest_pose_source(state: State, c: Config) -> int:
     """Number of the source of poses that was consistent last; 0 where there is none."""
     latest = -1
     for k in range(c.offsets.size):
-        is_pose = c.offsets[k] >= 0 and c.compass[k] == 0
-        if is_pose and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
+        if c.offsets[k] >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
             latest = k
     return max(latest, 0)
 
@@ -253,11 +295,14 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a
     skid, of fixes that are off or wander, and of a machine that was moved it is the standard deviation, m.
     """
-    x, P, renewed = state.mean[: c.size], state.covariance[:], 0
+    x, P, renewed, was = state.mean[: c.size], state.covariance[:], 0, state.fault[source]
     _assume(state, event, source)
-    if event == FOLDED:
+    if event == FOLDED and is_heading_off(was):
+        to_shown_heading(x, P, source, 1.0, c)
+        renewed = 1 << YAW
+    elif event == FOLDED:
         to_offset(x, P, source, 1.0, c)
-        renewed = 1 << YAW if c.compass[source] == 1 else (1 << X) | (1 << Y)
+        renewed = (1 << X) | (1 << Y)
     elif event == SKIDDED:
         P[X, X] += value * value
         P[Y, Y] += value * value
@@ -267,7 +312,7 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
     opened = Opened(np.empty(_MOST_OPENED, np.int64), np.empty(_MOST_OPENED), np.empty(_MOST_OPENED))
-    count, about = _set_opened(state, event, source, part, value, opened, c), -1
+    count, about = _set_opened(state, event, source, part, value, was, opened, c), -1
     if event == TURNED:
         about = latest_pose_source(state, c) if part == MEASURED else source
         renewed = (1 << X) | (1 << Y)
@@ -309,7 +354,7 @@ def _assume(state: State, event: int, source: int) -> None:
         state.rests_on = source
         if state.fault[source] == IS_SCATTERING:
             state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
-    elif event in (REPEATS, STAYS, SCATTERS, OFFSET, WANDERS, SOUND, FOLDED, STRAYS):
+    elif event in _ABOUT_SOURCES:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
         if event == REPEATS:
             state.fault[source] = IS_REPEATING
@@ -319,29 +364,34 @@ def _assume(state: State, event: int, source: int) -> None:
             state.fault[source] = IS_SCATTERING
         elif event == STRAYS:
             state.fault[source] = IS_STRAYING
+        elif event == HEADING_OFF:
+            state.fault[source] = IS_HEADING_OFF
+        elif event == HEADING_WANDERS:
+            state.fault[source] = IS_HEADING_WANDERING
         elif event in (OFFSET, WANDERS):
             state.fault[source] = IS_OFFSET
 
 
 @compiled
 def _set_opened(
-    state: State, event: int, source: int, part: int, value: float, opened: Opened, c: Config
+    state: State, event: int, source: int, part: int, value: float, was: int, opened: Opened, c: Config
 ) -> int:
-    """States that an event replaces, their means and variances; how many."""
+    """States that an event replaces, their means and variances; how many. ``was``: fault of the source."""
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
+    begins, ends = event in (HEADING_OFF, HEADING_WANDERS), event in (SOUND, FOLDED)
     if event == WANDERS:
         count, state.offsets[number_of(source, c)].variance = 2, value * value
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, 0.0
+    elif begins or (ends and is_heading_off(was)):
+        count, states[0], means[0] = 1, c.yaw_offsets[source], 0.0
+        variances[0] = ANY_HEADING**2 if begins else c.prior_variance[states[0]]
     elif event in (OFFSET, SOUND, FOLDED) and own >= 0:
-        number, usual, any_ = number_of(source, c), 0.0, math.pi**2 / 3.0
-        if number >= 0:
-            usual, any_ = usual_variance(state, source, c), value * value
-            state.offsets[number].variance = 0.0 if event == OFFSET else usual
-        count = 1 if number < 0 else 2
+        count, usual = 2, usual_variance(state, source, c)
+        state.offsets[number_of(source, c)].variance = 0.0 if event == OFFSET else usual
         for i in range(count):
-            states[i], means[i], variances[i] = own + i, 0.0, any_ if event == OFFSET else usual
+            states[i], means[i], variances[i] = own + i, 0.0, value * value if event == OFFSET else usual
     elif event == MOVED:
         count = 2
         for i in (X, Y):

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -80,18 +80,21 @@ class Sources(NamedTuple):
     """Of an estimator."""
 
     names: Mapping[int, str]  # number → name
-    offsets: Sequence[int]  # places of their offsets in the state, by number; −1: it has none
-    compasses: Collection[str]  # names of those whose offset is an angle
+    offsets: Sequence[int]  # places of the offsets of their places in the state, by number; −1: it has none
+    yaw_offsets: Sequence[int]  # of their headings
 
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
-_FAULTS = (Event.OFFSET, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.STRAYS)
+_OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
+_FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.STRAYS)
 _STRAYS = "{source} and motion disagree"
 _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
     Event.OFFSET: "{source} is off",
+    Event.HEADING_OFF: "the heading of {source} is off",
+    Event.HEADING_WANDERS: "the heading of {source} wanders",
     Event.WANDERS: "{source} wanders",
     Event.REPEATS: "{source} repeats itself",
     Event.STAYS: "{source} stays where it was",
@@ -205,7 +208,7 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
 
 def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
     """When the offset began that became a jump at ``stamp_ns``."""
-    own = (e for e in reversed(events) if e["source"] == source and e["event"] == Event.OFFSET)
+    own = (e for e in reversed(events) if e["source"] == source and e["event"] in _OFFSETS)
     return int(next(own, {"decided_ns": stamp_ns})["decided_ns"])
 
 
@@ -215,8 +218,9 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
         return _STRAYS.format(source=name)
     if fault in (SourceFault.REPEATS, SourceFault.STAYS):
         return _WORDS[Event[fault.name]].format(source=name)
+    if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):
+        off = abs(math.degrees(math.remainder(state["mean"][sources.yaw_offsets[number]], math.tau)))
+        return f"{name} is {off:.0f} ° off"
     if fault is not SourceFault.OFFSET or own < 0:
         return f"{name} scatters"
-    if name in sources.compasses:
-        return f"{name} is {abs(math.degrees(state['mean'][own])):.0f} ° off"
     return f"{name} is {math.hypot(*state['mean'][own : own + 2]):.1f} m off"

@@ -4,9 +4,10 @@
 
 The first gyro's bias is that of the model, which what it learned keeps. Every further one has its own.
 
-The offset of a source of poses, or of headings, is what its measurements err by for a while. Of a receiver
-whose errors are correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows
-what the masses find. Any other offset is zero until an event opens it.
+The offset of a source of poses is what its places err by for a while. Of a receiver whose errors are
+correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
+find. Any other offset is zero until an event opens it. The yaw offset of headings is by how much their sensor
+is turned on the machine; an event opens it, where they are off for a while.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ FloatArray = NDArray[np.float64]
 def number_of(source: int, c: Config) -> int:
     """Number of a source among those of poses; −1: it is none."""
     own = c.offsets[source]
-    return -1 if own < 0 or c.compass[source] == 1 else (own - SENSOR_ERRORS) // 2
+    return -1 if own < 0 else (own - SENSOR_ERRORS) // 2
 
 
 @compiled
@@ -200,12 +201,12 @@ def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c
 
 
 @compiled
-def from_shown_yaw(x: FloatArray, P: FloatArray, source: int, c: Config) -> None:
-    """The state whose heading is that of a pose of a source, without its yaw offset."""
+def to_shown_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
+    """The state with the heading that a source with a yaw offset shows; or back (−1)."""
     own = c.yaw_offsets[source]
     if own >= 0:
-        x[YAW] = wrap(x[YAW] - x[own])
-        add_state(P, YAW, own, -1.0)
+        x[YAW] = wrap(x[YAW] + sign * x[own])
+        add_state(P, YAW, own, sign)
 
 
 @compiled
@@ -233,14 +234,8 @@ def begin_offset(state: State, source: int, c: Config) -> None:
 
 @compiled
 def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
-    """The state with the place, or heading, that a source with an offset shows; or back (−1)."""
+    """The state with the place that a source with an offset shows; or back (−1)."""
     own = c.offsets[source]
-    if own < 0:
-        return
-    if c.compass[source] == 1:
-        x[YAW] += sign * x[own]
-        add_state(P, YAW, own, sign)
-        return
     for axis in (X, Y):
         x[axis] += sign * x[own + axis]
         add_state(P, axis, own + axis, sign)

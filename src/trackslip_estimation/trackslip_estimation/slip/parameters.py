@@ -172,16 +172,15 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             raise InputError(f"{NODE}: {len(self.timeouts_ns())} sources; accepted: {TRACKS} at the most")
 
         odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
-        offsets = 2 * len(self.poses()) + len(self.compasses())
-        turned = sum(pose.has_yaw_offset for pose in self.poses().values())
-        own = odometries + gyros + offsets + turned + 2 * self.leans
+        turned = len(self.yaw_offsets())
+        own = odometries + gyros + 2 * len(self.poses()) + turned + 2 * self.leans
         if odometries > MOST_ODOMETRIES:
             raise InputError(
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
             )
         if own > MOST_SENSOR_ERRORS:
-            parts = f"{gyros} gyros after the first one, {odometries} odometries, {len(self.compasses())}"
-            parts += f" headings, {turned} yaw offsets, {len(self.poses())} pose sources and"
+            parts = f"{gyros} gyros after the first one, {odometries} odometries, {turned} sources of"
+            parts += f" headings, {len(self.poses())} pose sources and"
             parts += f" {int(self.leans)} tilt of a high antenna, which count twice"
             raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
 
@@ -284,6 +283,12 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     def compasses(self) -> dict[str, HeadingSource]:
         """By topic."""
         return self.of_kind("heading_sources")
+
+    def yaw_offsets(self) -> dict[str, float]:
+        """By topic of a source of headings: standard deviation of what all of them are off by, rad."""
+        compasses = {name: compass.yaw_offset_stddev for name, compass in self.compasses().items()}
+        poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.has_yaw_offset}
+        return compasses | poses
 
     def odometries(self) -> dict[str, OdometrySource]:
         """By topic."""

@@ -27,6 +27,7 @@ A = TypeVar("A", float, NDArray[np.float64])
 
 _MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
 _FAULT_RATE = "rate at which it begins to be off, repeat itself or scatter"
+_YAW_OFFSET = "standard deviation of what its headings are off by for minutes, which is estimated"
 _JUMP_RATE = "rate at which what it measures jumps: the machine was moved, or turned"
 _TIMEOUT = "with nothing accepted for so long it counts as lost"
 
@@ -89,12 +90,7 @@ class PoseSource(Placed):
     heading_ceiling: float = parameter(
         "standard deviation of a heading beyond which it is not used", unit="rad", gt=0.0
     )
-    yaw_offset_stddev: float = parameter(
-        "standard deviation of what all its headings are off by, which is estimated",
-        unit="rad",
-        ge=0.0,
-        le=0.5,
-    )
+    yaw_offset_stddev: float = parameter(_YAW_OFFSET, unit="rad", ge=0.0, le=0.5)
     stamp_error: float = parameter(
         "standard deviation of a delay that all its stamps have, which is estimated",
         unit="s",
@@ -185,7 +181,7 @@ HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/m
 
 @dataclass(frozen=True, kw_only=True)
 class HeadingSource(Mounted):
-    """A pair of antennas, or another compass; its gate widens with each further timeout."""
+    """A pair of antennas, or another compass."""
 
     message: str = parameter(
         "imu: sensor_msgs/Imu, its orientation; quaternion: geometry_msgs/QuaternionStamped",
@@ -207,6 +203,7 @@ class HeadingSource(Mounted):
     )
     stddev: float = parameter("where its message gives no variance", unit="rad", gt=0.0)
     heading_floor: float = parameter("smallest standard deviation that is accepted", unit="rad", gt=0.0)
+    yaw_offset_stddev: float = parameter(_YAW_OFFSET, unit="rad", ge=0.0, le=0.5)
     stamp_error: float = parameter(
         "standard deviation of a delay that all its stamps have, which is estimated: one for all sources",
         unit="s",
@@ -269,7 +266,9 @@ ODOMETRY_FIELDS = {  # by those: what is read of a message, what of it says that
     "declared": ("", "", Refusal.NO_POSE),
 }
 LEAN_TIME = 100.0  # s, for which the tilt is off alike: most of it is the bias of accelerometers
-DRIFT_TIME = 60.0  # s in which the drift of an odometry has become another, by as much as it is
+DRIFT_TIME = (
+    60.0  # s in which what headings, or lengths of an odometry, are off by has become another, by as much
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import reset_motion
 from trackslip_estimation.slip.observations.odometry import begin_odometry
 from trackslip_estimation.slip.observations.pose import raise_to_floors
-from trackslip_estimation.slip.own_errors import begin_offset, from_shown_yaw
+from trackslip_estimation.slip.own_errors import begin_offset, to_shown_heading
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import has_heading
@@ -90,7 +90,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
             raise_to_floors(P, rows, source, c)
             begin_offset(state, source, c)
             if rows > YAW:
-                from_shown_yaw(x, P, source, c)
+                to_shown_heading(x, P, source, -1.0, c)
             if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]

@@ -28,7 +28,15 @@ from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
 from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
-from trackslip_estimation.slip.events import ANY_HEADING, FOLDED, IS_SOUND, MOVED, TURNED, UNKNOWN_HEADING
+from trackslip_estimation.slip.events import (
+    ANY_HEADING,
+    FOLDED,
+    IS_SOUND,
+    MOVED,
+    TURNED,
+    UNKNOWN_HEADING,
+    pass_faults,
+)
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -206,6 +214,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
             shear(P, F)
         propagate_covariance(P, F, Q, COUPLED)
         pass_offsets(state, dt, c)
+        pass_faults(state, dt, c)
         return
     own = P[: x.size, : x.size].copy()
     points, weights = daf.sigma_points(x, own, c.kappa, c.active)
@@ -215,6 +224,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
     x[:] = mean
     P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q
     pass_offsets(state, dt, c)
+    pass_faults(state, dt, c)
 
 
 @compiled

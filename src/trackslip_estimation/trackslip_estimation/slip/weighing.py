@@ -39,6 +39,7 @@ from trackslip_estimation.slip.events import (
     IS_SCATTERING,
     IS_SOUND,
     IS_STAYING,
+    is_heading_off,
     latest_pose_source,
 )
 from trackslip_estimation.slip.faulty_sources import (
@@ -117,7 +118,7 @@ def use_weighed(
         R *= min(known, shared_error(predicted, R))
         count_fix(state, source, alone, R, c)
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
-    if fault == IS_OFFSET:
+    if fault == IS_OFFSET or (is_heading_off(fault) and kind == HEADING):
         update.outcome = _GATED
 
 

@@ -18,6 +18,8 @@ from trackslip_estimation.slip.bank.script import remember
 from trackslip_estimation.slip.events import (
     BIASED,
     FOLDED,
+    HEADING_OFF,
+    HEADING_WANDERS,
     HEADINGS,
     IS_OFFSET,
     IS_REPEATING,
@@ -42,6 +44,7 @@ from trackslip_estimation.slip.events import (
     UNKNOWN_HEADING,
     WANDERS,
     apply_event,
+    is_heading_off,
     is_steep,
     log_rate,
     reach,
@@ -116,7 +119,7 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
         if measurement.kind in (POSE, VELOCITY) and state.fault[unit] != IS_SOUND:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
-    follows = measurement.kind == POSE and fault in (IS_SOUND, IS_OFFSET)
+    follows = measurement.kind == POSE and (fault in (IS_SOUND, IS_OFFSET) or is_heading_off(fault))
     if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
         follows = fault == IS_SOUND and state.motion.motion != _STANDING
     if follows and not is_correlated(state, source, c):
@@ -171,12 +174,13 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
 def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
-    if s != 0 or before.fault[source] != IS_OFFSET or c.offsets[source] < 0:
+    fault = before.fault[source]
+    if s != 0 or not (fault == IS_OFFSET or is_heading_off(fault)):
         return False
     since_ns, period_ns = before.fault_ns[source], c.events.fault_time * 1e9
+    shown = c.offsets if fault == IS_OFFSET else c.yaw_offsets
     for other in range(MOST_SOURCES):
-        of_same_kind = c.offsets[other] >= 0 and c.compass[other] == c.compass[source]
-        if other != source and of_same_kind and before.consistent_ns[other] > since_ns:
+        if other != source and shown[other] >= 0 and before.consistent_ns[other] > since_ns:
             return False  # it shows no jump
     first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
     return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
@@ -267,6 +271,8 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
         if before.rests_on != source:
             _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
             _child(window, p, k, OFFSET, source, 0, False, now + size + log_rate(OFFSET, source, c), c)
+            if update.dof > YAW:
+                _have_heading_off(window, p, k, now, c)
     moved = now + log_rate(MOVED, source, c)
     if before.rests_on == source:  # on one fix, which is as likely to be the outlier as this one
         moved = max(moved, math.log(before.outlier_share[source]))
@@ -274,6 +280,15 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
     if _driven_since(window, p, k) > c.bank.least_driven and update.stated <= c.events.skid_stddev:
         prior = now + log_rate(SKIDDED, source, c) - _correlated_penalty(window, p, k, c)
         _child(window, p, k, SKIDDED, source, 0, False, prior, c)
+
+
+@compiled
+def _have_heading_off(window: Window, p: int, k: int, now: float, c: Config) -> None:
+    """Children in which the headings of the source are off, where they have an offset."""
+    source = window.measurements[k].source
+    if c.yaw_offsets[source] >= 0:
+        for event in (HEADING_OFF, HEADING_WANDERS):
+            _child(window, p, k, event, source, 0, False, now + log_rate(event, source, c), c)
 
 
 @compiled
@@ -314,6 +329,10 @@ def _have_earlier_children(
         _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
     if before.fault[source] == IS_SOUND and m.kind == POSE and _may_wander(source, update, c):
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
+    for other in range(MOST_SOURCES):
+        if c.yaw_offsets[other] >= 0 and before.fault[other] == IS_SOUND:
+            wandered = since + log_rate(HEADING_WANDERS, other, c) - penalty
+            _child(window, p, k, HEADING_WANDERS, other, 0, True, wandered, c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
@@ -366,8 +385,7 @@ def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
         if update.outcome != _GATED:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
-        if c.offsets[source] >= 0:
-            _child(window, p, k, OFFSET, source, 0, False, now + log_rate(OFFSET, source, c), c)
+        _have_heading_off(window, p, k, now, c)
     if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
         _child(window, p, k, SWUNG, source, MEASURED, False, now + log_rate(MOVED, source, c), c)
     if m.kind == HEADING:

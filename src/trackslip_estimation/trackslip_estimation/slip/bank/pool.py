@@ -11,7 +11,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.events import IS_OFFSET, IS_SOUND
+from trackslip_estimation.slip.events import IS_OFFSET, IS_SOUND, is_heading_off
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
@@ -126,10 +126,11 @@ def _are_alike(a: State, b: State, c: Config) -> bool:
         ratio = a.adaptation.fix_factors[k] / b.adaptation.fix_factors[k]
         if a.fault[k] != b.fault[k] or ratio > 2.0 or ratio < 0.5:
             return False
-        if a.fault[k] == IS_OFFSET and c.offsets[k] >= 0:
-            for i in range(c.offsets[k], c.offsets[k] + (1 if c.compass[k] == 1 else 2)):
-                distance = _distance(a, b, i)
-                total, n = total + distance, n + 1
+        if a.fault[k] == IS_OFFSET:
+            for i in range(c.offsets[k], c.offsets[k] + 2):
+                total, n = total + _distance(a, b, i), n + 1
+        elif is_heading_off(a.fault[k]):
+            total, n = total + _distance(a, b, c.yaw_offsets[k]), n + 1
     for i in (X, Y, YAW, COMMON_SLIP, SWING):
         if i == SWING and not c.swings:
             continue

@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.correlated_errors import QUALITIES, WayError, add_fix
-from trackslip_estimation.slip.events import IS_IGNORED, IS_REPEATING, IS_SCATTERING, IS_SOUND, IS_STAYING
+from trackslip_estimation.slip.events import (
+    IS_IGNORED,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_SOUND,
+    IS_STAYING,
+    is_heading_off,
+)
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -69,7 +76,8 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     if n < 0 or not _shows_errors(state, update, m.source, c):
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
-    is_off = update.coarse == 0 and state.fault[m.source] != IS_SOUND
+    fault = state.fault[m.source]
+    is_off = update.coarse == 0 and fault != IS_SOUND and not is_heading_off(fault)
     is_known = heading < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
     if is_off or not is_known:
         if of.known > 0:

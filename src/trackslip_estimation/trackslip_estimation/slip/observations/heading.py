@@ -4,7 +4,7 @@
 
     z    direction that it shows, rad
     h    φ + the direction of its axis in base_link, with the swing where it sits above, + b − δ σ_t φ̇
-    b    offset of the source (``own_errors``), where an event has opened one            rad
+    b    yaw offset of the source (``own_errors``)                                       rad
 
 A pair of antennas errs by much when it fixes its ambiguities wrongly, and states a small variance. Whether it
 errs then, or the heading of the machine is wrong, is for the bank to weigh.
@@ -19,7 +19,6 @@ import numpy as np
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.events import IS_OFFSET
 from trackslip_estimation.slip.levers import seen_from_above, stamp_shift
 from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, YAW
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
@@ -47,8 +46,9 @@ def observe_heading(state: State, measurement: MeasurementRecord, c: Config) -> 
     nu += shift[YAW] * x[FIX_DELAY]
     if c.above[source] == 1:
         H[0, SWING] = 1.0
-    if state.fault[source] == IS_OFFSET:
-        H[0, c.offsets[source]] = 1.0
-        nu -= x[c.offsets[source]]
+    own = c.yaw_offsets[source]
+    if own >= 0:
+        H[0, own] = 1.0
+        nu -= x[own]
     R = max(measurement.noise[0, 0], c.heading_floor[source] ** 2, LEAST_VARIANCE)
     return Observation(np.array((wrap(nu),)), H, np.array(((R,),)), 0, 0, H[:0])

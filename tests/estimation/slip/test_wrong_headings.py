@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Headings that are off, by a source of their own or in poses, are no reason to leave what fixes show."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.measurements import HeadingFix, Measurement, PoseFix
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters
+
+FloatArray = NDArray[np.float64]
+Error = Callable[[float, float], float]  # of a heading, rad, at a time, s, and a heading
+
+S = 1_000_000_000
+STDDEV = 0.01
+BEGIN, END = 40.0, 80.0
+ALONE, IN_POSES = "compass", "box_pose"
+
+
+def for_a_while(error: Callable[[float], float], until: float = END) -> Error:
+    """An error from ``BEGIN`` on."""
+    return lambda t, _: error(t - BEGIN) if BEGIN <= t < until else 0.0
+
+
+ERRORS: Mapping[str, Error] = {
+    "turned on the machine by 6°": lambda t, heading: 0.1,
+    "iron beside it, 3°": lambda t, heading: 0.05 * math.sin(heading + 1.0),
+    "off by 30° for 10 s": for_a_while(lambda t: 0.5, 50.0),
+    "off by 6° for 40 s": for_a_while(lambda t: 0.1),
+    "drifts by 1° a second": for_a_while(lambda t: 0.0175 * t, 60.0),
+    "swings by 10°": for_a_while(lambda t: 0.175 * math.sin(t / 5.0)),
+}
+
+
+def seen(error: Error, source: str, seed: int) -> tuple[Recording, list[Measurement]]:
+    """A drive with headings that err, ten a second of a compass, or in each fix."""
+    recorded = drive(Machine(duration=120.0, seed=seed))
+    noise, t = np.random.default_rng(seed + 50), recorded.t
+    stamps = (S + np.round(t * S)).astype(np.int64)
+
+    def shown(k: int) -> float:
+        heading = float(recorded.poses[k, 2])
+        return math.remainder(heading + error(float(t[k]), heading) + STDDEV * noise.normal(), math.tau)
+
+    measurements: list[Measurement] = []
+    for m in recorded.measurements:
+        if isinstance(m, PoseFix) and source == IN_POSES:
+            heading, covariance = shown(int(np.searchsorted(stamps, m.stamp_ns))), m.covariance.copy()
+            covariance[2, :2] = covariance[:2, 2] = 0.0
+            covariance[2, 2] = STDDEV**2
+            m = PoseFix(m.source, m.stamp_ns, np.array((*m.pose[:2], heading)), covariance)
+        measurements.append(m)
+    if source == ALONE:
+        measurements += [HeadingFix(ALONE, int(stamps[k]), shown(k), STDDEV**2) for k in range(0, t.size, 2)]
+    return recorded, sorted(measurements, key=lambda m: m.stamp_ns)
+
+
+def with_headings(source: str) -> SlipEstimatorParameters:
+    receiver = {"standing_share": 0.0, "yaw_offset_stddev": 0.02, "fault_rate": 3.3e-3, "jump_rate": 3.3e-4}
+    values: dict[str, object] = {f"sources.box_pose.{name}": value for name, value in receiver.items()}
+    values["sources.box_pose.use_heading"] = source == IN_POSES
+    values["heading_sources"] = [ALONE] if source == ALONE else []
+    return parameters(**values)
+
+
+@pytest.mark.parametrize("source", [ALONE, IN_POSES])
+@pytest.mark.parametrize("kind", ERRORS)
+def test_a_heading_that_errs_takes_nothing_from_what_fixes_show(kind: str, source: str) -> None:
+    squares, nees, headings = [], [], []
+    for seed in range(2):
+        truth, measurements = seen(ERRORS[kind], source, seed)
+        steps = SlipEstimator(with_headings(source)).process_all(measurements)
+        found = [e for _, e in steps if e is not None and e.stamp_ns > 21 * S]
+        t = np.array([e.stamp_ns for e in found]) / S - 1.0
+        off = np.array([e.pose for e in found])
+        off -= np.column_stack([np.interp(t, truth.t, column) for column in truth.poses.T])
+        off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
+        P = np.array([e.pose_covariance for e in found])
+        squares.append(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))
+        nees.append(np.mean(np.einsum("ni,ni->n", off, np.linalg.solve(P, off[:, :, None])[:, :, 0])))
+        headings.append(np.mean(off[:, 2] ** 2))
+    assert math.sqrt(np.mean(squares)) < 0.06
+    assert np.mean(nees) < 6.0  # 3 if consistent
+    assert math.sqrt(np.mean(headings)) < 0.06
+
+
+@pytest.mark.parametrize("source", [ALONE, IN_POSES])
+def test_a_heading_as_it_is_stated_is_no_event(source: str) -> None:
+    _, measurements = seen(lambda t, heading: 0.0, source, 3)
+    estimator = SlipEstimator(with_headings(source))
+    estimator.process_all(measurements)
+    assert not {e.event for e in estimator.read_events()} & {Event.HEADING_OFF, Event.HEADING_WANDERS}
+
+
+@pytest.mark.parametrize("source", [ALONE, IN_POSES])
+def test_the_source_of_a_heading_that_is_off_is_named(source: str) -> None:
+    _, measurements = seen(ERRORS["off by 30° for 10 s"], source, 1)
+    estimator, texts = SlipEstimator(with_headings(source)), []
+    for m in measurements:
+        estimator.process(m)
+        if abs(m.stamp_ns - 46 * S) < S // 50:
+            texts = [e.text for e in estimator.explained.found]
+    assert any(text.startswith(f"{source} is ") and text.endswith(" ° off") for text in texts)
