@@ -50,7 +50,7 @@ def test_each_finds_its_bias(model: str, filter_: str) -> None:
 def test_one_more_than_the_state_has_room_for_is_refused() -> None:
     with pytest.raises(
         InputError,
-        match=r"7 gyros .*, 1 odometries, 0 headings, 1 yaw offsets, 2 pose .* twice; accepted: at most 13",
+        match=r"7 gyros .*, 1 odometries, 1 sources of headings; 2 .* twice; accepted: at most 13",
     ):
         parameters(
             yaw_rate_sources=list("abcdxyzw"),

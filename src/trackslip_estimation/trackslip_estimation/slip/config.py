@@ -31,7 +31,7 @@ from trackslip_estimation.slip.models.turning import TurningConstants
 from trackslip_estimation.slip.motion import LimitsRecord, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import MOST_SOURCES, Adaptation
-from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME
+from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME, YAW_TIME
 
 ConfigRecord = NDArray[np.void]
 
@@ -99,7 +99,7 @@ class Config(Record):
     fault_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     jump_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
     poses: int  # how many sources of poses there are
-    offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places; −1: none
+    offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or velocities; −1: none
     yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all its headings are off by; −1: none
     own_errors: Annotated[IntArray, MOST_SOURCES]  # place of its own error in the state; −1: it has none
     lean_errors: int  # place of the two of the tilt, over its standard deviation; −1: none
@@ -243,10 +243,10 @@ def _set_own_errors(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str,
     errors = dict.fromkeys(list(p.gyros())[1:], bias)
     errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
     place, c["lean_errors"], c["offsets"], c["poses"] = SENSOR_ERRORS, -1, -1, len(p.poses())
-    for name in p.poses():
+    for name in (*p.poses(), *p.velocities()):
         c["offsets"][numbers[name]] = place
         place += 2
-    turned = {name: (stddev**2, stddev**2 / DRIFT_TIME) for name, stddev in p.yaw_offsets().items()}
+    turned = {name: (stddev**2, stddev**2 / YAW_TIME) for name, stddev in p.yaw_offsets().items()}
     for places, found in (("yaw_offsets", turned), ("own_errors", errors)):
         for name, (variance, walk) in found.items():
             c[places][numbers[name]] = place

@@ -250,7 +250,8 @@ class SlipEstimator:
         self.meaning = meaning(p)
         names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
         c = self.config[0]
-        self._named = Sources(names, c["offsets"].tolist(), c["yaw_offsets"].tolist())
+        places = c["offsets"].tolist(), c["yaw_offsets"].tolist()
+        self._named = Sources(names, *places, set(p.velocities()))
         if self._start is not None:
             start_from(self._start, self.config, self.meaning, self.sources)
 

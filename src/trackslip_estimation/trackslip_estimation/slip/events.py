@@ -7,7 +7,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
 
     event       opens                                                 happened
     OUTLIER     nothing; this one measurement is left out             at the measurement
-    OFFSET      the offset of a source's places: two states           just before it
+    OFFSET      the offset of a source's places, or velocities: two   just before it; of velocities also since
+                states                                                the last consistent measurement
     HEADING_OFF the yaw offset of its headings                        just before it
     HEADING_WANDERS  the same, which goes on to change                just before it
     WANDERS     the same, which begins at zero and wanders            since the last consistent measurement
@@ -183,6 +184,8 @@ class EventParameters(Parameters):
     wander: float = parameter("standard deviation of fixes that wander off, at the most", unit="m", gt=0.0)
     wander_speed: float = parameter("speed of fixes that wander, from one to the next", unit="m/s", gt=0.0)
     heading_walk: float = parameter("random walk of headings that are off", unit="rad/√s", ge=0.0)
+    velocity_stddev: float = parameter("standard deviation of velocities that are off", unit="m/s", gt=0.0)
+    velocity_walk: float = parameter("random walk of velocities that are off", unit="m/s/√s", ge=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
     heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
@@ -239,9 +242,11 @@ def log_rate(event: int, source: int, c: Config) -> float:
 
 @compiled
 def wanders(state: State, source: int, c: Config) -> bool:
-    """Whether fixes of a source are off by an error that an event has opened, and that wanders."""
-    number = number_of(source, c)
-    return bool(number >= 0 and state.fault[source] == IS_OFFSET and state.offsets[number].variance > 0.0)
+    """Whether a source is off by what wanders, so that nothing contradicts it as the fault ends."""
+    number, fault = number_of(source, c), state.fault[source]
+    if fault == IS_OFFSET:
+        return bool(number < 0 or state.offsets[number].variance > 0.0)
+    return bool(fault == IS_HEADING_WANDERING)
 
 
 @compiled
@@ -252,11 +257,15 @@ def is_heading_off(fault: int) -> bool:
 
 @compiled
 def pass_faults(state: State, dt: float, c: Config) -> None:
-    """Headings that wander are off by something else dt later."""
+    """Headings that wander, and velocities that are off, are so by something else dt later."""
+    P = state.covariance
     for source in range(state.fault.size):
         if state.fault[source] == IS_HEADING_WANDERING:
             own = c.yaw_offsets[source]
-            state.covariance[own, own] += c.events.heading_walk**2 * dt
+            P[own, own] += c.events.heading_walk**2 * dt
+        elif state.fault[source] == IS_OFFSET and number_of(source, c) < 0:
+            for own in (c.offsets[source], c.offsets[source] + 1):
+                P[own, own] += c.events.velocity_walk**2 * dt
 
 
 @compiled
@@ -271,7 +280,7 @@ def latest_pose_source(state: State, c: Config) -> int:
     """Number of the source of poses that was consistent last; 0 where there is none."""
     latest = -1
     for k in range(c.offsets.size):
-        if c.offsets[k] >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
+        if number_of(k, c) >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
             latest = k
     return max(latest, 0)
 
@@ -388,8 +397,10 @@ def _set_opened(
         count, states[0], means[0] = 1, c.yaw_offsets[source], 0.0
         variances[0] = ANY_HEADING**2 if begins else c.prior_variance[states[0]]
     elif event in (OFFSET, SOUND, FOLDED) and own >= 0:
-        count, usual = 2, usual_variance(state, source, c)
-        state.offsets[number_of(source, c)].variance = 0.0 if event == OFFSET else usual
+        count, usual, number = 2, 0.0, number_of(source, c)
+        if number >= 0:
+            usual = usual_variance(state, source, c)
+            state.offsets[number].variance = 0.0 if event == OFFSET else usual
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, value * value if event == OFFSET else usual
     elif event == MOVED:

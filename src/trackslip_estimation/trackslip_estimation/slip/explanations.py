@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -82,6 +82,7 @@ class Sources(NamedTuple):
     names: Mapping[int, str]  # number → name
     offsets: Sequence[int]  # places of the offsets of their places in the state, by number; −1: it has none
     yaw_offsets: Sequence[int]  # of their headings
+    velocities: Collection[str]  # names of those whose offset is in m/s
 
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
@@ -223,4 +224,5 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
         return f"{name} is {off:.0f} ° off"
     if fault is not SourceFault.OFFSET or own < 0:
         return f"{name} scatters"
-    return f"{name} is {math.hypot(*state['mean'][own : own + 2]):.1f} m off"
+    unit = "m/s" if name in sources.velocities else "m"
+    return f"{name} is {math.hypot(*state['mean'][own : own + 2]):.1f} {unit} off"

@@ -6,8 +6,8 @@ The first gyro's bias is that of the model, which what it learned keeps. Every f
 
 The offset of a source of poses is what its places err by for a while. Of a receiver whose errors are
 correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
-find. Any other offset is zero until an event opens it. The yaw offset of headings is by how much their sensor
-is turned on the machine; an event opens it, where they are off for a while.
+find. Any other offset, as that of velocities, is zero until an event opens it. The yaw offset of headings is by
+how much their sensor is turned on the machine; an event opens it, where they are off for a while.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ FloatArray = NDArray[np.float64]
 
 @compiled
 def number_of(source: int, c: Config) -> int:
-    """Number of a source among those of poses; −1: it is none."""
-    own = c.offsets[source]
-    return -1 if own < 0 else (own - SENSOR_ERRORS) // 2
+    """Number of a source among those of poses, whose offsets come first; −1: it is none."""
+    number = (c.offsets[source] - SENSOR_ERRORS) // 2
+    return number if 0 <= number < c.poses else -1
 
 
 @compiled

@@ -266,9 +266,8 @@ ODOMETRY_FIELDS = {  # by those: what is read of a message, what of it says that
     "declared": ("", "", Refusal.NO_POSE),
 }
 LEAN_TIME = 100.0  # s, for which the tilt is off alike: most of it is the bias of accelerometers
-DRIFT_TIME = (
-    60.0  # s in which what headings, or lengths of an odometry, are off by has become another, by as much
-)
+DRIFT_TIME = 60.0  # s in which the drift of an odometry has become another, by as much as it is
+YAW_TIME = 300.0  # s in which the yaw offset of headings has
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,7 +58,7 @@ from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated
+from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, number_of
 from trackslip_estimation.slip.records import (
     GYROS,
     HEADING,
@@ -160,9 +160,9 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
     strays = before.fault[TRACKS] != IS_SOUND or before.fault[GYROS] != IS_SOUND
     if strays and measurement.kind in (POSE, VELOCITY):
         return True
-    if measurement.kind == POSE and (
-        wanders(before, measurement.source, c) or outside_range(before, c) > 0.0
-    ):
+    if wanders(before, measurement.source, c):
+        return True
+    if measurement.kind == POSE and outside_range(before, c) > 0.0:
         return True
     if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
         moves = before.motion.motion != _STANDING
@@ -175,12 +175,13 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault = before.fault[source]
-    if s != 0 or not (fault == IS_OFFSET or is_heading_off(fault)):
+    is_place = fault == IS_OFFSET and number_of(source, c) >= 0
+    if s != 0 or not (is_place or is_heading_off(fault)):
         return False
     since_ns, period_ns = before.fault_ns[source], c.events.fault_time * 1e9
-    shown = c.offsets if fault == IS_OFFSET else c.yaw_offsets
     for other in range(MOST_SOURCES):
-        if other != source and shown[other] >= 0 and before.consistent_ns[other] > since_ns:
+        shows = number_of(other, c) >= 0 if is_place else c.yaw_offsets[other] >= 0
+        if other != source and shows and before.consistent_ns[other] > since_ns:
             return False  # it shows no jump
     first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
     return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
@@ -330,9 +331,8 @@ def _have_earlier_children(
     if before.fault[source] == IS_SOUND and m.kind == POSE and _may_wander(source, update, c):
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     for other in range(MOST_SOURCES):
-        if c.yaw_offsets[other] >= 0 and before.fault[other] == IS_SOUND:
-            wandered = since + log_rate(HEADING_WANDERS, other, c) - penalty
-            _child(window, p, k, HEADING_WANDERS, other, 0, True, wandered, c)
+        if before.fault[other] == IS_SOUND:
+            _have_wrong_source(window, p, k, other, since - penalty, c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
@@ -350,6 +350,16 @@ def _have_earlier_children(
 def _may_wander(source: int, update: Update, c: Config) -> bool:
     """Whether fixes of a source may begin to wander: a laser's do not, a coarse receiver's always do."""
     return bool(update.coarse == 0 and not errs_by_place(source, c))
+
+
+@compiled
+def _have_wrong_source(window: Window, p: int, k: int, source: int, since: float, c: Config) -> None:
+    """A child in which another source has shown wrong headings, or velocities, since the snapshot."""
+    if c.yaw_offsets[source] >= 0:
+        prior = since + log_rate(HEADING_WANDERS, source, c)
+        _child(window, p, k, HEADING_WANDERS, source, 0, True, prior, c)
+    elif c.offsets[source] >= 0 and number_of(source, c) < 0:
+        _child(window, p, k, OFFSET, source, 0, True, since + log_rate(OFFSET, source, c), c)
 
 
 @compiled
@@ -386,6 +396,8 @@ def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
         _have_heading_off(window, p, k, now, c)
+        if m.kind == VELOCITY:
+            _child(window, p, k, OFFSET, source, 0, False, now + log_rate(OFFSET, source, c), c)
     if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
         _child(window, p, k, SWUNG, source, MEASURED, False, now + log_rate(MOVED, source, c), c)
     if m.kind == HEADING:
@@ -431,6 +443,8 @@ def _child(
     elif event == WANDERS:
         dt = max((m.stamp_ns - window.states[p, k - 1].last_ns[source]) * 1e-9, c.bank.shortest_time)
         value = wander_stddev(state, source, dt, c)
+    elif event == OFFSET and number_of(source, c) < 0:
+        value = c.events.velocity_stddev
     elif m.kind == POSE and event in (OFFSET, MOVED):
         value = reach(_squared_jump(m, window.states[p, k - 1]))
     remember(branch, event, source, part, value, m, window.measurements[first], 0)

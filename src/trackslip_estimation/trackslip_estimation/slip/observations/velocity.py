@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation, observe_alone
+from trackslip_estimation.slip.events import IS_OFFSET
 from trackslip_estimation.slip.levers import sensor_place, swung_place
 from trackslip_estimation.slip.models import slope
 from trackslip_estimation.slip.models.dispatch import (
@@ -88,8 +89,12 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
             by = (more - _velocity(state, left - on_left, right - on_right, source, c)) / 2.0
             beyond[0], beyond[1] = turn.cos * by[0] - turn.sin * by[1], turn.sin * by[0] + turn.cos * by[1]
             R += np.outer(beyond, beyond)[:m, :m]
-    nu = measurement.value[:m] - turn.mean * w[:m]
-    return observe_alone(nu, turn.mean * H[:m].copy(), R)
+    nu, H = measurement.value[:m] - turn.mean * w[:m], turn.mean * H[:m].copy()
+    if state.fault[source] == IS_OFFSET:
+        for axis in range(m):
+            H[axis, c.offsets[source] + axis] = 1.0
+            nu[axis] -= x[c.offsets[source] + axis]
+    return observe_alone(nu, H, R)
 
 
 @compiled

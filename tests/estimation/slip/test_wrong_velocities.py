@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Velocities over the ground that are off are no reason to leave what fixes show."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from numpy.typing import NDArray
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.measurements import Measurement, VelocityFix
+
+FloatArray = NDArray[np.float64]
+Spoil = Callable[[FloatArray, FloatArray], FloatArray]  # velocities (n, 2), n times, s since it began
+
+S = 1_000_000_000
+SOURCE, STDDEV, BEGIN = "fix_velocity", 0.03, 40.0
+
+
+def for_ten_seconds(spoil: Callable[[FloatArray], FloatArray]) -> Spoil:
+    def spoilt(t: FloatArray, v: FloatArray) -> FloatArray:
+        v, during = v.copy(), (t >= 0.0) & (t < 10.0)
+        v[during] = spoil(v[during])
+        return v
+
+    return spoilt
+
+
+FAULTS: Mapping[str, Spoil] = {
+    "zero": for_ten_seconds(lambda v: 0.0 * v),
+    "frozen": for_ten_seconds(lambda v: np.broadcast_to(v[0], v.shape)),
+    "off": for_ten_seconds(lambda v: v + np.array((0.3, 0.1))),
+    "a fifth too fast": for_ten_seconds(lambda v: 1.2 * v),
+}
+
+
+def seen(spoil: Spoil, seed: int) -> tuple[Recording, list[Measurement]]:
+    """A drive with fixes, and velocities ten times a second, which are spoilt."""
+    recorded = drive(Machine(duration=90.0, seed=seed, fix_noise=0.05, fix_stated=0.05))
+    noise, k = np.random.default_rng(seed + 70), np.arange(0, recorded.t.size, 2)
+    velocities = np.gradient(recorded.poses[:, :2], recorded.t, axis=0)[k]
+    velocities = spoil(recorded.t[k] - BEGIN, velocities + noise.normal(0.0, STDDEV, velocities.shape))
+    stamps, R = (S + np.round(recorded.t[k] * S)).astype(np.int64), STDDEV**2 * np.eye(2)
+    fixes = [VelocityFix(SOURCE, int(at), v, R) for at, v in zip(stamps, velocities, strict=True)]
+    return recorded, sorted([*recorded.measurements, *fixes], key=lambda m: m.stamp_ns)
+
+
+def estimator() -> SlipEstimator:
+    receiver = {"standing_share": 0.0, "fault_rate": 3.3e-3, "jump_rate": 3.3e-4}
+    values = {f"sources.box_pose.{name}": value for name, value in receiver.items()}
+    return SlipEstimator(parameters(**values, velocity_sources=[SOURCE]))
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_velocity_that_is_off_takes_nothing_from_what_fixes_show(kind: str) -> None:
+    squares, nees = [], []
+    for seed in range(3):
+        truth, measurements = seen(FAULTS[kind], seed)
+        found = [e for _, e in estimator().process_all(measurements) if e is not None]
+        t = np.array([e.stamp_ns for e in found]) / S - 1.0
+        off = np.array([e.pose[:2] for e in found])
+        off -= np.column_stack([np.interp(t, truth.t, truth.poses[:, axis]) for axis in range(2)])
+        P = np.array([e.pose_covariance[:2, :2] for e in found])
+        of_each = np.einsum("ni,ni->n", off, np.linalg.solve(P, off[:, :, None])[:, :, 0])
+        during = (t > BEGIN) & (t < BEGIN + 20.0)
+        squares.append(np.mean(off[during, 0] ** 2 + off[during, 1] ** 2))
+        nees.append(np.mean(of_each[during]))
+    assert math.sqrt(np.mean(squares)) < 0.1
+    assert np.mean(nees) < 5.0  # 2 if consistent
+
+
+def test_a_velocity_as_it_is_stated_is_no_event() -> None:
+    _, measurements = seen(lambda t, v: v, 1)
+    running = estimator()
+    running.process_all(measurements)
+    assert not {e.event for e in running.read_events()} - {Event.OUTLIER}
+
+
+def test_a_velocity_that_is_off_is_named_and_sound_again_afterwards() -> None:
+    _, measurements = seen(FAULTS["off"], 1)
+    running, texts = estimator(), []
+    for m in measurements:
+        running.process(m)
+        if abs(m.stamp_ns - 50 * S) < S // 50:
+            texts = [e.text for e in running.explained.found]
+    assert any(text.startswith(f"{SOURCE} is 0.") and text.endswith(" m/s off") for text in texts)
+    assert [e.source for e in running.read_events() if e.event is Event.SOUND] == [SOURCE]
