@@ -6,8 +6,10 @@ The first gyro's bias is that of the model, which what it learned keeps. Every f
 
 The offset of a source of poses is what its places err by for a while. Of a receiver whose errors are
 correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
-find. Any other offset, as that of velocities, is zero until an event opens it. The yaw offset of headings is by
-how much their sensor is turned on the machine; an event opens it, where they are off for a while.
+find. Any other offset, as that of velocities, is zero until an event opens it.
+
+The yaw offset of a source of headings is by how much its sensor is turned on the machine. An event opens it
+where they are off for a while.
 """
 
 from __future__ import annotations
