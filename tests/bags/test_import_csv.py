@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from fixtures.imports import import_logs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,7 +17,6 @@ from trackslip_bags.importing.columns import TimeColumn
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.times import time_ns
-from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
@@ -39,14 +39,7 @@ def imported(
     files = logs if isinstance(logs, dict) else {"log.csv": logs}
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    mapping = {"time": T, "topics": topics, **more}
-    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    found = import_log([folder / name for name in files], read_mapping(folder / "map.yaml"), folder / "bag")
-    messages: dict[str, list[Any]] = {}
-    with open_bag(folder / "bag") as bag:
-        for m in bag.messages():
-            messages.setdefault(m.topic.lstrip("/"), []).append(bag.deserialize(m.raw, m.type_name))
-    return found, messages
+    return import_logs(folder, [folder / name for name in files], **{"time": T, **more}, topics=topics)
 
 
 def covariance(message: Any) -> np.ndarray[Any, Any]:

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 import yaml
 from fixtures import unseen_bus
+from fixtures.imports import import_logs
 from pyubx2 import GET, UBXMessage
 
-from trackslip_bags.importing.importer import Imported, import_log
-from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.reader import open_bag
+from trackslip_bags.importing.importer import Imported
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
@@ -60,13 +59,7 @@ def imported(folder: Path, logs: list[Path], **sections: Any) -> tuple[Imported,
     mapping = {"vehicle": "pc05", **sections}
     if mapping.get("can") == {}:
         mapping["can"] = {"dbc": dbc.name, "roles": roles.name}
-    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    found = import_log(logs, read_mapping(folder / "map.yaml"), folder / "bag")
-    messages: dict[str, list[Any]] = {}
-    with open_bag(folder / "bag") as bag:
-        for m in bag.messages():
-            messages.setdefault(m.topic.lstrip("/"), []).append(bag.deserialize(m.raw, m.type_name))
-    return found, messages
+    return import_logs(folder, logs, **mapping)
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+from fixtures.imports import import_topics
 from fixtures.made_bags import heading, joints, quaternion, write_bag
 
-from trackslip_bags.importing.importer import Imported, import_log
-from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.reader import open_bag
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.conversions import heading_fix, swing_angle
 from trackslip_estimation.slip.measurements import HeadingFix
@@ -21,14 +18,6 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 COMPASS = load_slip_parameters({"heading_sources": ["heading"]}).compasses()["heading"]
 UNKNOWN = COMPASS.stddev**2  # where the message has no variance
 EAST, NORTH = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
-
-
-def imported(folder: Path, log: Path, topics: dict[str, Any], **more: Any) -> tuple[Imported, list[Any]]:
-    """What the importer says, and the messages of one topic."""
-    (folder / "map.yaml").write_text(yaml.safe_dump({"topics": topics, **more}), encoding="utf-8")
-    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
-    with open_bag(folder / "out") as bag:
-        return found, [bag.deserialize(m.raw, m.type_name) for m in bag.messages(list(topics))]
 
 
 def headings(messages: list[Any]) -> list[tuple[float, float]]:
@@ -43,7 +32,7 @@ def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) ->
     turns = [heading(0.0, EAST, 0.0, 1e-5), heading(0.2, EAST, -1.0, 0.0), heading(0.4, NORTH, 0.0, 0.0)]
     turns.append(heading(0.6, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0))
     log = write_bag(tmp_path / "log", (("/gps/heading", one) for one in turns))
-    found, messages = imported(tmp_path, log, {"heading": {"from": "/gps/heading"}})
+    found, messages = import_topics(tmp_path, log, {"heading": {"from": "/gps/heading"}})
     assert headings(messages) == [(0.0, 1e-5), (pytest.approx(math.pi / 2.0), UNKNOWN)]
     assert found.left_out["/heading"] == {"states that it has no orientation": 1, "holds no orientation": 1}
     assert {m.header.frame_id for m in messages} == {"gps"}
@@ -52,11 +41,11 @@ def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) ->
 
 def test_a_bare_quaternion_has_the_variance_of_its_source_or_of_the_mapping(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", [("/gps/q", quaternion(0.0, NORTH))])
-    _, messages = imported(tmp_path, log, {"compass": {"role": "heading", "from": "/gps/q"}})
+    _, messages = import_topics(tmp_path, log, {"compass": {"role": "heading", "from": "/gps/q"}})
     assert headings(messages) == [(pytest.approx(math.pi / 2.0), UNKNOWN)]
     (sure := tmp_path / "sure").mkdir()
     stated = {"role": "heading", "from": "/gps/q", "stddev": {"yaw": 0.1}}
-    _, messages = imported(sure, log, {"compass": stated})
+    _, messages = import_topics(sure, log, {"compass": stated})
     assert headings(messages) == [(pytest.approx(math.pi / 2.0), pytest.approx(0.01))]
 
 
@@ -76,7 +65,7 @@ CSV: dict[str, dict[str, Any]] = {
 def test_columns_of_a_compass_are_headings(log: str, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(log, encoding="utf-8")
     time = {"column": "t", "unit": "s"}
-    found, messages = imported(tmp_path, tmp_path / "log.csv", {"heading": CSV[log]}, time=time)
+    found, messages = import_topics(tmp_path, tmp_path / "log.csv", {"heading": CSV[log]}, time=time)
     first = UNKNOWN if "stddev" not in CSV[log] else math.radians(2.0) ** 2
     expected = [(math.pi / 2.0, first), (0.0, UNKNOWN)]
     assert [pytest.approx(one, abs=1e-8) for one in expected] == headings(messages)
@@ -90,7 +79,7 @@ def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
     states += [joints(0.3, ["boom"], [9.0], []), joints(0.4, names, [], [1.0, 1.0])]
     log = write_bag(tmp_path / "log", (("/joint_states", one) for one in states))
     swing = {"from": "/joint_states", "joint": {"joints": "cab", "sign": -1, "ratio": 0.1}}
-    found, messages = imported(tmp_path, log, {"swing": swing})
+    found, messages = import_topics(tmp_path, log, {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, -0.05, -0.1])
     assert found.left_out["/swing"] == {"has none of the joints": 1, "holds no such numbers": 1}
@@ -99,9 +88,9 @@ def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
 def test_a_swing_without_its_joint_names_those_that_are_there(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", [("/joint_states", joints(0.0, ["swing_joint"], [0.5], []))])
     with pytest.raises(InputError, match=r"no joints swing \(no joint in .*accepted: swing_joint"):
-        imported(tmp_path, log, {"swing": {"from": "/joint_states"}})
+        import_topics(tmp_path, log, {"swing": {"from": "/joint_states"}})
     with pytest.raises(InputError, match=r"unknown key 'left'.*joint"):
-        imported(tmp_path, log, {"swing": {"from": "/joint_states", "left": "a"}})
+        import_topics(tmp_path, log, {"swing": {"from": "/joint_states", "left": "a"}})
 
 
 def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
@@ -110,7 +99,7 @@ def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
         "angle": {"column": "a", "unit": "deg", "origin": 10.0},
         "time": {"column": "t", "unit": "s"},
     }
-    _, messages = imported(tmp_path, tmp_path / "log.csv", {"swing": swing})
+    _, messages = import_topics(tmp_path, tmp_path / "log.csv", {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, math.pi / 4.0])
 
@@ -130,14 +119,14 @@ def test_the_convention_of_a_heading_is_stated(tmp_path: Path, given: dict[str, 
         tmp_path / "log", [("/q", quaternion(0.0, turn)), ("/imu", heading(0.1, turn, 0.0, 1e-5))]
     )
     topics = {name: {"role": "heading", "from": f"/{name}", **given} for name in ("q", "imu")}
-    _, messages = imported(tmp_path, log, topics)
+    _, messages = import_topics(tmp_path, log, topics)
     assert [found for found, _ in headings(messages)] == pytest.approx([yaw, yaw])
 
 
 def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", [("/q", quaternion(0.0, NORTH))])
     with pytest.raises(InputError, match="convention: 'ned' is not accepted; accepted: enu, compass"):
-        imported(tmp_path, log, {"compass": {"role": "heading", "from": "/q", "convention": "ned"}})
+        import_topics(tmp_path, log, {"compass": {"role": "heading", "from": "/q", "convention": "ned"}})
 
 
 def wheels(apart_s: float) -> list[tuple[str, Any]]:
@@ -152,7 +141,7 @@ def wheels(apart_s: float) -> list[tuple[str, Any]]:
 def test_joints_in_messages_of_their_own_are_joined_by_stamp(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", wheels(0.0)[:-1])
     topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right", "use": "positions"}}
-    found, messages = imported(tmp_path, log, topics)
+    found, messages = import_topics(tmp_path, log, topics)
     assert [list(m.position) for m in messages] == [[1.0 + k, 2.0 + k] for k in range(4)]
     assert list(found.left_out["/sprockets"].values()) == [1]
 
@@ -161,4 +150,4 @@ def test_joints_that_no_stamp_joins_are_refused(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", wheels(0.01))
     topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right"}}
     with pytest.raises(InputError, match="no messages of one stamp, hold left, right together"):
-        imported(tmp_path, log, topics)
+        import_topics(tmp_path, log, topics)

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+from fixtures.imports import import_topics
 from fixtures.made_bags import fix, write_bag
 
-from trackslip_bags.importing.importer import Imported, import_log
-from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.reader import open_bag
+from trackslip_bags.importing.importer import Imported
 from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Reason
@@ -26,15 +24,6 @@ CSV = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
 STDDEV = {"stddev": {"x": 0.02, "y": 0.02}}
 
 
-def imported(folder: Path, log: Path, topic: dict[str, Any], **more: Any) -> tuple[Imported, list[Any]]:
-    """What the importer says of one topic, and its messages."""
-    mapping = {"topics": {"gnss_pose": topic}, **more}
-    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
-    with open_bag(folder / "out") as bag:
-        return found, [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["gnss_pose"])]
-
-
 @pytest.fixture(params=["csv", "bag"])
 def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     """Imports a log of positions, of either kind."""
@@ -44,9 +33,11 @@ def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
             rows = [f"{k},{latitude},{longitude}" for k, (latitude, longitude) in enumerate(places)]
             (tmp_path / "log.csv").write_text("\n".join(("t,lat,lon", *rows, "")), encoding="utf-8")
             time = {"column": "t", "unit": "s"}
-            return imported(tmp_path, tmp_path / "log.csv", {**CSV, **STDDEV, "time": time}, **more)
+            return import_topics(
+                tmp_path, tmp_path / "log.csv", {"gnss_pose": {**CSV, **STDDEV, "time": time}}, **more
+            )
         log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at)) for k, at in enumerate(places)))
-        return imported(tmp_path, log, {"from": "/fix"}, **more)
+        return import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}}, **more)
 
     return run
 
@@ -99,7 +90,7 @@ def test_a_datum_at_a_pole_is_refused(of_places: Any) -> None:
 def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
     places = [NEAR[0], (-91.0, 151.0), *NEAR[1:]]
     log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at)) for k, at in enumerate(places)))
-    found, messages = imported(tmp_path, log, {"from": "/fix"})
+    found, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
     assert found.left_out["/gnss_pose"] == {Reason.OUT_OF_RANGE.value: 1}
     assert len(messages) == len(NEAR)
 
@@ -109,7 +100,7 @@ def test_one_fix_without_covariance_refused_a_whole_bag(tmp_path: Path) -> None:
     fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
     fixes[5].position_covariance[4] = math.nan
     log = write_bag(tmp_path / "log", (("/fix", one) for one in fixes))
-    found, messages = imported(tmp_path, log, {"from": "/fix"})
+    found, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
     assert found.left_out["/gnss_pose"] == {"no variance of x above 0": 1, "no variance of y above 0": 1}
     assert len(messages) == len(NEAR) - 2
     assert messages[0].pose.covariance[0] == pytest.approx(4e-4)
@@ -118,6 +109,6 @@ def test_one_fix_without_covariance_refused_a_whole_bag(tmp_path: Path) -> None:
 def test_a_bag_in_which_no_fix_has_a_covariance_wants_one(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at, kind=0)) for k, at in enumerate(NEAR)))
     with pytest.raises(InputError, match=r"/fix states no variance of x that is above 0; accepted: stddev"):
-        imported(tmp_path, log, {"from": "/fix"})
-    _, messages = imported(tmp_path, log, {"from": "/fix", **STDDEV})
+        import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
+    _, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix", **STDDEV}})
     assert len(messages) == len(NEAR)

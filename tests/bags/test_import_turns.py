@@ -8,12 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from fixtures.imports import import_topics
 from fixtures.made_bags import joints, write_bag
-
-from trackslip_bags.importing.importer import import_log
-from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.reader import open_bag
 
 NAMES = ["fl", "rl", "fr", "rr"]
 STARTS = np.array((0.3, 2.0, 1.0, 5.9))
@@ -26,11 +22,7 @@ VEHICLE = {"kinematics": {"rolling_radius": 0.15, "tread": 0.6, "contact_length"
 
 def sprockets(folder: Path, log: Path, topic: dict[str, Any]) -> list[Any]:
     """What the importer makes."""
-    mapping = {"topics": {"sprockets": topic}, "vehicle": VEHICLE}
-    (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
-    import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
-    with open_bag(folder / "out") as bag:
-        return [bag.deserialize(m.raw, m.type_name) for m in bag.messages(["sprockets"])]
+    return import_topics(folder, log, {"sprockets": topic}, vehicle=VEHICLE)[1]
 
 
 def wrapped(first: float) -> np.ndarray[Any, Any]:

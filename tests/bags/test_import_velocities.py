@@ -8,26 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from fixtures.imports import import_topics
 from fixtures.made_bags import write_bag
 
-from trackslip_bags.importing.importer import Imported, import_log
-from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.messages import header, make
-from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.conversions import velocity_fix
 from trackslip_estimation.slip.measurements import UNOBSERVED, VelocityFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 RECEIVER = load_slip_parameters({"velocity_sources": ["fix_velocity"]}).velocities()["fix_velocity"]
-
-
-def imported(folder: Path, log: Path, topics: dict[str, Any], **more: Any) -> tuple[Imported, list[Any]]:
-    """What the importer says, and the messages of one topic."""
-    (folder / "map.yaml").write_text(yaml.safe_dump({"topics": topics, **more}), encoding="utf-8")
-    found = import_log([log], read_mapping(folder / "map.yaml"), folder / "out")
-    with open_bag(folder / "out") as bag:
-        return found, [bag.deserialize(m.raw, m.type_name) for m in bag.messages(list(topics))]
 
 
 VELOCITIES: dict[str, dict[str, Any]] = {
@@ -47,7 +36,7 @@ VELOCITIES: dict[str, dict[str, Any]] = {
 def test_columns_of_a_receiver_are_velocities(log: str, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(log, encoding="utf-8")
     time = {"column": "t", "unit": "s"}
-    _, messages = imported(tmp_path, tmp_path / "log.csv", {"fix_velocity": VELOCITIES[log]}, time=time)
+    _, messages = import_topics(tmp_path, tmp_path / "log.csv", {"fix_velocity": VELOCITIES[log]}, time=time)
     fixes = [velocity_fix(m, "fix_velocity", RECEIVER) for m in messages]
     assert [list(one.velocity) for one in fixes] == [pytest.approx((1.0, 0.0)), pytest.approx((0.0, -2.0))]
     stated = (0.1, 0.2) if "stddev" in VELOCITIES[log] else (RECEIVER.stddev,) * 2
@@ -57,7 +46,7 @@ def test_columns_of_a_receiver_are_velocities(log: str, tmp_path: Path) -> None:
 def test_column_of_a_radar_is_a_velocity_along_one_axis(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("t,v\n0,0.5\n", encoding="utf-8")
     topics = {"radar": {"role": "velocity", "forward": {"column": "v", "unit": "m/s"}}}
-    _, (message,) = imported(tmp_path, tmp_path / "log.csv", topics, time={"column": "t", "unit": "s"})
+    _, (message,) = import_topics(tmp_path, tmp_path / "log.csv", topics, time={"column": "t", "unit": "s"})
     found = velocity_fix(message, "radar", RECEIVER)
     assert isinstance(found, VelocityFix)
     assert (found.velocity[0], found.covariance[1, 1]) == (0.5, UNOBSERVED)
@@ -75,7 +64,7 @@ def test_twists_of_a_bag_are_velocities(tmp_path: Path) -> None:
 
     twists = [twist(0.0, 1.0, 0.04), twist(0.2, 2.0, -1.0), twist(0.4, math.nan, 0.04), twist(0.6, 3.0, 0.0)]
     log = write_bag(tmp_path / "log", (("/gps/vel", one) for one in twists))
-    found, messages = imported(tmp_path, log, {"fix_velocity": {"from": "/gps/vel"}})
+    found, messages = import_topics(tmp_path, log, {"fix_velocity": {"from": "/gps/vel"}})
     assert [m.twist.twist.linear.x for m in messages] == [1.0, 3.0]
     assert [m.twist.covariance[0] for m in messages] == [0.04, 0.0]
     refused = {"states that it has no velocity": 1, "holds no such numbers": 1}
