@@ -31,17 +31,12 @@ from trackslip_tools.cli.main import main
 
 TEXT = "std_msgs/msg/String"
 LAST_S = 7.0  # of the good recording: a straight, and turns
-_THINNED = (
-    "/truth/",
-    "/odometry",
-    "/track_slip",
-    "/machine_state",
-    "/attitude",
-    "/imu/mag",
-)  # of which a few do as well
+# of which a few do as well
+_THINNED = ("/truth/", "/odometry", "/track_slip", "/machine_state", "/attitude", "/imu/mag")
 _S = 1_000_000_000
 _BAG = Path(__file__).resolve().parents[2] / "bags" / "slalom_sand"
 
+Change: TypeAlias = Callable[[Any, int], None]  # of a message in place, and its number on its topic
 Made: TypeAlias = Callable[[Path], Path]  # writes a bag into a folder, and says what to hand over
 Family: TypeAlias = Iterator[tuple[str, Made]]
 
@@ -144,20 +139,21 @@ NUMBERS: dict[str, float] = {
 }
 
 
-def _with_numbers(
-    message: Any, value: float, which: Callable[[str], bool] = lambda _: True, at: str = ""
-) -> None:
-    """Every float of a message, within a message too, becomes this one, or infinity in 32 bits."""
+def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> None:
+    """Every float of a message, within a message too, or the one at a path, becomes this one.
+
+    In 32 bits it may become infinity.
+    """
     if _is_of_float32(message):
         with np.errstate(over="ignore"):
             value = float(np.float32(value))
     for field in dataclasses.fields(message):
         name, held = f"{at}.{field.name}", getattr(message, field.name)
         if dataclasses.is_dataclass(held) and field.name != "stamp":
-            _with_numbers(held, value, which, name)
-        elif isinstance(held, float) and which(name):
+            _with_numbers(held, value, only, name)
+        elif isinstance(held, float) and only in ("", name):
             setattr(message, field.name, value)
-        elif isinstance(held, np.ndarray) and held.dtype.kind == "f" and which(name):
+        elif isinstance(held, np.ndarray) and held.dtype.kind == "f" and only in ("", name):
             with np.errstate(over="ignore"):
                 setattr(message, field.name, np.full_like(held, value))
 
@@ -166,28 +162,30 @@ def _is_of_float32(message: Any) -> bool:
     return bool(message.__msgtype__ == "sensor_msgs/msg/LaserScan")
 
 
-def _changed(topic: str, change: Callable[[Any, int], Any], every: int, folder: Path) -> Path:
+def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:
     """The good recording, in which each so manieth message of a topic is changed."""
     lines, seen = [], 0
     for line in good():
         if line.topic == topic:
             if seen % every == every // 2:
-                line = line._replace(raw=serialize(change(_message(line), seen)))
+                line = _changed_line(line, change, seen)
             seen += 1
         lines.append(line)
     return write(lines, folder)
+
+
+def _changed_line(line: Line, change: Change, k: int) -> Line:
+    message = _message(line)
+    change(message, k)
+    return line._replace(raw=serialize(message))
 
 
 def contents() -> Family:
     """All floats of a topic's messages: in one message of fifty, and in all of them."""
     for topic in stamped_topics():
         for name, value in NUMBERS.items():
-
-            def change(message: Any, _: int, value: float = value) -> Any:
-                _with_numbers(message, value)
-                return message
-
             for every in (1, 50):
+                change = partial(_set_numbers, value, "")
                 yield f"contents{topic}={name} each {every}", partial(_changed, topic, change, every)
 
 
@@ -196,12 +194,12 @@ def fields() -> Family:
     for topic in stamped_topics():
         for path in _floats(_message(first()[topic])):
             for name in ("nan", "1e308", "1e30", "minus_1"):
-
-                def change(message: Any, _: int, path: str = path, value: float = NUMBERS[name]) -> Any:
-                    _with_numbers(message, value, lambda at: at == path)
-                    return message
-
+                change = partial(_set_numbers, NUMBERS[name], path)
                 yield f"field{topic}{path}={name}", partial(_changed, topic, change, 1)
+
+
+def _set_numbers(value: float, only: str, message: Any, _: int) -> None:
+    _with_numbers(message, value, only)
 
 
 def _floats(message: Any, at: str = "") -> Iterator[str]:
@@ -234,28 +232,23 @@ _STAMPS: dict[str, Callable[[int, int, int], tuple[int, int]]] = {
 def stamps() -> Family:
     """Stamps of a topic, one in fifty or all; and of all topics together."""
     for name, of in _STAMPS.items():
-
-        def change(message: Any, k: int, of: Callable[[int, int, int], tuple[int, int]] = of) -> Any:
-            stamp = message.header.stamp
-            sec, nanosec = of(int(stamp.sec), int(stamp.nanosec), k)
-            stamp.sec, stamp.nanosec = max(-(2**31), min(sec, 2**31 - 1)), nanosec
-            return message
-
+        change = partial(_set_stamp, of)
         for topic in stamped_topics():
             for every in (1, 50):
                 yield f"stamps{topic}={name} each {every}", partial(_changed, topic, change, every)
+        yield f"stamps={name}", partial(_changed_together, change)
 
-        def together(folder: Path, change: Callable[[Any, int], Any] = change) -> Path:
-            known = set(stamped_topics())
-            return write(
-                (
-                    line._replace(raw=serialize(change(_message(line), k))) if line.topic in known else line
-                    for k, line in enumerate(good())
-                ),
-                folder,
-            )
 
-        yield f"stamps={name}", together
+def _set_stamp(of: Callable[[int, int, int], tuple[int, int]], message: Any, k: int) -> None:
+    stamp = message.header.stamp
+    sec, nanosec = of(int(stamp.sec), int(stamp.nanosec), k)
+    stamp.sec, stamp.nanosec = max(-(2**31), min(sec, 2**31 - 1)), nanosec
+
+
+def _changed_together(change: Change, folder: Path) -> Path:
+    known = set(stamped_topics())
+    lines = enumerate(good())
+    return write((_changed_line(m, change, k) if m.topic in known else m for k, m in lines), folder)
 
 
 def log_times() -> Family:
@@ -287,78 +280,63 @@ def log_times() -> Family:
 
 def sequences() -> Family:
     """Lists of messages: none, cut, too long; texts that are strange."""
-    joints = [topic for topic in topics() if _type(topic) == "sensor_msgs/msg/JointState"]
     long_name = "x" * 200_000
-    for topic in joints:
+    for topic in (topic for topic in topics() if _type(topic) == "sensor_msgs/msg/JointState"):
         for name, count in (("none", 0), ("one", 1), ("three", 3), ("many", 5000)):
-
-            def positions(message: Any, _: int, count: int = count) -> Any:
-                message.position = np.resize(message.position, count)
-                return message
-
-            def velocities(message: Any, _: int, count: int = count) -> Any:
-                message.velocity = np.resize(message.velocity, count)
-                return message
-
-            def names(message: Any, _: int, count: int = count) -> Any:
-                message.name = (list(message.name) * count)[:count]
-                return message
-
-            for what, change in (("positions", positions), ("velocities", velocities), ("names", names)):
+            for what, resize in (("positions", _positions), ("velocities", _velocities), ("names", _names)):
+                change = partial(resize, count)
                 for every in (1, 3):
-                    yield (
-                        f"sequences{topic}={what} {name} each {every}",
-                        partial(_changed, topic, change, every),
-                    )
-
-        def twice(message: Any, _: int) -> Any:
-            message.name = [message.name[0]] * len(message.name)
-            return message
-
-        yield f"sequences{topic}=one name twice", partial(_changed, topic, twice, 1)
+                    bag = f"sequences{topic}={what} {name} each {every}"
+                    yield bag, partial(_changed, topic, change, every)
+        yield f"sequences{topic}=one name twice", partial(_changed, topic, _one_name_twice, 1)
+    frames = {"long": long_name, "steering": "\x1b[2J\0\n\u2028", "empty": "", "map": "map"}
     for topic in stamped_topics():
-        for name, text in (
-            ("long", long_name),
-            ("steering", "\x1b[2J\0\n\u2028"),
-            ("empty", ""),
-            ("map", "map"),
-        ):
-
-            def frame(message: Any, k: int, text: str = text) -> Any:
-                message.header.frame_id = text + str(k) * (text == "map")
-                return message
-
-            yield f"frames{topic}={name}", partial(_changed, topic, frame, 1 if text != long_name else 40)
+        for name, text in frames.items():
+            every = 40 if text == long_name else 1
+            yield f"frames{topic}={name}", partial(_changed, topic, partial(_frame, text), every)
     for name, count in {"none": 0, "one": 1, "many": 100_000}.items():
-
-        def ranges(message: Any, _: int, count: int = count) -> Any:
-            message.ranges = np.full(count, 3.0, np.float32)
-            return message
-
-        yield f"scan=ranges {name}", partial(_changed, "/scan", ranges, 20)
+        yield f"scan=ranges {name}", partial(_changed, "/scan", partial(_ranges, count), 20)
     for name, value in NUMBERS.items():
+        yield f"scan=angles {name}", partial(_changed, "/scan", partial(_angles, value), 1)
+    texts = {"words": "x: y", "long": long_name, "steering": "\x1b[2J", "digits": "9" * 4000}
+    for name, text in texts.items():
+        yield f"diagnostics={name}", partial(_changed, "/diagnostics", partial(_lights, text), 1)
 
-        def angles(message: Any, _: int, value: float = value) -> Any:
-            with np.errstate(over="ignore"):
-                message.angle_min = message.angle_increment = float(np.float32(value))
-            return message
 
-        yield f"scan=angles {name}", partial(_changed, "/scan", angles, 1)
-    for name, text in {
-        "words": "x: y",
-        "long": long_name,
-        "steering": "\x1b[2J",
-        "digits": "9" * 4000,
-    }.items():
+def _positions(count: int, message: Any, _: int) -> None:
+    message.position = np.resize(message.position, count)
 
-        def values(message: Any, _: int, text: str = text) -> Any:
-            for status in message.status:
-                status.name = status.message = status.hardware_id = text
-                status.values = [make("diagnostic_msgs/msg/KeyValue", key=text, value=text)] * 50
-                status.level = -1  # 255 as a byte has it
-            return message
 
-        yield f"diagnostics={name}", partial(_changed, "/diagnostics", values, 1)
+def _velocities(count: int, message: Any, _: int) -> None:
+    message.velocity = np.resize(message.velocity, count)
+
+
+def _names(count: int, message: Any, _: int) -> None:
+    message.name = (list(message.name) * count)[:count]
+
+
+def _one_name_twice(message: Any, _: int) -> None:
+    message.name = [message.name[0]] * len(message.name)
+
+
+def _frame(text: str, message: Any, k: int) -> None:
+    message.header.frame_id = text + str(k) * (text == "map")
+
+
+def _ranges(count: int, message: Any, _: int) -> None:
+    message.ranges = np.full(count, 3.0, np.float32)
+
+
+def _angles(value: float, message: Any, _: int) -> None:
+    with np.errstate(over="ignore"):
+        message.angle_min = message.angle_increment = float(np.float32(value))
+
+
+def _lights(text: str, message: Any, _: int) -> None:
+    for status in message.status:
+        status.name = status.message = status.hardware_id = text
+        status.values = [make("diagnostic_msgs/msg/KeyValue", key=text, value=text)] * 50
+        status.level = -1  # 255 as a byte has it
 
 
 def raw_bytes() -> Family:
@@ -377,16 +355,13 @@ def raw_bytes() -> Family:
     for topic in topics():
         for name, way in ways.items():
             for every in (1, 7):
+                yield f"bytes{topic}={name} each {every}", partial(_with_bytes, topic, way, every)
 
-                def made(folder: Path, topic: str = topic, way: Any = way, every: int = every) -> Path:
-                    own = [line for line in good() if line.topic == topic][::every]
-                    chosen = set(map(id, own))
-                    return write(
-                        (line._replace(raw=way(line.raw)) if id(line) in chosen else line for line in good()),
-                        folder,
-                    )
 
-                yield f"bytes{topic}={name} each {every}", made
+def _with_bytes(topic: str, way: Callable[[bytes], bytes], every: int, folder: Path) -> Path:
+    own = [line for line in good() if line.topic == topic][::every]
+    chosen = set(map(id, own))
+    return write((m._replace(raw=way(m.raw)) if id(m) in chosen else m for m in good()), folder)
 
 
 # --- topics and types
@@ -482,25 +457,16 @@ def vehicles() -> Family:
                 f"vehicle.{name}={size!r:.40}",
                 partial(_carrying, "/vehicle", _set(text, name.split("."), size)),
             )
-    for name, factor in (("tread", 1e-30), ("rolling_radius", 1e-30), ("contact_length", 1e-30)):
-        small = (
-            f"name: x\nkinematics: {{rolling_radius: 0.1, tread: 0.7, contact_length: 1.0, {name}: {factor}}}"
-        )
-        yield f"vehicle alone.{name}={factor}", partial(_carrying, "/vehicle", _unique(small, name))
+    for name in ("tread", "rolling_radius", "contact_length"):
+        kinematics = {"rolling_radius": 0.1, "tread": 0.7, "contact_length": 1.0} | {name: 1e-30}
+        small = str(yaml.safe_dump({"name": "x", "kinematics": kinematics}))
+        yield f"vehicle alone.{name}=1e-30", partial(_carrying, "/vehicle", small)
     small = "name: x\nkinematics: {rolling_radius: 1.0e-30, tread: 1.0e-30, contact_length: 1.0e-30}"
     yield "vehicle alone=1e-30", partial(_carrying, "/vehicle", small)
     for vehicle in sorted((config_directory() / "vehicles").glob("*.yaml")):
         other = vehicle_text(load_vehicle(vehicle.stem))
         yield f"vehicle is {vehicle.stem}", partial(_carrying, "/vehicle", other)
     yield from _texts("/vehicle", text)
-
-
-def _unique(text: str, name: str) -> str:
-    """Without the first of two values of a name in braces."""
-    head, _, tail = text.partition("{")
-    pairs = dict(pair.split(": ") for pair in tail.rstrip("}").split(", "))
-    assert name in pairs
-    return head + "{" + ", ".join(f"{key}: {value}" for key, value in pairs.items()) + "}"
 
 
 def parameters() -> Family:
@@ -514,16 +480,9 @@ def parameters() -> Family:
             continue
         values: list[Any] = list(spec.choices)
         if kind is float:
-            least = (
-                1e-30
-                if spec.gt == 0.0
-                else spec.gt
-                if spec.gt is not None
-                else spec.ge
-                if spec.ge is not None
-                else -1e30
-            )
-            most = spec.le if spec.le is not None else spec.lt if spec.lt is not None else 1e30
+            lower = (1e-30 if spec.gt == 0.0 else spec.gt, spec.ge, -1e30)
+            least = next(bound for bound in lower if bound is not None)
+            most = next(bound for bound in (spec.le, spec.lt, 1e30) if bound is not None)
             values = [least, most]
             low[name], high[name] = least, most
         elif kind is bool:
