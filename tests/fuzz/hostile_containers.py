@@ -16,37 +16,11 @@ from hostile_messages import Family, good, write
 
 _INFORMATION = "rosbag2_bagfile_information"
 _TIMES: tuple[Any, ...] = (
-    -1,
-    0,
-    1,
-    -(2**63),
-    2**62,
-    2**63 - 2,
-    2**63 - 1,
-    2**63,
-    10**30,
-    1.5,
-    1e300,
-    "x",
-    None,
-    [],
-    {},
-    True,
+    *(-1, 0, 1, -(2**63), 2**62, 2**63 - 2, 2**63 - 1, 2**63, 10**30, 1.5, 1e300, "x", None, [], {}, True),
 )
 _COUNTS: tuple[Any, ...] = (-1, 0, 1, 2**62, 10**30, 1.5, "x", None, [])
 _WORDS: tuple[Any, ...] = (
-    "",
-    "x",
-    "\x1b[2J",
-    "a" * 100_000,
-    "\udcff",
-    1,
-    None,
-    [],
-    {},
-    "/",
-    "std_msgs/msg/String",
-    "a/b/c/d",
+    *("", "x", "\x1b[2J", "a" * 100_000, "\udcff", 1, None, [], {}, "/", "std_msgs/msg/String", "a/b/c/d"),
 )
 _FIELDS: dict[tuple[Any, ...], tuple[Any, ...]] = {
     ("version",): (-1, 0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 99, 10**30, "x", None, 1.5),
@@ -65,47 +39,16 @@ _FIELDS: dict[tuple[Any, ...], tuple[Any, ...]] = {
     ("topics_with_message_count", 0, "topic_metadata", "type"): _WORDS,
     ("topics_with_message_count", 0, "topic_metadata", "serialization_format"): ("cbor", *_WORDS),
     ("topics_with_message_count", 0, "topic_metadata", "offered_qos_profiles"): (
-        *(
-            "",
-            "x",
-            "[" * 5000,
-            [],
-            [1],
-            {},
-            None,
-            [{}],
-            [{"history": 99}],
-            [{"depth": -1}],
-            "- history: 3\n" * 9000,
-        ),
+        *("", "x", "[" * 5000, [], [1], {}, None, [{}], [{"history": 99}], [{"depth": -1}]),
+        "- history: 3\n" * 9000,
     ),
     ("topics_with_message_count", 0, "topic_metadata", "type_description_hash"): _WORDS,
     ("relative_file_paths",): (
-        None,
-        1,
-        "x",
-        [],
-        {},
-        [1],
-        [None],
-        [""],
-        ["."],
-        [".."],
-        ["/"],
-        ["metadata.yaml"],
+        *(None, 1, "x", [], {}, [1], [None], [""], ["."], [".."], ["/"], ["metadata.yaml"]),
     ),
     ("relative_file_paths", 0): (
-        *(
-            "/dev/zero",
-            "/etc/passwd",
-            "../../../../etc/passwd",
-            "\0",
-            "a" * 5000,
-            "x.db3",
-            "x.mcap",
-            "bag_0.mcap/",
-            "~",
-        ),
+        *("/dev/zero", "/etc/passwd", "../../../../etc/passwd", "\0", "a" * 5000, "x.db3", "x.mcap"),
+        *("bag_0.mcap/", "~"),
     ),
     ("files",): (None, 1, "x", [], {}, [1], [{}], [None]),
     ("files", 0, "path"): ("/dev/zero", "../x", 1, None, "\0"),
@@ -121,46 +64,17 @@ def metadata() -> Family:
     """One value of ``metadata.yaml``, and texts that are none."""
     for names, values in _FIELDS.items():
         for value in values:
-
-            def swap(tree: dict[str, Any], names: tuple[Any, ...] = names, value: Any = value) -> None:
-                branch: Any = tree[_INFORMATION]
-                for name in names[:-1]:
-                    branch = branch[name]
-                branch[names[-1]] = value
-
+            swap = partial(_set, names, value)
             yield f"metadata.{'.'.join(map(str, names))}={value!r:.40}", partial(_with_tree, swap)
-    for name in (
-        "version",
-        "duration",
-        "starting_time",
-        "message_count",
-        "relative_file_paths",
-        "storage_identifier",
-    ):
-
-        def drop(tree: dict[str, Any], name: str = name) -> None:
-            del tree[_INFORMATION][name]
-
-        yield f"metadata without {name}", partial(_with_tree, drop)
+    required = ("version", "duration", "starting_time", "message_count", "relative_file_paths")
+    for name in (*required, "storage_identifier"):
+        yield f"metadata without {name}", partial(_with_tree, partial(_drop, name))
     for count in (2, 100, 2000, 20_000):
-
-        def repeat(tree: dict[str, Any], count: int = count) -> None:
-            tree[_INFORMATION]["relative_file_paths"] *= count
-            tree[_INFORMATION]["files"] *= count
-
-        def topics(tree: dict[str, Any], count: int = count) -> None:
-            tree[_INFORMATION]["topics_with_message_count"] *= count
-
-        yield f"metadata with one file {count} times", partial(_with_tree, repeat)
-        yield f"metadata with topics {count} times", partial(_with_tree, topics)
+        files, topics = ("relative_file_paths", "files"), ("topics_with_message_count",)
+        yield f"metadata with one file {count} times", partial(_with_tree, partial(_repeat, files, count))
+        yield f"metadata with topics {count} times", partial(_with_tree, partial(_repeat, topics, count))
         for form in ("./" * count + "bag_0.mcap", "x/../" * min(count, 100) + "bag_0.mcap"):
-
-            def dotted(tree: dict[str, Any], form: str = form, count: int = count) -> None:
-                own = tree[_INFORMATION]["relative_file_paths"]
-                tree[_INFORMATION]["relative_file_paths"] = (
-                    own + ["./" * k + own[0] for k in range(min(count, 200))] + [form]
-                )
-
+            dotted = partial(_add_dotted, form, count)
             yield f"metadata with one file as {form[:9]} {count}", partial(_with_tree, dotted)
     texts = {
         "empty": b"",
@@ -185,6 +99,26 @@ def metadata() -> Family:
         yield f"metadata={name}", partial(_with_text, text)
 
 
+def _set(names: tuple[Any, ...], value: Any, own: Any) -> None:
+    for name in names[:-1]:
+        own = own[name]
+    own[names[-1]] = value
+
+
+def _drop(name: str, own: dict[str, Any]) -> None:
+    del own[name]
+
+
+def _repeat(names: tuple[str, ...], count: int, own: dict[str, Any]) -> None:
+    for name in names:
+        own[name] *= count
+
+
+def _add_dotted(form: str, count: int, own: dict[str, Any]) -> None:
+    (path,) = own["relative_file_paths"]
+    own["relative_file_paths"] = [path, *("./" * k + path for k in range(min(count, 200))), form]
+
+
 def _bomb() -> bytes:
     rows = ["a0: &a0 [x,x,x,x,x,x,x,x,x]"] + [
         f"a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)
@@ -195,7 +129,7 @@ def _bomb() -> bytes:
 def _with_tree(change: Callable[[dict[str, Any]], None], folder: Path) -> Path:
     bag = write(good(), folder)
     tree = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
-    change(tree)
+    change(tree[_INFORMATION])
     yaml.Dumper.ignore_aliases = lambda *_: True  # type: ignore[method-assign]
     text = yaml.dump(tree, sort_keys=False, Dumper=yaml.Dumper)
     (bag / "metadata.yaml").write_bytes(text.encode("utf-8", "surrogateescape"))
@@ -227,16 +161,19 @@ def damages() -> Family:
         ways[f"ones at {share:g}"] = partial(_over, share, b"\xff" * 9)
     for name, way in ways.items():
         for bare in (False, True):
+            yield f"damage={name}{' bare' * bare}", partial(_damaged, way, bare)
 
-            def made(folder: Path, way: Callable[[bytearray], bytes] = way, bare: bool = bare) -> Path:
-                bag = write(good(), folder)
-                (file,) = bag.glob("*.mcap")
-                file.write_bytes(way(bytearray(file.read_bytes())))
-                if bare:
-                    (bag / "metadata.yaml").unlink()
-                return bag
 
-            yield f"damage={name}{' bare' * bare}", made
+def _damaged(way: Callable[[bytearray], bytes], bare: bool, folder: Path) -> Path:
+    bag = write(good(), folder)
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(way(bytearray(file.read_bytes())))
+    return _without_metadata(bag) if bare else bag
+
+
+def _without_metadata(bag: Path) -> Path:
+    (bag / "metadata.yaml").unlink()
+    return bag
 
 
 def _cut(share: float, content: bytearray) -> bytes:
@@ -472,26 +409,9 @@ def names() -> Family:
         "cp1252": b"M\xe4rz",
     }
     for name, text in texts.items():
-
-        def renamed(folder: Path, text: bytes = text) -> Path:
-            path = folder / os.fsdecode(text)
-            return write(good(), folder).rename(path)
-
-        def file_renamed(folder: Path, text: bytes = text) -> Path:
-            bag = write(good(), folder)
-            (file,) = bag.glob("*.mcap")
-            file.rename(bag / os.fsdecode(text[:200] + b".mcap"))
-            (bag / "metadata.yaml").unlink()
-            return bag
-
-        def bare(folder: Path, text: bytes = text) -> Path:
-            bag = write(good(), folder)
-            (file,) = bag.glob("*.mcap")
-            return file.rename(folder / os.fsdecode(text[:200] + b".mcap"))
-
-        yield f"name={name}", renamed
-        yield f"name of the file={name}", file_renamed
-        yield f"name of a bare file={name}", bare
+        yield f"name={name}", partial(_renamed, text)
+        yield f"name of the file={name}", partial(_file_renamed, text)
+        yield f"name of a bare file={name}", partial(_bare_file, text)
     beside: dict[str, Callable[[Path], object]] = {
         "loop": lambda bag: _link(bag, "x.mcap", 1),
         "link to nothing": lambda bag: _link(bag, "nothing", 1),
@@ -505,18 +425,32 @@ def names() -> Family:
         "folders": lambda bag: (bag / "/".join("d" * 100)).mkdir(parents=True),
     }
     for name, add in beside.items():
-        for bare_ in (False, True):
-
-            def made(folder: Path, add: Callable[[Path], object] = add, bare_: bool = bare_) -> Path:
-                bag = write(good(), folder)
-                add(bag)
-                if bare_:
-                    (bag / "metadata.yaml").unlink()
-                return bag
-
-            yield f"beside={name}{' bare' * bare_}", made
+        for bare in (False, True):
+            yield f"beside={name}{' bare' * bare}", partial(_with_beside, add, bare)
     yield "a folder of folders", lambda folder: folder
     yield "no folder", lambda folder: folder / "nothing"
+
+
+def _renamed(text: bytes, folder: Path) -> Path:
+    return write(good(), folder).rename(folder / os.fsdecode(text))
+
+
+def _file_renamed(text: bytes, folder: Path) -> Path:
+    bag = write(good(), folder)
+    (file,) = bag.glob("*.mcap")
+    file.rename(bag / os.fsdecode(text[:200] + b".mcap"))
+    return _without_metadata(bag)
+
+
+def _bare_file(text: bytes, folder: Path) -> Path:
+    (file,) = write(good(), folder).glob("*.mcap")
+    return file.rename(folder / os.fsdecode(text[:200] + b".mcap"))
+
+
+def _with_beside(add: Callable[[Path], object], bare: bool, folder: Path) -> Path:
+    bag = write(good(), folder)
+    add(bag)
+    return _without_metadata(bag) if bare else bag
 
 
 def _link(bag: Path, target: str, count: int) -> None:
