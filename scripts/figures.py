@@ -46,8 +46,7 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.scoring import in_order
-from trackslip_tools.replay.series import Series
+from trackslip_tools.replay.series import Series, in_order
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")

@@ -19,7 +19,7 @@ from trackslip_tools.cli.replay_options import ReplayOptions
 from trackslip_tools.replay import run
 from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.output import summary, text
-from trackslip_tools.replay.scoring import in_order
+from trackslip_tools.replay.series import in_order
 
 
 @dataclass(frozen=True, eq=False)

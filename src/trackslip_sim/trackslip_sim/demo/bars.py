@@ -33,8 +33,8 @@ from trackslip_tools.replay.parts import Part
 from trackslip_tools.replay.reckoning import Reckoning
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.scoring import errors_of, in_order, moving_slips, path_of_series, slip_errors
-from trackslip_tools.replay.series import Series, reduced, series_of
+from trackslip_tools.replay.scoring import errors_of, moving_slips, path_of_series, slip_errors
+from trackslip_tools.replay.series import Series, in_order, reduced, series_of
 
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 OUTAGE = 30.0  # s

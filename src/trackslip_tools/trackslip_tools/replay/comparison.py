@@ -22,6 +22,7 @@ from trackslip_estimation.slip.mounting import quaternion_by
 from trackslip_tools.replay.comparable import Comparability, ComparablePart, IntArray
 from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
+from trackslip_tools.replay.series import in_order
 
 WAITING_NS = 2 * HORIZON_NS  # for a partner: the replay may be a horizon behind what is read, and a batch
 TOLERANCE = 1e-9  # between a live and a replayed number
@@ -262,16 +263,11 @@ def _picked(rows: Rows, names: Sequence[str], numbers: IntArray | None = None) -
             found[name] = headings_of(rows)
         else:
             found[name] = tilts_of(rows)[:, _TILT.index(name)]
-    return _unique(found)
-
-
-def _unique(rows: Rows) -> Rows:
-    _, from_the_end = np.unique(rows["stamp_ns"][::-1], return_index=True)
-    return rows[::-1][from_the_end]
+    return in_order(found)
 
 
 def _together(known: Rows | None, more: Rows) -> Rows:
-    return more if known is None else _unique(np.concatenate((known, more)))
+    return more if known is None else in_order(np.concatenate((known, more)))
 
 
 def _divided(rows: Rows, oldest_ns: int) -> tuple[Rows, Rows]:

@@ -8,7 +8,6 @@ V          r (ω_L + ω_R)/2        m/s, no slip
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.arrivals import Rows
+from trackslip_tools.replay.series import series_of
 
 FloatArray = NDArray[np.float64]
 
@@ -38,21 +38,6 @@ class Path:
         t, wanted = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
         columns = [np.interp(wanted, t, column, left=np.nan, right=np.nan) for column in self.poses.T]
         return np.stack(columns, axis=-1)
-
-
-class Sprocketed(NamedTuple):
-    """Sprocket samples by stamp."""
-
-    stamps_ns: NDArray[np.int64]  # (n,)
-    speeds: FloatArray  # (n, 2) left, right, rad/s
-    positions: FloatArray | None  # (n, 2) rad; None where any sample lacks them
-
-
-class Gyro(NamedTuple):
-    """Yaw rates by stamp."""
-
-    stamps_ns: NDArray[np.int64]  # (n,)
-    rates: FloatArray  # (n,) rad/s
 
 
 class DeadReckoner:
@@ -83,19 +68,18 @@ class DeadReckoner:
             return None
         sprockets = _by_stamp(np.concatenate(self._sprockets))
         last_ns = int(sprockets["stamp_ns"][-1])
-        until_ns, gyro = last_ns - _REORDERED_NS, None
+        until_ns, rates = last_ns - _REORDERED_NS, None
         if self._with_gyro:
             rates = _by_stamp(np.concatenate(self._gyro))
-            gyro = Gyro(rates["stamp_ns"], rates["rate"])
-            until_ns = min(until_ns, max(int(gyro.stamps_ns[-1]), last_ns - _SILENT_NS))
+            until_ns = min(until_ns, max(int(rates["stamp_ns"][-1]), last_ns - _SILENT_NS))
         end = len(sprockets) if whole else int(np.searchsorted(sprockets["stamp_ns"], until_ns, side="right"))
         if not end or sprockets["stamp_ns"][end - 1] <= self._at[0]:
             return None
-        path = dead_reckon(self._vehicle, _samples(sprockets[:end]), *self._at, gyro)
+        path = dead_reckon(self._vehicle, sprockets[:end], *self._at, rates)
         self._at = int(path.stamps_ns[-1]), path.poses[-1]
         self._sprockets = [sprockets[end - 1 :]]
-        if gyro is not None:
-            self._gyro = [rates[max(int(np.searchsorted(gyro.stamps_ns, self._at[0])) - 1, 0) :]]
+        if rates is not None:
+            self._gyro = [rates[max(int(np.searchsorted(rates["stamp_ns"], self._at[0])) - 1, 0) :]]
         return path
 
 
@@ -107,7 +91,8 @@ def _sprocketed(rows: Rows) -> Rows:
     )
     sound = (np.abs(speeds) < _LARGEST).all(axis=1)
     sound &= (np.abs(positions) < _LARGEST).all(axis=1) | np.isnan(positions).all(axis=1)
-    return _records(rows["stamp_ns"][sound], speeds=speeds[sound], positions=positions[sound])
+    columns = {"stamp_ns": rows["stamp_ns"][sound], "speeds": speeds[sound], "positions": positions[sound]}
+    return series_of(**columns).rows
 
 
 def _yaw_rates(rows: Rows) -> Rows:
@@ -115,21 +100,7 @@ def _yaw_rates(rows: Rows) -> Rows:
     rows = rows[rows["kind"] == YAW_RATE]
     rates, variances = rows["value"][:, 0], rows["noise"][:, 0, 0]
     sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
-    return _records(rows["stamp_ns"][sound], rate=rates[sound])
-
-
-def _samples(rows: Rows) -> Sprocketed:
-    positions = None if np.isnan(rows["positions"]).any() else rows["positions"]
-    return Sprocketed(rows["stamp_ns"], rows["speeds"], positions)
-
-
-def _records(stamps_ns: NDArray[np.int64], **columns: FloatArray) -> Rows:
-    fields = [(name, np.float64, column.shape[1:]) for name, column in columns.items()]
-    found = np.empty(len(stamps_ns), [("stamp_ns", np.int64), *fields])
-    found["stamp_ns"] = stamps_ns
-    for name, column in columns.items():
-        found[name] = column
-    return found
+    return series_of(stamp_ns=rows["stamp_ns"][sound], rate=rates[sound]).rows
 
 
 def _by_stamp(rows: Rows) -> Rows:
@@ -139,18 +110,14 @@ def _by_stamp(rows: Rows) -> Rows:
 
 
 def dead_reckon(
-    vehicle: Kinematics,
-    sprockets: Sprocketed,
-    start_ns: int,
-    start_pose: FloatArray,
-    gyro: Gyro | None = None,
+    vehicle: Kinematics, sprockets: Rows, start_ns: int, start_pose: FloatArray, gyro: Rows | None
 ) -> Path:
     """Path from ``start_pose`` (3,) at ``start_ns``, with no slip.
 
     The heading is the integral of the gyro's rate where it is given (bias and all), else that of the
     difference of the tracks' speeds.
     """
-    stamps = sprockets.stamps_ns
+    stamps = sprockets["stamp_ns"]
     after = stamps > start_ns
     grid = np.concatenate(([start_ns], stamps[after]))
 
@@ -168,17 +135,17 @@ def dead_reckon(
     return Path(grid, np.stack((x, y, heading), axis=-1))
 
 
-def _turned(sprockets: Sprocketed) -> FloatArray:
+def _turned(sprockets: Rows) -> FloatArray:
     """(2, n) rad turned by the left and right sprocket: their positions, or the integral of their speeds."""
-    if sprockets.positions is not None:
-        return sprockets.positions.T
-    steps = sprockets.speeds[1:] * (np.diff(sprockets.stamps_ns) * 1e-9)[:, np.newaxis]
+    if not np.isnan(sprockets["positions"]).any():
+        return np.asarray(sprockets["positions"].T)
+    steps = sprockets["speeds"][1:] * (np.diff(sprockets["stamp_ns"]) * 1e-9)[:, np.newaxis]
     return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))).T
 
 
-def _integral(gyro: Gyro, grid: NDArray[np.int64]) -> FloatArray:
+def _integral(gyro: Rows, grid: NDArray[np.int64]) -> FloatArray:
     """(n,) rad turned since grid[0] by the trapezoidal rule, the rate held before and after the log."""
-    stamps, rates = gyro
+    stamps, rates = gyro["stamp_ns"], gyro["rate"]
     edges = np.unique(np.concatenate((stamps, grid)))
     rate = np.interp(edges - edges[0], stamps - edges[0], rates)
     turned = np.concatenate(([0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(edges) * 1e-9)))

@@ -9,16 +9,8 @@ from numpy.typing import NDArray
 
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.growing import Rows
-from trackslip_tools.replay.scoring import (
-    Score,
-    errors_of,
-    in_order,
-    moving_slips,
-    nees_of_each,
-    path_of,
-    slip_errors,
-)
-from trackslip_tools.replay.series import Series, series_of
+from trackslip_tools.replay.scoring import Score, errors_of, moving_slips, nees_of_each, path_of, slip_errors
+from trackslip_tools.replay.series import Series, in_order, series_of
 
 FloatArray = NDArray[np.float64]
 

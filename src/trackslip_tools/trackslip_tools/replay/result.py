@@ -40,8 +40,8 @@ from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.no_estimate import Processed
 from trackslip_tools.replay.parts import Known, Part
 from trackslip_tools.replay.reckoning import Reckoning
-from trackslip_tools.replay.scoring import Score, in_order, path_of, path_of_series
-from trackslip_tools.replay.series import Series, SeriesCollector, reduced
+from trackslip_tools.replay.scoring import Score, path_of, path_of_series
+from trackslip_tools.replay.series import Series, SeriesCollector, in_order, reduced
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.tilt import SwingErrors, TiltErrors
 from trackslip_tools.replay.troubles import FixGaps

@@ -35,15 +35,6 @@ class Score:
     heading: float | None  # rad; None where the reference has none
 
 
-def in_order(estimates: Rows) -> Rows:
-    """(n,) estimates by stamp; of two with the same one, before and after a restart, the later one counts."""
-    stamps_ns = estimates["stamp_ns"]
-    if (np.diff(stamps_ns) > 0).all():
-        return estimates
-    _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
-    return estimates[::-1][from_the_end]
-
-
 def path_of(estimates: Rows) -> Path:
     """The poses of (n,) estimates as a path with continuous heading."""
     poses = estimates["pose"].copy()

@@ -72,15 +72,16 @@ class SeriesCollector:
 
     def series(self) -> dict[str, Series]:
         """Each in the order of the stamps; of several rows with the same stamp the last."""
-        found = {}
-        for topic in list(self._parts):
-            rows = self._parts.pop(topic).rows()
-            stamps_ns = rows["stamp_ns"]
-            if (np.diff(stamps_ns) <= 0).any():
-                _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
-                rows = rows[::-1][from_the_end]
-            found[topic] = Series(rows)
-        return found
+        return {topic: Series(in_order(self._parts.pop(topic).rows())) for topic in list(self._parts)}
+
+
+def in_order(rows: Rows) -> Rows:
+    """(n,) rows by stamp; of several with the same one, before and after a restart, the last."""
+    stamps_ns = rows["stamp_ns"]
+    if (np.diff(stamps_ns) > 0).all():
+        return rows
+    _, from_the_end = np.unique(stamps_ns[::-1], return_index=True)
+    return rows[::-1][from_the_end]
 
 
 def reduced(rows: Rows, *, detailed: bool = False) -> Rows:

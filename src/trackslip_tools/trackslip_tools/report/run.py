@@ -17,7 +17,8 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.result import Replay
-from trackslip_tools.replay.scoring import in_order, path_of
+from trackslip_tools.replay.scoring import path_of
+from trackslip_tools.replay.series import in_order
 from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
