@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trackslip_common.soils import Soil, load_soils, soil
-from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, limit_of, strength_line
+from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, limit_of
 from trackslip_estimation.soil.reserve import thrust_reserve
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_grid import StrengthGrid
@@ -68,7 +68,8 @@ def test_without_known_soils_none_is_certain() -> None:
 
 def test_every_soil_on_the_line_has_the_strength() -> None:
     limit = limit_of(soil("sand"), VEHICLE)
-    cohesion, angle = strength_line(limit, VEHICLE)
+    area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
+    cohesion, angle = 2.0 * limit / area, math.atan(2.0 * limit / VEHICLE.weight)
     assert limit_of(Soil(name="a", cohesion=cohesion, friction_angle=0.0), VEHICLE) == pytest.approx(limit)
     assert limit_of(Soil(name="b", cohesion=0.0, friction_angle=angle), VEHICLE) == pytest.approx(limit)
     half = math.atan(0.5 * math.tan(angle))

@@ -13,7 +13,6 @@ c and ϕ cannot be distinguished at one load: all pairs on the line A c + W tan 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,19 +61,6 @@ def limit_of(soil: Soil, vehicle: Vehicle) -> float:
     """F_max of one track on a soil, N."""
     area = 2.0 * vehicle.track_width * vehicle.contact_length
     return float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
-
-
-class StrengthLine(NamedTuple):
-    """Ends of a line in (c, ϕ)."""
-
-    cohesion: float  # c where ϕ = 0, Pa
-    friction_angle: float  # ϕ where c = 0, rad
-
-
-def strength_line(limit: float, vehicle: Vehicle) -> StrengthLine:
-    """All pairs with this F_max, N."""
-    area = 2.0 * vehicle.track_width * vehicle.contact_length
-    return StrengthLine(2.0 * limit / area, math.atan(2.0 * limit / vehicle.weight))
 
 
 def _density(
