@@ -44,30 +44,12 @@ from trackslip_estimation.slip import conversions as of_estimates
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_sim.devices.line import NEVER_NS
 from trackslip_sim.machine.bag_messages import Recording, Serialize, like, sensor_serializers
-from trackslip_sim.machine.emulation import (
-    DRAIN_NS,
-    FORCES_NS,
-    SITE_FRAME,
-    SOIL_NS,
-    SWING_NS,
-    TICK_NS,
-    TRUTH_NS,
-)
+from trackslip_sim.machine.emulation import DRAIN_NS, SITE_FRAME, SOIL_NS, SWING_NS, TICK_NS, TRUTH_NS
 from trackslip_sim.machine.excavator import EmulatedExcavator, default_parameters
 from trackslip_sim.machine.faults import CAN, GNSS, SICK, WATSON
 from trackslip_sim.machine.message_columns import Columns, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
-from trackslip_sim.machine.truth_messages import (
-    attitude_columns,
-    certain_attitude,
-    certain_odometry,
-    odometry_columns,
-    soil_message,
-    stamped,
-    swing_columns,
-    track_forces_columns,
-    track_slip_columns,
-)
+from trackslip_sim.machine.truth_messages import soil_message, swing_columns, truth_topics
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.truth.record import KEPT, Truth, TruthWindow
 
@@ -137,6 +119,7 @@ class _Host:
         self._map = replace(gnss, **{f"datum_{name}": value for name, value in origin.items()})
         self._antenna = GnssLocalizer(self._map)
         self._body_frame = p.body_frame()
+        self._truth = truth_topics(make, self._vehicle, self._body_frame)
         serializers = sensor_serializers(watson, self._body_frame) | self._truth_serializers()
         self.recording = Recording(bag, serializers)
         text = make("std_msgs/msg/String", data=vehicle_text(p.vehicle))
@@ -240,11 +223,9 @@ class _Host:
         """Stamps; what the truth is then is looked up when it is written."""
         since_ns = now_ns - START_NS
         self._window.advance(self.excavator.sensors.time(now_ns))
-        self.recording.add("truth/odometry", now_ns, now_ns)
-        self.recording.add("truth/track_slip", now_ns, now_ns)
-        if since_ns % FORCES_NS == 0:
-            self.recording.add("truth/track_forces", now_ns, now_ns)
-            self.recording.add("truth/attitude", now_ns, now_ns)
+        for name, topic in self._truth.items():
+            if since_ns % topic.period_ns == 0:
+                self.recording.add(name, now_ns, now_ns)
         if since_ns % SOIL_NS == 0:
             at = self._window.truth.at(self.excavator.sensors.time(now_ns))
             soil = soil_message(make, at, now_ns, self._vehicle, self._body_frame)
@@ -265,16 +246,6 @@ class _Host:
 
             return of_stamps
 
-        slip, forces = (
-            stamped(make, f"trackslip_msgs/msg/{name}", self._body_frame)
-            for name in ("TrackSlip", "TrackForces")
-        )
-        return {
-            "truth/odometry": like(
-                certain_odometry(make, SITE_FRAME, self._body_frame), at(odometry_columns)
-            ),
-            "truth/attitude": like(certain_attitude(make, self._body_frame), at(attitude_columns)),
-            "truth/track_slip": like(slip, at(track_slip_columns)),
-            "truth/swing": like(of_sensors.blank_swing(make, self._body_frame), at(swing_columns)),
-            "truth/track_forces": like(forces, at(lambda truth: track_forces_columns(truth, self._vehicle))),
-        }
+        swing = like(of_sensors.blank_swing(make, self._body_frame), at(swing_columns))
+        found = {name: like(topic.blank, at(topic.columns)) for name, topic in self._truth.items()}
+        return {**found, "truth/swing": swing}

@@ -5,7 +5,7 @@
 import array
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.conversions import blank_odometry
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.classes import limit_of
+from trackslip_sim.machine.emulation import FORCES_NS, SITE_FRAME, TRUTH_NS
 from trackslip_sim.machine.message_columns import Columns
 from trackslip_sim.truth.record import FloatArray, Truth
 
@@ -22,15 +23,37 @@ _STANDING = 1e-3  # rad/s, both sprockets
 _STRAIGHT = 0.02  # of the faster sprocket
 
 
-def certain_odometry(make: Make, map_frame: str, base_frame: str) -> Any:
-    """nav_msgs/Odometry without variance, for ``odometry_columns``."""
-    message = blank_odometry(make, map_frame, base_frame)
+class TruthTopic(NamedTuple):
+    """A topic of the truth, whose messages differ in their numbers alone."""
+
+    period_ns: int
+    blank: Any  # message
+    columns: Callable[[Truth], Columns]
+
+
+def truth_topics(make: Make, vehicle: Vehicle, body_frame: str) -> dict[str, TruthTopic]:
+    """Those of every machine, live and offline; beside them are swing and soil."""
+    slip, forces = (
+        make(f"trackslip_msgs/msg/{name}", header=header(make, 0, body_frame))
+        for name in ("TrackSlip", "TrackForces")
+    )
+    return {
+        "truth/odometry": TruthTopic(TRUTH_NS, _odometry(make, body_frame), _odometry_columns),
+        "truth/track_slip": TruthTopic(TRUTH_NS, slip, _slip_columns),
+        "truth/track_forces": TruthTopic(FORCES_NS, forces, lambda truth: _forces_columns(truth, vehicle)),
+        "truth/attitude": TruthTopic(FORCES_NS, _attitude(make, body_frame), _attitude_columns),
+    }
+
+
+def _odometry(make: Make, base_frame: str) -> Any:
+    """nav_msgs/Odometry without variance."""
+    message = blank_odometry(make, SITE_FRAME, base_frame)
     message.pose.covariance, message.twist.covariance = np.zeros(36), np.zeros(36)
     return message
 
 
-def certain_attitude(make: Make, base_frame: str) -> Any:
-    """sensor_msgs/Imu without variance and without acceleration, for ``attitude_columns``."""
+def _attitude(make: Make, base_frame: str) -> Any:
+    """sensor_msgs/Imu without variance and without acceleration."""
     absent = np.zeros(9)
     absent[0] = -1.0
     return make(
@@ -45,12 +68,7 @@ def certain_attitude(make: Make, base_frame: str) -> Any:
     )
 
 
-def stamped(make: Make, type_name: str, frame_id: str) -> Any:
-    """A message with a header and nothing else in it."""
-    return make(type_name, header=header(make, 0, frame_id))
-
-
-def odometry_columns(truth: Truth) -> Columns:
+def _odometry_columns(truth: Truth) -> Columns:
     """Of nav_msgs/Odometry; twists in base_link."""
     return {
         "pose.pose.position.x": truth.x,
@@ -63,7 +81,7 @@ def odometry_columns(truth: Truth) -> Columns:
     }
 
 
-def attitude_columns(truth: Truth) -> Columns:
+def _attitude_columns(truth: Truth) -> Columns:
     """Of sensor_msgs/Imu: orientation and rates of base_link."""
     return {**_orientation(truth, "orientation"), **_rates(truth, "angular_velocity")}
 
@@ -90,7 +108,7 @@ def _each(function: Callable[[float], float], angles: FloatArray) -> FloatArray:
     return np.array([function(half) for half in (angles / 2.0).tolist()])
 
 
-def track_slip_columns(truth: Truth) -> Columns:
+def _slip_columns(truth: Truth) -> Columns:
     """Of trackslip_msgs/TrackSlip."""
     fastest = np.maximum(np.abs(truth.left_speed), np.abs(truth.right_speed))
     straight = np.abs(truth.right_speed - truth.left_speed) < _STRAIGHT * fastest
@@ -109,7 +127,7 @@ def swing_columns(truth: Truth) -> Columns:
     return {"position": wrapped, "velocity": truth.swing_rate[:, np.newaxis]}
 
 
-def track_forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
+def _forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
     """Of trackslip_msgs/TrackForces; a track bears what the load on it allows."""
     grounds = [soil(name) for name in truth.soil_names]
     adhesion, friction = (

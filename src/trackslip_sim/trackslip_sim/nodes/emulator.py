@@ -21,29 +21,12 @@ from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
 from trackslip_drivers.conversions import blank_swing, fill_swing
 from trackslip_sim.machine.cables import Cables
-from trackslip_sim.machine.emulation import (
-    DRAIN_NS,
-    FORCES_NS,
-    SITE_FRAME,
-    SOIL_NS,
-    SWING_NS,
-    TICK_NS,
-    TRUTH_NS,
-)
+from trackslip_sim.machine.emulation import DRAIN_NS, SOIL_NS, SWING_NS, TICK_NS, TRUTH_NS
 from trackslip_sim.machine.excavator import EmulatedExcavator, drive
 from trackslip_sim.machine.faults import Fault, parse_fault
 from trackslip_sim.machine.message_columns import set_fields, stamp_columns
 from trackslip_sim.machine.sensors import swing_topics
-from trackslip_sim.machine.truth_messages import (
-    attitude_columns,
-    certain_attitude,
-    certain_odometry,
-    odometry_columns,
-    soil_message,
-    stamped,
-    track_forces_columns,
-    track_slip_columns,
-)
+from trackslip_sim.machine.truth_messages import soil_message, truth_topics
 from trackslip_sim.nodes.remote_lifecycle import AwaitedNodes
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
 
@@ -64,10 +47,8 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         self._truth, self._whole = drive(p), p.vehicle.whole()
         self._machine = self.advertise(topic_class(VEHICLE), VEHICLE)
         self._excavator: EmulatedExcavator | None = None
-        self._odometry = self.advertise(topic_class("truth/odometry"), "truth/odometry")
-        self._track_slip = self.advertise(topic_class("truth/track_slip"), "truth/track_slip")
-        self._track_forces = self.advertise(topic_class("truth/track_forces"), "truth/track_forces")
-        self._attitude = self.advertise(topic_class("truth/attitude"), "truth/attitude")
+        self._topics = truth_topics(make, self._whole, p.body_frame())
+        self._publishers_of = {name: self.advertise(topic_class(name), name) for name in self._topics}
         self._soil = self.advertise(topic_class("truth/soil"), "truth/soil")
         self._swings = {name: self.advertise(topic_class(name), name) for name in swing_topics(p.vehicle)}
         self._cables = Cables(p)
@@ -178,27 +159,17 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self.get_logger().error(self._trouble)
 
     def _publish_truth(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        at, vehicle = self._truth.at(excavator.sensors.time(stamp_ns)), self._whole
-        body_frame = self.settings.body_frame()
-        stamp = stamp_columns([stamp_ns])
-        odometry = certain_odometry(make, SITE_FRAME, body_frame)
-        set_fields(odometry, {**stamp, **odometry_columns(at)})
-        self._odometry.publish(odometry)
-        track_slip = stamped(make, "trackslip_msgs/msg/TrackSlip", body_frame)
-        set_fields(track_slip, {**stamp, **track_slip_columns(at)})
-        self._track_slip.publish(track_slip)
+        at, stamp = self._truth.at(excavator.sensors.time(stamp_ns)), stamp_columns([stamp_ns])
         since_ns = stamp_ns - excavator.drive_start_ns
+        for name, topic in self._topics.items():
+            if since_ns % topic.period_ns < TRUTH_NS:
+                set_fields(topic.blank, {**stamp, **topic.columns(at)})
+                self._publishers_of[name].publish(topic.blank)
         if since_ns % SWING_NS < TRUTH_NS:
             self._publish_swing(excavator, stamp_ns)
-        if since_ns % FORCES_NS < TRUTH_NS:
-            forces = stamped(make, "trackslip_msgs/msg/TrackForces", body_frame)
-            set_fields(forces, {**stamp, **track_forces_columns(at, vehicle)})
-            self._track_forces.publish(forces)
-            attitude = certain_attitude(make, body_frame)
-            set_fields(attitude, {**stamp, **attitude_columns(at)})
-            self._attitude.publish(attitude)
         if since_ns % SOIL_NS < TRUTH_NS:
-            self._soil.publish(soil_message(make, at, stamp_ns, vehicle, body_frame))
+            body_frame = self.settings.body_frame()
+            self._soil.publish(soil_message(make, at, stamp_ns, self._whole, body_frame))
 
     def _publish_swing(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
         """The encoder has a computer of its own, which publishes what it reads."""
