@@ -6,6 +6,7 @@ import hashlib
 import random
 import resource
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -255,24 +256,17 @@ def test_topics_of_unknown_types_are_kept(tmp_path: Path) -> None:
         assert bag.deserialize(message.raw, message.type_name).value == 7
 
 
-def refuse(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert main(["recover", *map(str, arguments)]) == ExitCode.BAD_INPUT
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    return error
-
-
-def test_nothing_is_overwritten(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_overwritten(whole: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
     (tmp_path / "out").mkdir()
-    assert "exists already" in refuse(capsys, whole, "--output", tmp_path / "out")
-    assert "exists already" in refuse(capsys, whole, "--output", whole)
+    assert "exists already" in refuse("recover", whole, "--output", tmp_path / "out")
+    assert "exists already" in refuse("recover", whole, "--output", whole)
     assert list((tmp_path / "out").iterdir()) == []
     assert len(contents(whole)) == COUNT
 
 
-def test_a_missing_bag_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_bag_is_refused(tmp_path: Path, refuse: Callable[..., str]) -> None:
     path = tmp_path / "bag.mcap"
-    error = refuse(capsys, path)
+    error = refuse("recover", path)
     assert str(path) in error
     assert "accepted: a rosbag2 directory" in error
     assert not (tmp_path / "bag_recovered").exists()

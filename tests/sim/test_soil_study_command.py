@@ -185,6 +185,6 @@ def test_processes_give_what_one_process_gives(
     ],
 )
 def test_bad_input_is_one_line(
-    options: list[str], message: str, command: list[str], refusal: Callable[[list[str]], str]
+    options: list[str], message: str, command: list[str], refuse: Callable[..., str]
 ) -> None:
-    assert message in refusal([*command, *options])
+    assert message in refuse(*command, *options)

@@ -161,9 +161,9 @@ def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: py
     ],
 )
 def test_bad_input_is_one_line(
-    options: list[str], message: str, command: list[str], refusal: Callable[[list[str]], str]
+    options: list[str], message: str, command: list[str], refuse: Callable[..., str]
 ) -> None:
-    assert message in refusal([*command, *options])
+    assert message in refuse(*command, *options)
 
 
 def test_the_table_marks_what_is_outside() -> None:

@@ -274,6 +274,6 @@ def test_the_study_swings_the_upper_structure_of_its_vehicle(
     ],
 )
 def test_what_no_cab_does_is_refused(
-    options: list[str], message: str, tmp_path: Path, refusal: Callable[[list[str]], str]
+    options: list[str], message: str, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
-    assert message in refusal([*COMMAND, "--cache", str(tmp_path / "cells.jsonl"), *options])
+    assert message in refuse(*COMMAND, "--cache", tmp_path / "cells.jsonl", *options)

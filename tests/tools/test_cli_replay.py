@@ -113,16 +113,14 @@ def test_what_was_withheld_is_counted_and_its_error_stated(
 
 
 def test_an_output_that_exists_is_refused_before_the_work(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuse: Callable[..., str]
 ) -> None:
     def never(*_: Any) -> Any:
         raise AssertionError("the bag was opened")
 
     monkeypatch.setattr("trackslip_tools.cli.replay_command.open_bag", never)
-    assert main(["replay", str(bag), "--output", str(tmp_path)]) == ExitCode.BAD_INPUT
-    assert "exists already" in capsys.readouterr().err
-    assert main(["replay", str(bag), "--json", str(tmp_path / "no" / "x.json")]) == ExitCode.BAD_INPUT
-    assert "no such folder" in capsys.readouterr().err
+    assert "exists already" in refuse("replay", bag, "--output", tmp_path)
+    assert "no such folder" in refuse("replay", bag, "--json", tmp_path / "no" / "x.json")
 
 
 def test_another_reference_is_scored_whole(bag: Path, summary: Summary) -> None:

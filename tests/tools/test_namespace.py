@@ -3,6 +3,7 @@
 """A bag of several machines: each replays alone, by its namespace."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ def test_a_topic_named_vehicle_of_somebody_else_states_none(
 
 @pytest.mark.parametrize("command", ["replay", "info"])
 def test_a_namespace_that_is_not_there_is_refused(
-    two_machines: Path, command: str, capsys: pytest.CaptureFixture[str]
+    two_machines: Path, command: str, refuse: Callable[..., str]
 ) -> None:
-    assert main([command, str(two_machines), "--namespace", "three"]) == ExitCode.BAD_INPUT
-    assert capsys.readouterr().err == "--namespace three: nothing is in it; accepted: site, two\n"
+    expected = "--namespace three: nothing is in it; accepted: site, two\n"
+    assert refuse(command, two_machines, "--namespace", "three") == expected

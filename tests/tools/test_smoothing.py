@@ -3,6 +3,7 @@
 """The smoother over an emulated drive: better than the filter, above all in outages; consistent at breaks."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -172,7 +173,7 @@ def test_the_command_without_a_start_fails_in_words(
 
 
 def test_the_command_refuses_a_clock_that_went_back(
-    emulated_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    emulated_bag: Path, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
     """A bag played twice into one recording."""
     with open_bag(emulated_bag) as bag, BagWriter(tmp_path / "twice") as twice:
@@ -180,8 +181,5 @@ def test_the_command_refuses_a_clock_that_went_back(
             for m in bag.messages(("sprockets", "box_pose")):
                 log_ns = m.log_time_ns + again * (bag.end_ns - bag.start_ns + 1)
                 twice.write(m.topic, m.type_name, m.raw, log_ns)
-    assert main(["smooth", str(tmp_path / "twice")]) == ExitCode.BAD_INPUT
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    assert "the clock goes back by 5" in message
+    assert "the clock goes back by 5" in refuse("smooth", tmp_path / "twice")
     assert main(["smooth", str(tmp_path / "twice"), "--stop", "50"]) == ExitCode.DONE
