@@ -6,12 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import yaml
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hostile_readers import BAG, Reader, compile_replay, remove
+from hostile_readers import BAG, Reader, compile_replay, importing, remove
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
@@ -22,7 +21,7 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
 
 _TEXTS = ("/slip_estimator/parameters", "/vehicle")
-_JOINTS = {"from": "/joint_states", "left": ["left"], "right": ["right"]}
+_MAPPING = "topics: {sprockets: {from: /joint_states, left: [left], right: [right]}}\n"
 _MSG = b"""std_msgs/Header header
 string[] name
 float64[] position
@@ -94,7 +93,7 @@ def ros1(folder: Path) -> Reader:
                 bag.write(joints, (1000 + k) * 10**9, store.serialize_ros1(state, joints.msgtype))
         seeds.append(file.read_bytes())
         file.unlink()
-    return Reader(seeds, _importing(folder, lambda path: path), ".bag")
+    return Reader(seeds, importing(folder, _MAPPING), ".bag")
 
 
 def metadata(folder: Path) -> Reader:
@@ -133,27 +132,13 @@ def definition(folder: Path) -> Reader:
             writer.finish()  # type: ignore[no-untyped-call]
         return file
 
-    return Reader([_MSG, _IDL], _importing(folder, made), ".msg")
+    return Reader([_MSG, _IDL], importing(folder, _MAPPING, made), ".msg")
 
 
 def _state(kind: type, header: object) -> object:
     """One ``JointState`` of two sprockets."""
     values = np.array((0.5, 0.6))
     return kind(header=header, name=["left", "right"], position=values, velocity=values, effort=values)
-
-
-def _importing(folder: Path, log: Callable[[Path], Path]) -> Callable[[Path], int]:
-    """What reads a log, made of the case, by a mapping of its joints."""
-    mapping = folder / "mapping.yaml"
-    mapping.write_text(yaml.safe_dump({"topics": {"sprockets": _JOINTS}}), encoding="utf-8")
-
-    def read(path: Path) -> int:
-        options = ["--mapping", str(mapping), "--output", str(folder / "bag")]
-        code = main(["import", str(log(path)), *options])
-        remove(folder / "bag")
-        return code
-
-    return read
 
 
 READERS_OF_BAGS: dict[str, Callable[[Path], Reader]] = {

@@ -12,12 +12,11 @@ import can
 from can.io import blf
 from pyubx2 import GET, UBXMessage
 
-from hostile_readers import Reader, remove
+from hostile_readers import Reader, importing
 from trackslip_common.config_files import config_directory, load_parameters
 from trackslip_drivers.can_parameters import DEFAULT_FILES, NODE, CanDriverParameters
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols.can_frames import load_frames
-from trackslip_tools.cli.main import main
 
 WRITERS = {
     "candump": (can.CanutilsLogWriter, ".log"),
@@ -27,14 +26,6 @@ WRITERS = {
 } | ({"mf4": (can.MF4Writer, ".mf4")} if find_spec("asammdf") else {})
 _FRAMES = 40
 _BEGIN_S = 1_790_000_000.0
-
-
-def _read(folder: Path, mapping: str, path: Path) -> int:
-    (folder / "mapping.yaml").write_text(mapping, encoding="utf-8")
-    options = ["--mapping", str(folder / "mapping.yaml"), "--output", str(folder / "bag")]
-    code = main(["import", str(path), *options])
-    remove(folder / "bag")
-    return code
 
 
 def can_log(kind: str, folder: Path) -> Reader:
@@ -55,7 +46,7 @@ def can_log(kind: str, folder: Path) -> Reader:
     files = config_directory()
     mapping = f"can: {{dbc: {files / p.dbc_file}, roles: {files / p.roles_file}}}\n"
     seeds = [path.read_bytes()] + ([_bomb(path.read_bytes())] if kind == "blf" else [])
-    return Reader(seeds, partial(_read, folder, mapping), suffix)
+    return Reader(seeds, importing(folder, mapping), suffix)
 
 
 def _bomb(log: bytes) -> bytes:
@@ -81,7 +72,7 @@ def receiver_log(kinds: str, folder: Path) -> Reader:
         day = {"year": 2026, "month": 11, "day": 25}
         messages += UBXMessage("NAV", "NAV-PVT", GET, iTOW=18_000 + 100 * k, **day, **fields).serialize()
     seeds = {"nmea": [sentences], "ubx": [messages], "both": [sentences + messages]}[kinds]
-    return Reader(seeds, partial(_read, folder, "gnss: {}\n"), ".nmea")
+    return Reader(seeds, importing(folder, "gnss: {}\n"), ".nmea")
 
 
 def trajectory(folder: Path) -> Reader:
@@ -89,7 +80,7 @@ def trajectory(folder: Path) -> Reader:
     rows = [f"{_BEGIN_S + 0.1 * k:.3f} {0.1 * k:.2f} 0.5 0 0 0 0.1 0.995" for k in range(50)]
     pose = "{x: {column: tx, unit: m}, y: {column: ty, unit: m}, stddev: {x: 0.1, y: 0.1}}"
     mapping = "csv: {format: tum}\ntime: {column: timestamp, unit: s}\ntopics: {gnss_pose: " + pose + "}\n"
-    return Reader(["\n".join(rows).encode()], partial(_read, folder, mapping), ".txt")
+    return Reader(["\n".join(rows).encode()], importing(folder, mapping), ".txt")
 
 
 READERS_OF_DEVICES: dict[str, Callable[[Path], Reader]] = {

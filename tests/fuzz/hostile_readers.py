@@ -174,17 +174,23 @@ def mapping(folder: Path) -> Reader:
 
 def table(folder: Path) -> Reader:
     """A CSV log."""
-    (folder / "mapping.yaml").write_bytes(_MAPPING)
+    seeds = [_LOG, _LOG.replace(b",", b";"), b"\xef\xbb\xbf" + _LOG.replace(b"\n", b"\r\n")]
+    return Reader(seeds, importing(folder, _MAPPING.decode()), ".csv")
+
+
+def importing(
+    folder: Path, mapping: str, log: Callable[[Path], Path] = lambda path: path
+) -> Callable[[Path], int]:
+    """What imports a log, made of the case, by a mapping."""
+    (folder / "mapping.yaml").write_text(mapping, encoding="utf-8")
 
     def read(path: Path) -> int:
         options = ["--mapping", str(folder / "mapping.yaml"), "--output", str(folder / "bag")]
-        code = main(["import", str(path), *options])
+        code = main(["import", str(log(path)), *options])
         remove(folder / "bag")
         return code
 
-    return Reader(
-        [_LOG, _LOG.replace(b",", b";"), b"\xef\xbb\xbf" + _LOG.replace(b"\n", b"\r\n")], read, ".csv"
-    )
+    return read
 
 
 _MAPPING = b"""time: {column: t, unit: s}
