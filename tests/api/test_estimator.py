@@ -2,18 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates from a data frame: as an import and a replay give them, with faults named by their columns."""
 
+from datetime import datetime, timedelta, timezone
+from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+import yaml
 from fixtures.setup_drives import make_drive
 
 import trackslip as ts
 
 TREAD, RADIUS = 2.0, 0.5  # m
 RATE, SPEED = 20.0, 1.0  # Hz, m/s
-MACHINE = {"name": "made", "kinematics": {"rolling_radius": RADIUS, "tread": TREAD, "contact_length": 3.0}}
+MACHINE: dict[str, Any] = {
+    "name": "made",
+    "kinematics": {"rolling_radius": RADIUS, "tread": TREAD, "contact_length": 3.0},
+}
 SOURCES: dict[str, dict[str, Any]] = {
     "sprockets": {"left_velocity": ("left", "rad/s"), "right_velocity": ("right", "rad/s")},
     "imu/data_raw": {"angular_velocity_z": ("gz", "deg/s")},
@@ -121,7 +128,109 @@ def test_times_that_go_back_are_refused() -> None:
         estimator().run(columns)
 
 
-def test_columns_of_dates_are_refused_with_the_remedy() -> None:
-    columns = {**drive(3.0), "t": np.arange(60).astype("datetime64[ms]")}
-    with pytest.raises(ts.InputError, match="int64"):
-        estimator().run(columns)
+FRAMES: dict[str, Any] = {
+    "lazy": lambda columns: pl.DataFrame(columns).lazy(),
+    "null": lambda columns: {**columns, "x": [None if v != v else v for v in columns["x"].tolist()]},
+    "decimals": lambda columns: {name: [Decimal(repr(v)) for v in c.tolist()] for name, c in columns.items()},
+    "masked": lambda columns: {
+        **columns,
+        "x": np.ma.masked_equal(np.nan_to_num(columns["x"], nan=-999), -999),
+    },
+    "numbers as names": lambda columns: {(3 if name == "3" else name): c for name, c in columns.items()},
+}
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_cells_of_every_kind_give_the_same(result: ts.Result, kind: str) -> None:
+    columns = {**drive(), "3": drive()["gz"]}
+    gyro = {"angular_velocity_z": ("3", "deg/s")}
+    again = estimator(**{"imu/data_raw": gyro}).run(FRAMES[kind](columns))
+    assert np.array_equal(again.estimates.pose, result.estimates.pose)
+
+
+DATES: dict[str, Any] = {
+    "numpy, ms": lambda ms: ms.astype("datetime64[ms]"),
+    "numpy, us": lambda ms: ms.astype("datetime64[ms]").astype("datetime64[us]"),
+    "Python, with a zone": lambda ms: [
+        datetime.fromtimestamp(one * 1e-3, timezone(timedelta(hours=2))) for one in ms.tolist()
+    ],
+    "polars, with a zone": lambda ms: pl.Series(ms).cast(pl.Datetime("ms", "Europe/Berlin")),
+}
+
+
+@pytest.mark.parametrize("kind", DATES)
+def test_columns_of_dates_are_times(kind: str) -> None:
+    columns = drive(3.0)
+    ms = 1_790_000_000_000 + (columns["t"] * 1e3).round().astype(np.int64)
+    frame = {**columns, "t": DATES[kind](ms)}
+    found = ts.Estimator(vehicle=MACHINE, sources=SOURCES, time=("t", "iso8601")).run(frame)
+    assert np.isin(found.estimates.stamp_ns, ms * 1_000_000).all()
+    with pytest.raises(ts.InputError, match="is its unit iso8601"):
+        estimator().run(frame)
+
+
+def test_dates_that_are_none_have_no_value() -> None:
+    times = (drive(3.0)["t"] * 1e3).astype("datetime64[ms]")
+    times[7] = np.datetime64("NaT")
+    found = ts.Estimator(vehicle=MACHINE, sources=SOURCES, time=("t", "iso8601")).run(
+        {**drive(3.0), "t": times}
+    )
+    assert any("no time" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"gz": np.zeros((60, 2))}, r"column 'gz' has the shape \(60, 2\)"),
+        ({"gz": 0.0}, r"column 'gz' has the shape \(\)"),
+        ({"gz": np.zeros(59)}, "column 'gz' has 59 rows, 't' 60"),
+        ({"gz": np.zeros(60, complex)}, "column 'gz' holds complex128"),
+        ({"t": np.arange(60).astype("timedelta64[ms]")}, "column 't' holds timedelta64"),
+    ],
+)
+def test_columns_without_a_value_a_row_are_named(change: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ts.InputError, match=sentence):
+        estimator().run({**drive(3.0), **change})
+
+
+@pytest.mark.parametrize("frame", [None, "log.csv", np.zeros((3, 3)), {name: [] for name in drive(3.0)}])
+def test_what_is_no_frame_is_named(frame: Any) -> None:
+    with pytest.raises(ts.InputError, match=r"^frame: .*accepted"):
+        estimator().run(frame)
+
+
+@pytest.mark.parametrize("name", ["gz, deg/s", "# gz", " gz", 'the "gz"', "gz\n1", "角速度"])
+def test_names_of_columns_are_free(result: ts.Result, name: str) -> None:
+    columns = drive()
+    columns[name] = columns.pop("gz")
+    again = estimator(**{"imu/data_raw": {"angular_velocity_z": (name, "deg/s")}}).run(columns)
+    assert np.array_equal(again.estimates.pose, result.estimates.pose)
+
+
+def test_numbers_of_numpy_are_numbers(result: ts.Result, tmp_path: Path) -> None:
+    """In sources, parameters and the machine; this is also a file by its path."""
+    stddev = {"x": np.float64(0.02), "y": np.float32(0.02).astype(np.float64).round(2)}
+    sources = {**SOURCES, "fixes": {**SOURCES["fixes"], "stddev": stddev}}
+    numbers = {name: np.float64(value) for name, value in MACHINE["kinematics"].items()}
+    machine = tmp_path / "made.yaml"
+    machine.write_text(yaml.safe_dump(MACHINE), encoding="utf-8")
+    for vehicle in ({**MACHINE, "kinematics": numbers}, machine):
+        parameters = {"max_gap": np.int64(5), "pose_sources": np.array(["fixes"])}
+        found = ts.Estimator(vehicle, sources, parameters=parameters).run(drive())
+        assert np.array_equal(found.estimates.pose, result.estimates.pose)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"time": "t"}, "time: 't' is not accepted"),
+        ({"sources": ["sprockets"]}, "sources: "),
+        ({"sources": {**SOURCES, "fixes": None}}, "sources: fixes: None"),
+        ({"sources": {**SOURCES, "imu/data_raw": {"angular_velocity_z": ("gz",)}}}, r"_z: \('gz',\)"),
+        ({"parameters": ["max_gap"]}, "parameters: "),
+        ({"parameters": {"max_gap": object()}}, "sources: <object"),
+    ],
+)
+def test_arguments_of_another_form_are_named(arguments: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ts.InputError, match=sentence):
+        ts.Estimator(**{"vehicle": MACHINE, "sources": SOURCES, **arguments})

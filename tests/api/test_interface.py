@@ -5,6 +5,7 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -150,6 +151,14 @@ def test_geojson_holds_the_path_in_degrees(result: ts.Result, tmp_path: Path) ->
     scale = math.cos(math.radians(DATUM[0]))
     assert np.allclose((longitude - DATUM[1]) * metres * scale, east, atol=0.1)
     assert len(feature["properties"]["coordTimes"]) == len(east)
+
+
+@pytest.mark.parametrize("datum", [(52.0, 13.0), (200.0, 13.0, 40.0), (math.nan, 13.0, 40.0), "52, 13, 40"])
+def test_a_datum_that_is_no_place_is_refused(result: ts.Result, datum: Any, tmp_path: Path) -> None:
+    with pytest.raises(
+        ts.InputError, match=r"is no datum; accepted: datum=\(latitude, longitude, altitude\)"
+    ):
+        result.estimates.save(tmp_path / "path.geojson", datum=datum)
 
 
 def test_another_ending_is_refused(result: ts.Result, tmp_path: Path) -> None:

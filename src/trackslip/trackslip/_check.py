@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check of a bag."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from trackslip._values import json_text
+from trackslip_bags.importing.tree import section
 from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
-from trackslip_common.errors import InputError, collected
+from trackslip_common.errors import collected
 from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined
 from trackslip_tools.check.bag import check_bag, whole
 from trackslip_tools.cli import replay_options
@@ -70,11 +71,5 @@ def setting_texts(settings: Mapping[str, Any] | None) -> list[str]:
     Raises:
         InputError: a value is none that a parameter may have.
     """
-    texts = []
-    for name, value in (settings or {}).items():
-        try:
-            texts.append(f"{name}={json.dumps(value)}")
-        except TypeError as error:
-            accepted = "a number, text, true or false, or a list of them"
-            raise InputError(f"settings: {name}: {value!r} is refused; accepted: {accepted}") from error
-    return texts
+    given = section("settings", settings or {})
+    return [f"{name}={json_text(f'settings: {name}', value)}" for name, value in given.items()]

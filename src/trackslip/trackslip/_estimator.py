@@ -3,19 +3,20 @@
 """The estimators over columns: an import and a replay in a directory that is removed after it."""
 
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
-import yaml
 from numpy.typing import NDArray
 
 from trackslip._replay import Result, replayed
+from trackslip._values import json_text
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.roles import QUATERNION, ROLE_OF_TOPIC
+from trackslip_bags.importing.tree import section
 from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import InputError, collected, suggestion
@@ -33,6 +34,7 @@ _LISTS = {
     "odometry": "odometry_sources",
 }
 _HEADINGS = {"yaw", "heading", *QUATERNION}
+_WRITTEN = "biufU"  # kinds of numpy that a table of text holds as they are
 
 
 class Estimator:
@@ -56,7 +58,7 @@ class Estimator:
 
     def __init__(
         self,
-        vehicle: str | Mapping[str, Any],
+        vehicle: Path | str | Mapping[str, Any],
         sources: Mapping[str, Mapping[str, Any]],
         *,
         time: tuple[str, str] = ("t", "s"),
@@ -69,31 +71,35 @@ class Estimator:
             sources: topic → field → (column, unit), or a further key of a mapping file.
             time: column of the stamps and its unit: ``s``, ``ms``, ``us``, ``ns`` or ``iso8601``.
             parameters: of the slip estimator, nested or dotted, over what the sources imply.
+
+        Raises:
+            InputError: an argument is of another form.
         """
-        self._topics = {topic: _in_full(source) for topic, source in sources.items()}
-        stated = flatten(parameters or {})
-        self._mapping = {
-            "time": {"column": time[0], "unit": time[1]},
-            "topics": self._topics,
-            "vehicle": vehicle if isinstance(vehicle, str) else dict(vehicle),
-            "parameters": {**_implied(self._topics), **stated},
+        topics = {topic: _in_full(topic, source) for topic, source in section("sources", sources).items()}
+        self._mapping: dict[str, Any] = {
+            "time": _pair("time", time),
+            "topics": topics,
+            "vehicle": vehicle,
+            "parameters": {**_implied(topics), **flatten(section("parameters", parameters or {}))},
         }
         self._names = list(dict.fromkeys(_columns(self._mapping)))
+        self._mapping["csv"] = {"names": self._names, "delimiter": "comma"}
+        json_text("sources", self._mapping)
 
     def run(self, frame: Any) -> Result:
         """Estimate from the columns of a data frame of pandas or polars, or a mapping of name → (n,) array.
 
-        Rows are in the order of their time; a cell that is nan has no value, so that sources of other rates
-        share a frame.
+        Rows are in the order of their time; a cell that is nan, null or masked has no value, so that sources
+        of other rates share a frame. Dates are times of unit ``iso8601``.
 
         Raises:
             InputError: a column is missing or of another length, or a source, unit or parameter is refused.
         """
-        table = pl.DataFrame({name: _column(frame, name) for name in self._names})
+        table = _table(frame, self._names)
         with tempfile.TemporaryDirectory(prefix="trackslip_") as folder, compilation_announced():
             mapping, log, bag = (Path(folder) / name for name in ("sources", "frame.csv", "bag"))
-            mapping.write_text(yaml.safe_dump(self._mapping), encoding="utf-8")
-            table.write_csv(log)
+            mapping.write_text(json_text("sources", self._mapping), encoding="utf-8")
+            table.write_csv(log, include_header=False)
             with collected() as notes:
                 try:
                     imported = import_log([log], read_mapping(mapping), bag)
@@ -104,12 +110,20 @@ class Estimator:
                     raise InputError(str(error).replace(f"{folder}/", "")) from error
 
 
-def _in_full(source: Mapping[str, Any]) -> dict[str, Any]:
+def _in_full(topic: str, source: Any) -> dict[str, Any]:
     """With ``(column, unit)`` as a mapping file has it."""
+    where = f"sources: {topic}"
     return {
-        key: {"column": value[0], "unit": value[1]} if isinstance(value, tuple) else value
-        for key, value in source.items()
+        key: _pair(f"{where}.{key}", value) if isinstance(value, tuple) else value
+        for key, value in section(where, source).items()
     }
+
+
+def _pair(where: str, value: Any) -> dict[str, Any]:
+    """A column and its unit."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise InputError(f"{where}: {value!r} is not accepted; accepted: (column, unit)")
+    return {"column": value[0], "unit": value[1]}
 
 
 def _implied(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -132,26 +146,53 @@ def _columns(tree: Any) -> Iterator[str]:
     if isinstance(tree, Mapping):
         for key, value in tree.items():
             if key in ("column", "new_when_changes"):
-                yield from [value] if isinstance(value, str) else value
+                yield from value if isinstance(value, list) else [str(value)]
             else:
                 yield from _columns(value)
 
 
-def _column(frame: Any, name: str) -> NDArray[Any]:
-    """(n,) of a frame of any kind.
+def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
+    """The columns of these names, of a frame of any kind, as they can be written to a table of text.
 
     Raises:
-        InputError: it has no such column.
+        InputError: it is no frame, or lacks a column, or one has no value for each row.
     """
-    known: Iterable[str] = frame.columns if hasattr(frame, "columns") else frame
-    names: Sequence[str] = [str(one) for one in known]
-    if name not in names:
-        raise InputError(f"frame: no column '{name}'{suggestion(name, names)}")
-    column = np.asarray(frame[name])
-    if column.dtype.kind == "M":
-        accepted = f"numbers: frame['{name}'].astype('int64') with unit 'ns'"
-        raise InputError(f"frame: column '{name}' holds dates; accepted: {accepted}")
-    return column
+    if isinstance(frame, pl.LazyFrame):
+        frame = frame.collect()
+    if not isinstance(frame, Mapping) and not hasattr(frame, "columns"):
+        accepted = "a data frame of pandas or polars, or a mapping of name → array"
+        raise InputError(f"frame: a {type(frame).__name__} is no table; accepted: {accepted}")
+    keys = {str(key): key for key in getattr(frame, "columns", frame)}
+    found: dict[str, NDArray[Any]] = {}
+    for name in names:
+        if name not in keys:
+            raise InputError(f"frame: no column '{name}'{suggestion(name, list(keys))}")
+        found[name] = _cells(name, frame[keys[name]])
+        if len(found[name]) != len(found[names[0]]):
+            lengths = f"column '{name}' has {len(found[name])} rows, '{names[0]}' {len(found[names[0]])}"
+            raise InputError(f"frame: {lengths}; accepted: columns of one length")
+    if not len(found[names[0]]):
+        raise InputError("frame: no rows; accepted: one or more")
+    return pl.DataFrame(found)
+
+
+def _cells(name: str, column: Any) -> NDArray[Any]:
+    """(n,) numbers or text of a column of any kind.
+
+    Raises:
+        InputError: it has not one value a row, or values that no text states.
+    """
+    column = np.ma.filled(column.astype(object), None) if isinstance(column, np.ma.MaskedArray) else column
+    cells = np.asarray(column)
+    if cells.ndim != 1:
+        raise InputError(f"frame: column '{name}' has the shape {cells.shape}; accepted: (n,), a value a row")
+    if cells.dtype.kind == "M":
+        return np.datetime_as_string(cells)
+    if cells.dtype.kind == "O":
+        return np.array([str(cell) for cell in cells])
+    if cells.dtype.kind not in _WRITTEN:
+        raise InputError(f"frame: column '{name}' holds {cells.dtype}; accepted: numbers, dates or text")
+    return cells
 
 
 def _notes(imported: Imported) -> Iterator[str]:

@@ -3,10 +3,12 @@
 """Estimates as text: CSV, TUM trajectories, GeoJSON."""
 
 import json
+import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pymap3d
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 Datum = tuple[float, float, float]
 
+_POLE = 90.0  # deg
 _SECOND_NS = 1_000_000_000
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
@@ -64,6 +67,7 @@ def _geojson(estimates: "Estimates", datum: Datum | None) -> str:
     if datum is None:
         accepted = "datum=(latitude, longitude, altitude) of the map's origin"
         raise InputError(f"save: GeoJSON is in degrees, and the map's datum is unknown; accepted: {accepted}")
+    _check_datum(datum)
     east, north, up = estimates.pose[:, 0], estimates.pose[:, 1], np.nan_to_num(estimates.tilt[:, 2])
     latitude, longitude, _ = pymap3d.enu2geodetic(east, north, up, *datum)
     places = np.column_stack((np.round(longitude, 9), np.round(latitude, 9))).tolist()
@@ -74,6 +78,20 @@ def _geojson(estimates: "Estimates", datum: Datum | None) -> str:
         "properties": {"coordTimes": [time.isoformat() for time in times]},
     }
     return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
+
+
+def _check_datum(datum: Any) -> None:
+    """It is a place on the Earth.
+
+    Raises:
+        InputError: it is none.
+    """
+    with suppress(TypeError, ValueError):
+        latitude, longitude, altitude = map(float, datum)
+        if abs(latitude) <= _POLE and abs(longitude) <= 2.0 * _POLE and math.isfinite(altitude):
+            return
+    accepted = "datum=(latitude, longitude, altitude), deg, deg, m"
+    raise InputError(f"save: {datum!r} is no datum; accepted: {accepted}")
 
 
 _FORMS: Mapping[str, Callable[["Estimates", Datum | None], str]] = {

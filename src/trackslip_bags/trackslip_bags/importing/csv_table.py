@@ -40,7 +40,7 @@ IntArray = NDArray[np.int64]
 
 NO_TIME = np.iinfo(np.int64).min
 
-_NOT_NUMBERS = ("nan", "-nan", "1.#qnan", "-1.#ind", "#value!", "#div/0!", "#num!")
+_NOT_NUMBERS = ("nan", "-nan", "nat", "<na>", "1.#qnan", "-1.#ind", "#value!", "#div/0!", "#num!")
 _BLANK = (
     "",
     "-",

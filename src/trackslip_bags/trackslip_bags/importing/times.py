@@ -8,7 +8,7 @@ from contextlib import suppress
 from datetime import datetime, timezone
 from decimal import Decimal
 
-from trackslip_bags.importing.columns import TimeColumn, zone_offset_ns
+from trackslip_bags.importing.columns import ISO, TimeColumn, zone_offset_ns
 
 _SCALES = {
     name: Decimal(nanoseconds)
@@ -83,6 +83,8 @@ def too_late(value_ns: int, column: TimeColumn) -> str:
 
 
 def _likely_unit(cell: str) -> str:
+    if _ISO.fullmatch(cell):
+        return f" (is its unit {ISO}?)"
     for unit in ("ms", "us", "ns"):
         with suppress(ValueError):
             if _number_ns(cell, unit) in _OUR_DAYS:
