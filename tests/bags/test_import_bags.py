@@ -170,6 +170,10 @@ BAD = {
         changed(sprockets={"from": "/joint_states", "left": "front_left_wheel"}),
         "accepted: the joints of both",
     ),
+    "sprockets: left and right are both of 'front_left_wheel'": (
+        changed(sprockets={"from": "/j", "left": "front_left_wheel", "right": ["front_left_wheel"]}),
+        "accepted: the joints of each",
+    ),
     "sprockets.right.sign: 2 is not accepted": (
         changed(sprockets={"from": "/j", "left": "a", "right": {"joints": "b", "sign": 2}}),
         "accepted: 1 or -1",

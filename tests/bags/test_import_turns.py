@@ -70,6 +70,26 @@ def test_positions_that_wrap_were_jumps_of_a_csv_log(unit: str, turn: float, tmp
     assert found[0].position[0] == 0.0
 
 
+@pytest.mark.parametrize("bits", [8, 16, 24, 32])
+@pytest.mark.parametrize("is_signed", [False, True])
+def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Path) -> None:
+    """1000 counts a turn, which no counter holds a multiple of; the left counts up, the right down."""
+    modulus, least = 2**bits, -(2 ** (bits - 1)) if is_signed else 0
+    speeds = np.array((600.0, -400.0))  # counts/s
+    counts = np.round(np.outer(T, speeds)) + np.array((modulus - 100, 100))
+    cells = (((counts - least) % modulus) + least).astype(np.int64).tolist()
+    rows = [f"{t},{left},{right}" for t, (left, right) in zip(T.tolist(), cells, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(("t,l,r", *rows, "")), encoding="utf-8")
+    topic: dict[str, Any] = {"time": {"column": "t", "unit": "s"}}
+    topic |= {
+        f"{side}_position": {"column": side[0], "unit": "rev", "scale": 1e-3} for side in ("left", "right")
+    }
+    found = sprockets(tmp_path, tmp_path / "log.csv", topic)
+    positions = np.array([m.position for m in found])
+    turned = np.round(np.outer(T, speeds)) * math.tau / 1000.0
+    np.testing.assert_allclose(positions - positions[0], turned, atol=1e-6)
+
+
 def test_positions_over_ground_have_no_turns(tmp_path: Path) -> None:
     """Metres that jump by six did so."""
     text = "t,l,r\n0,0,0\n0.5,6,0\n1,0.2,0\n"

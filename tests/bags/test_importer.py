@@ -185,6 +185,12 @@ BAD_MAPPINGS = {
         topics__sprockets__left_position={"column": "wl", "unit": "rad"}
     ),
     "sprockets: unknown key 'stddev'": changed(topics__sprockets__stddev={"x": 1.0}),
+    "sprockets: left_velocity and right_velocity are both of 'wl'; accepted: a column of each": changed(
+        topics__sprockets__right_velocity__column="wl"
+    ),
+    "reference_pose: x and y are both of 'x'; accepted: a column of each": changed(
+        topics__reference_pose__y__column="x"
+    ),
     "sprockets.left_velocity.unit: 'deg/sec' is unknown, did you mean 'deg/s'?; accepted: rad/s": changed(
         topics__sprockets__left_velocity__unit="deg/sec"
     ),

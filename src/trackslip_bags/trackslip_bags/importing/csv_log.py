@@ -24,6 +24,7 @@ from trackslip_common.turns import continuous
 
 Rows = NDArray[np.bool_]
 
+_COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # after which counters restart
 _SEVERAL = 3  # rows of one time, which are too many
 _MOSTLY, _SPELLS = 0.75, 10  # share of zeros, and spells of other values between them, that are noted
 
@@ -181,14 +182,37 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
     timed = stamps_ns != NO_TIME
     for side in SIDES if topic.role == "sprockets" else ():
         column = topic.columns.get(f"{side}_position")
-        if column is None or not column.turn or not column.factor or column.increments:
+        if column is None or not column.factor or column.increments:
             continue
         speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
-        turned = [values.copy() for values in numbers[f"{side}_position"]]
-        for angles in turned:
-            angles[timed] = continuous(stamps_ns[timed], angles[timed], speeds[timed], column.turn)
+        turned = [
+            _without_restarts(table, name, values, column.turn, (timed, stamps_ns, speeds))
+            for name, values in zip(column.names, numbers[f"{side}_position"], strict=True)
+        ]
         found[f"{side}_position"] = _si(turned, column, topic)
     return found
+
+
+def _without_restarts(
+    table: Table, name: str, values: FloatArray, turn: float, timed: tuple[Rows, IntArray, FloatArray]
+) -> FloatArray:
+    """(rows,) continuous: of an angle after each ``turn``, of whole numbers where a counter is full, noted.
+
+    ``timed``: which rows have a time, their stamps, speeds in units of the values per second.
+    """
+    rows, stamps_ns, speeds = timed
+    known = values[np.isfinite(values)]
+    counters = _COUNTERS if (known == np.round(known)).all() else ()
+    for modulus in (*((turn,) if turn else ()), *counters):
+        found = values.copy()
+        found[rows] = continuous(stamps_ns[rows], values[rows], speeds[rows], modulus)
+        if not np.array_equal(found, values, equal_nan=True):
+            if modulus != turn:
+                table.notes.append(
+                    f"column '{name}' restarts after {modulus:.0f}: a counter; made continuous"
+                )
+            return found
+    return values
 
 
 def _si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> FloatArray:

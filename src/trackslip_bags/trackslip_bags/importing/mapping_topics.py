@@ -33,6 +33,12 @@ USES = ("both", "positions", "velocities")  # of the joints of sprockets
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
 _OF_CSV = ("file", "time", "received", "csv", "new_when_changes")
 _OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only", "convention", "sign")
+_OPPOSITE = (  # fields that no one column holds
+    *(tuple(f"{side}_{what}" for side in SIDES) for what in ("velocity", "position")),
+    ("x", "y"),
+    ("latitude", "longitude"),
+    ("east", "north"),
+)
 CONVENTIONS = ("enu", "compass")  # of headings: from east, counter-clockwise; from north, clockwise
 NEEDS_GEOMETRY = (
     "a speed over ground needs a vehicle in the mapping, or geometry: {rolling_radius: …, tread: …}"
@@ -133,6 +139,11 @@ def _csv_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
             f"{where}: key 'time' is missing, here or for all topics; accepted: {{column, unit}}"
         )
     columns = {name: read_column(f"{where}.{name}", tree[name], role.fields[name]) for name in given}
+    for one, other in _OPPOSITE:
+        names = {columns[name].names for name in (one, other) if name in columns}
+        if {one, other} <= set(given) and len(names) == 1 and len(columns[one].names) == 1:
+            name = columns[one].names[0]
+            raise InputError(f"{where}: {one} and {other} are both of '{name}'; accepted: a column of each")
     _require_spreads(where, role, of_both["spreads"], set(given))
     _require_geometry(where, columns, of_both["geometry"])
     marker = tree.get("new_when_changes")
@@ -155,6 +166,9 @@ def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         raise InputError(f"{where}: a column of {columns[0]}, and the log is a bag; accepted: a number, SI")
     if len(joints.keys() & set(SIDES)) == 1:
         raise InputError(f"{where}: only one of left and right; accepted: the joints of both")
+    if SIDES[0] in joints and joints[SIDES[0]].names == joints[SIDES[1]].names:
+        name = ", ".join(joints[SIDES[0]].names)
+        raise InputError(f"{where}: left and right are both of '{name}'; accepted: the joints of each")
     return BagTopic(
         **of_both,
         source=text(f"{where}.{FROM}", tree[FROM]),
