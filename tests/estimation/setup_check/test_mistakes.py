@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check on made-up drives: it names each injected mistake, no other, and none on healthy drives."""
 
+import re
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,6 +152,16 @@ def test_a_track_that_turns_by_another_factor_is_named(name: str, has_heading: b
     assert side in cause.remedy
 
 
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_one_track_for_both_is_named(side: int, *, has_heading: bool) -> None:
+    """A lever arm explained it, with a value to set."""
+    log = make_drive(has_heading=has_heading).with_tracks(np.eye(2)[[side, side]])
+    (cause,) = check(log).causes
+    assert (cause.cause, cause.source) == ("missing_value", "sprockets")
+    assert "the same" in cause.evidence
+
+
 @pytest.mark.parametrize("name", ["gyro sign", "x and y", "tracks swapped"])
 def test_a_sign_beside_a_track_that_turns_by_another_factor_is_named_too(name: str) -> None:
     log = MISTAKES[name].inject(drive().with_tracks(np.diag((2.0, 1.0))))
@@ -294,6 +306,62 @@ def test_fixes_at_zero_among_few_are_named(zeros: tuple[int, ...]) -> None:
 
 def test_one_wrong_fix_that_is_sent_again_stands_for_no_missing_value() -> None:
     assert names_of(far_fixes(20, 21, 22, 23)) == set()
+
+
+def shifted(log: Log, late: float, *, has_gyro_too: bool = False) -> Log:
+    """Fixes and headings whose stamps are ``late`` s later."""
+    fixes = tuple(replace(one, t=one.t + late) for one in log.fixes)
+    compasses = tuple(replace(one, t=one.t + late) for one in log.compasses)
+    gyros = tuple(replace(one, t=one.t + late * has_gyro_too) for one in log.gyros)
+    return replace(log, fixes=fixes, compasses=compasses, gyros=gyros)
+
+
+@pytest.mark.parametrize("late", [2.6, 5.0, 18.0, -18.0])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"has_heading": False},
+        {"slip": 0.4},
+        {"fix_rate": 1.0, "fix_stddev": 0.1, "has_heading": False},
+    ],
+)
+def test_fixes_on_another_clock_are_named_with_the_time_between(late: float, options: dict[str, Any]) -> None:
+    """As GPS time, which is 18 s ahead of UTC; a lever arm or a gear was named, or nothing."""
+    (cause,) = check(shifted(make_drive(1, **options), late)).causes
+    assert (cause.cause, cause.source) == ("source_delay", "gnss_pose")
+    offset = re.search(r"time_offset: (-?[\d.]+)", cause.remedy)
+    assert offset is not None
+    assert float(offset[1]) == pytest.approx(-late, abs=0.2)
+
+
+@pytest.mark.parametrize("mistake", ["tracks swapped", "gyro sign", "speed in km/h"])
+def test_another_mistake_is_named_beside_that_of_a_clock(mistake: str) -> None:
+    found = names_of(shifted(MISTAKES[mistake].inject(drive()), 18.0))
+    assert found == {"source_delay", MISTAKES[mistake].cause}
+
+
+@pytest.mark.parametrize("late", [3600.0, -7200.0])
+@pytest.mark.parametrize("has_gyro_too", [False, True])
+def test_sources_without_a_time_in_common_with_the_tracks_are_named(
+    late: float, *, has_gyro_too: bool
+) -> None:
+    causes = check(shifted(drive(), late, has_gyro_too=has_gyro_too)).causes
+    assert {cause.cause for cause in causes} == {"source_delay"}
+    assert {cause.source for cause in causes} == {"gnss_pose", *["imu/data_raw"] * has_gyro_too}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("period", [10.0, 20.0])
+def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period: float) -> None:
+    straight = (
+        (period / 2.0 - 2.0, 0.9, 0.0),
+        (2.0, 0.0, 0.0),
+        (period / 2.0 - 2.0, -0.9, 0.0),
+        (2.0, 0.0, 0.0),
+    )
+    log = make_drive(seed, programme=tuple(8 * straight), fix_stddev=0.3, fix_rate=1.0, has_heading=False)
+    assert "source_delay" not in names_of(log)
 
 
 def test_fixes_whose_lag_varies_are_not_called_late() -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds
+from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import Missing, without_missing
@@ -70,6 +71,9 @@ def _check(log: Log, found: _Found) -> list[str]:
     found.add([_missing_cause(one) for one in missing])
     log, causes = clocks.with_right_times(log)
     found.add(causes)
+    if not causes:  # those that are alone in another unit are left out of the log
+        log, causes = with_common_clock(log)
+        found.add(causes)
     found.add(places.judge_places(log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         found.add([], [_STILL])

@@ -19,6 +19,7 @@ from trackslip_estimation.setup_check.log import FloatArray
 
 _STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn, and the sharpest that is used
 _NOTHING = 1e-6  # m
+_LEAST_TURN = 0.2  # rad in a window: no drift of a gyro
 _LEAST_WINDOWS = 5
 _LEAST_RATIO, _USUAL_SHARE = 1.5, 0.8  # q of most windows, on one side of 1
 _DEAD = 0.02  # q of a track that shows no motion
@@ -37,8 +38,24 @@ class Sides(NamedTuple):
 
 def examine(drive: Drive, unit: float) -> Sides:
     """``unit``: of the speeds, which is undone in ``drive``."""
-    frame = _frame(drive, unit)
+    frame, same = _frame(drive, unit), _same(drive)
+    if same is not None:
+        return Sides(None, (same,))
     return _sides(drive, unit) if frame is None else Sides(drive.without_fixes(), (frame,))
+
+
+def _same(drive: Drive) -> Cause | None:
+    """Tracks that show one motion in turns, which two cannot."""
+    turn = drive.heading_turn if drive.gyro is None else drive.turn
+    goes = np.isfinite(drive.x).all(axis=1) & (np.abs(drive.x).max(axis=1) > _NOTHING) & np.isfinite(turn)
+    turns = goes & (np.abs(turn) > _LEAST_TURN)
+    is_one = np.abs(drive.x[:, 1] - drive.x[:, 0]) <= _NOTHING
+    if turns.sum() < _LEAST_WINDOWS or not is_one[goes].all():
+        return None
+    turned = f"{np.degrees(np.abs(turn[turns]).sum()):.0f}°"
+    evidence = f"left and right sprocket show the same, while the machine turns {turned}"
+    remedy = "Name the column, joint or signal of each side in the mapping or roles file"
+    return Cause("missing_value", "sprockets", evidence, odds_of(2.0 * float(turns.sum())), remedy)
 
 
 def _sides(drive: Drive, unit: float) -> Sides:

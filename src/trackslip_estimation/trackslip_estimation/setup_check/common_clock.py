@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sources on another clock than the tracks: speeds of fixes that follow those of the tracks much later.
+
+    r(τ) = correlation of |v| by the tracks at t and |v| by the fixes at t + τ
+
+Neither signs nor units change r. Whatever is less than ``LATEST`` is left to ``clocks``, which is finer.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from trackslip_estimation.setup_check.delay import LATEST
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
+from trackslip_estimation.setup_check.log import Fixes, FloatArray, Gyro, Log, Tracks
+
+_FARTHEST, _OVERLAP = 60.0, 0.75  # s, searched; share of the readings that must remain
+_STEP, _WINDOW = 0.5, 2.0  # s
+_WIDTH = 4.0  # s about the top of r, which belongs to it
+_LEAST_READINGS = 10
+_LEAST_APART = 150.0  # s without readings: longer than what a running estimator keeps, than outages
+_LEAST, _MOST = 0.9, 0.999  # correlation: tracks that spin at times lower that of sound stamps too
+
+
+class _Shift(NamedTuple):
+    """Of the fixes after the tracks."""
+
+    value: float  # s
+    correlation: float
+    without: float  # correlation with the stamps as they are
+    gain: float  # ln likelihood over these
+
+
+def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
+    """The log on the clock of the tracks, and the sources that were on another."""
+    causes = _elsewhere(log)
+    elsewhere = {cause.source for cause in causes}
+    shifts = {}
+    for one in log.fixes:
+        shift = None if one.name in elsewhere else _shift_of(log.tracks, log.machine.radius, one)
+        if shift is not None:
+            shifts[one.name] = shift.value
+            causes.append(_cause(one.name, shift))
+    if not causes:
+        return log, []
+    gyros = tuple(one for one in log.gyros if one.name not in elsewhere)
+    fixes = [replace(one, t=one.t - shifts.get(one.name, 0.0)) for one in log.fixes]
+    # which clock a compass has that is no part of the fixes is unknown then
+    compasses = [replace(one, t=one.t - shifts[one.name]) for one in log.compasses if one.name in shifts]
+    kept = tuple(one for one in fixes if one.name not in elsewhere)
+    return replace(log, gyros=gyros, fixes=kept, compasses=tuple(compasses)), causes
+
+
+def _elsewhere(log: Log) -> list[Cause]:
+    """Sources all of whose readings are before the first of the tracks, or after the last."""
+    begin, end = float(log.tracks.t[0]), float(log.tracks.t[-1])
+    found = []
+    sources: tuple[Gyro | Fixes, ...] = (*log.gyros, *log.fixes)
+    for one in sources:
+        if len(one.t) < _LEAST_READINGS or len(log.tracks.t) < _LEAST_READINGS:
+            continue
+        late, early = float(one.t[0]) - end, begin - float(one.t[-1])
+        if max(late, early) < _LEAST_APART:
+            continue
+        where = f"begins {late:.0f} s after the end" if late > 0.0 else f"ends {early:.0f} s before the begin"
+        evidence = f"{one.name} {where} of the sprockets: the two have no time in common"
+        of_clock = f"bring both to one clock (mapping of {one.name}: time_offset, or zone of its times)"
+        remedy = f"Record both together, or {of_clock}"
+        found.append(Cause("source_delay", one.name, evidence, odds_of(12.0), remedy))
+    return found
+
+
+def _cause(name: str, shift: _Shift) -> Cause:
+    order = "later" if shift.value > 0.0 else "earlier"
+    evidence = (
+        f"speeds by {name} follow those of the sprockets {abs(shift.value):.1f} s {order}: correlation "
+        f"{shift.correlation:.2f}, with the stamps as they are {shift.without:.2f}"
+    )
+    gps = " (GPS time is 18 s ahead of UTC)" if abs(abs(shift.value) - 18.0) < 1.0 else ""
+    remedy = f"In the mapping of {name}: time_offset: {-shift.value:.1f}{gps}; or set the clock of its driver"
+    return Cause("source_delay", name, evidence, odds_of(shift.gain), remedy)
+
+
+def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
+    """Beyond ``LATEST``; None where the drive shows none."""
+    sound = np.isfinite(fixes.places).all(axis=1)
+    if min(len(tracks.t), int(sound.sum())) < _LEAST_READINGS:
+        return None
+    first = min(float(tracks.t[0]), float(fixes.t[sound][0]))
+    last = max(float(tracks.t[-1]), float(fixes.t[sound][-1]))
+    period = float(np.median(np.diff(fixes.t[sound])))
+    times = np.arange(first, last, _STEP)
+    by_tracks = _speeds(tracks.t, tracks.angles.mean(axis=1, keepdims=True) * radius, times)
+    by_fixes = _speeds(fixes.t[sound], fixes.places[sound], times)
+    steps = min(round(_FARTHEST / _STEP), len(times) - 1)
+    shifts = _STEP * np.arange(-steps, steps + 1)
+    r, counts = _correlations(by_tracks, by_fixes, steps)
+    best = int(np.argmax(r))
+    if not LATEST + max(period - _WINDOW, 0.0) <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST:
+        return None
+    of_tracks, of_fixes = (_correlations(one, one, steps)[0] for one in (by_tracks, by_fixes))
+    alike = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings that tell the same (Bartlett)
+    without = float(r[np.abs(shifts) <= _STEP].max())
+    second = float(r[np.abs(shifts - shifts[best]) > _WIDTH].max())
+    gain, over_second = (
+        0.5 * counts[best] / alike * np.log((1.0 - max(other, 0.0) ** 2) / (1.0 - r[best] ** 2))
+        for other in (without, second)
+    )
+    gain -= PRIOR + np.log(len(shifts))
+    if min(gain, over_second) < LEAST_LOG:
+        return None
+    bend = r[best - 1] - 2.0 * r[best] + r[best + 1]
+    part = 0.5 * (r[best - 1] - r[best + 1]) / bend if bend < 0.0 else 0.0
+    return _Shift(float(shifts[best] + part * _STEP), float(r[best]), without, float(gain))
+
+
+def _speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
+    """(k,) of (n, d) values in windows about the times; nan beyond the readings; outliers are cut."""
+    ends = [
+        np.column_stack([np.interp(times + side * _WINDOW / 2.0, t, one, np.nan, np.nan) for one in values.T])
+        for side in (-1.0, 1.0)
+    ]
+    speeds = np.linalg.norm(ends[1] - ends[0], axis=1) / _WINDOW
+    if not np.isfinite(speeds).any():
+        return np.full(len(times), np.nan)
+    return np.asarray(np.minimum(speeds, np.nanpercentile(speeds, 98)), np.float64)
+
+
+def _correlations(a: FloatArray, b: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+    """(2 steps + 1,) of a at k and b at k + j, and of how many; 0 where little overlaps."""
+    least = _OVERLAP * min(np.isfinite(a).sum(), np.isfinite(b).sum())
+    r, counts = np.zeros(2 * steps + 1), np.zeros(2 * steps + 1)
+    for k, j in enumerate(range(-steps, steps + 1)):
+        first, second = a[max(0, -j) : len(a) - max(0, j)], b[max(0, j) : len(b) + min(0, j)]
+        both = np.isfinite(first) & np.isfinite(second)
+        if both.sum() <= max(least, 2):
+            continue
+        x, y = first[both] - first[both].mean(), second[both] - second[both].mean()
+        scale = float(np.sqrt((x @ x) * (y @ y)))
+        if scale > 0.0:
+            r[k], counts[k] = min(float(x @ y) / scale, _MOST), float(both.sum())
+    return r, counts
