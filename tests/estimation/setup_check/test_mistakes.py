@@ -364,6 +364,38 @@ def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period
     assert "source_delay" not in names_of(log)
 
 
+def test_a_course_over_ground_is_no_heading() -> None:
+    """It turns round in reverse; as yaw of a receiver with one antenna."""
+    log = drive()
+    (fixes,), (compass,) = log.fixes, log.compasses
+    steps = np.gradient(fixes.places, axis=0)
+    course = np.interp(compass.t, fixes.t, np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
+    assert check(log).causes == ()
+    (cause,) = check(replace(log, compasses=(replace(compass, headings=course, is_used=True),))).causes
+    assert cause.cause == "heading_convention"
+    assert "course over ground" in cause.evidence
+
+
+def test_encoders_without_a_direction_are_not_passed_over() -> None:
+    log = drive()
+    speeds = np.abs(log.tracks.speeds)
+    tracks = Tracks(log.tracks.t, speeds, integral(log.tracks.t, speeds))
+    compasses = tuple(replace(one, is_used=True) for one in log.compasses)
+    found = check(replace(log, tracks=tracks, compasses=compasses))
+    assert found.causes == ()
+    (question,) = found.open_questions
+    assert "without a direction" in question.what
+
+
+def test_a_tread_in_feet_is_not_passed_over() -> None:
+    """Gyro and headings turn alike, by more than tracks of that tread can."""
+    log = drive()
+    found = check(replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)))
+    assert found.causes == ()
+    (question,) = found.open_questions
+    assert "tread" in question.what
+
+
 def test_fixes_whose_lag_varies_are_not_called_late() -> None:
     log = make_drive(has_heading=False)
     (one,) = log.fixes

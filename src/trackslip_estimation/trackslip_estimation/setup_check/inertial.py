@@ -86,11 +86,17 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
     drive = drive.with_gyro(gyro)
     scale, share = scale_of(drive.turn, drive.x, WINDOW), turned_share(drive.turn, drive.x)
     if scale > EFFICIENCY[1] or share > _MOST_TURN:
-        what = (
-            f"gyro that turns {max(np.nan_to_num(scale), share):.3g} times as much as the tracks: "
-            "unit of the gyro, or of the speeds"
-        )
-        open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
+        times = f"{max(np.nan_to_num(scale), share):.3g} times as much as"
+        by_heading = _scale_of_heading(drive)
+        if is_unit_known and by_heading is not None and abs(np.log(by_heading)) < _UNIT_ERROR:
+            what = f"machine that turns {times} its tracks, by gyro and heading: the tread is too large"
+            needed = (
+                "measure vehicle.kinematics.tread (m): outer edge of one track to inner edge of the other"
+            )
+            open_ones.append(Undetermined(what, needed, is_wrong=True))
+        else:
+            what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
+            open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
         return Inertial(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
     swings = gyro.is_above and drive.log.swing is None
     if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(drive):

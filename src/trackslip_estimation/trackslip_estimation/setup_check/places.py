@@ -11,8 +11,9 @@ from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.heading import mean_direction, place_at, wrapped
-from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_of
+from trackslip_estimation.setup_check.log import BoolArray, Compass, Fixes, Machine, group_of
 from trackslip_estimation.setup_check.path import Path, thinned
+from trackslip_estimation.setup_check.signs import HEADING
 
 _LENGTHS = (5.0, 10.0, 20.0)  # s
 _ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
@@ -24,6 +25,7 @@ _EXACT = 0.06  # of the tread, standard deviation of a lever arm that is known
 _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
 _LEAST_COURSES = 5
+_MOST_PIECES = 0.8  # share of them
 _HALF_TURN = 0.3  # rad from it
 _FRONT = "or front and rear exchanged: tracks swapped, and both counting backwards"
 _AHEAD = "drive 10 m ahead: both tracks must count up"
@@ -90,6 +92,9 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
     stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(rest)), 0.01))
     basis = f"{len(rest)} straight pieces, course less heading"
     measured = Measured("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
+    causes, open_ones = _judge_reverse(compass, ways < 0.0, np.abs(rest) > np.pi - _HALF_TURN)
+    if causes or open_ones:
+        return causes, open_ones, None
     usual = np.abs(rest) < 0.5
     if not compass.is_used or abs(middle) < _LEAST_OFFSET + 2.0 * stddev or usual.mean() < 0.7:
         return [], [], measured
@@ -116,6 +121,35 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
         f"stated heading in {len(rest)} straight pieces"
     )
     return [Cause("heading_offset", compass.name, evidence, odds_of(log_ratio), remedy)], [], measured
+
+
+def _judge_reverse(
+    compass: Compass, is_reverse: BoolArray, is_opposite: BoolArray
+) -> tuple[list[Cause], list[Undetermined]]:
+    """Headings that turn with the direction of travel, or tracks that do not.
+
+    (n,) straight pieces: whether the tracks reverse; whether the course lies half a turn from that of most.
+    """
+    ahead, back = is_opposite[~is_reverse], is_opposite[is_reverse]
+    turned = int(is_opposite.sum())
+    if not compass.is_used or min(len(ahead), turned, len(is_opposite) - turned) < _LEAST_COURSES:
+        return [], []
+    if len(back) >= _LEAST_COURSES and abs(back.mean() - ahead.mean()) > _MOST_PIECES:
+        evidence = (
+            f"the heading turns round in {len(back)} straight pieces in reverse, against {len(ahead)} "
+            "forward: a course over ground, or a heading of a cab that swung"
+        )
+        leave = f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
+        leave = leave if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
+        remedy = f"Take the heading of two antennas on the undercarriage, or {leave}"
+        return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
+    if not len(back):
+        what = (
+            f"machine that goes backwards by {compass.name} in {turned} of {len(ahead)} straight pieces, "
+            "while the tracks count forward: encoders without a direction, or a heading of a cab that swung"
+        )
+        return [], [Undetermined(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)]
+    return [], []
 
 
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
