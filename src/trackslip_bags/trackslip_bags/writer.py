@@ -46,6 +46,11 @@ def _exists(path: Path) -> InputError:
     return InputError(f"bag '{path}' exists already; accepted: a path where nothing is")
 
 
+def _is_utf8(name: str) -> bool:
+    """Whether a name has none of the bytes that Python keeps as surrogates."""
+    return not any("\ud800" <= character <= "\udfff" for character in name)
+
+
 class BagWriter:
     """One bag being written: a directory with ``<name>_0.mcap`` and so on, ``metadata.yaml`` once closed.
 
@@ -79,6 +84,8 @@ class BagWriter:
         self._removed: Counter[str] = Counter()  # messages per topic that were in files removed since
         self._chunk_start_ns: int | None = None
         self._saved: dict[str, int] = {}  # counts at the last flush
+        if not _is_utf8(self.path.name):  # metadata.yaml states the names of files
+            raise InputError(f"bag {str(self.path)!r}: the name is not UTF-8; accepted: a name that is")
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:

@@ -191,7 +191,9 @@ def _files(path: Path) -> list[Path]:
     endings = (*_CSV, *_OF_DEVICES)
     found = sorted(file for file in path.iterdir() if file.suffix.lower() in endings and file.is_file())
     if not found:
-        raise InputError(f"{path}: neither a bag nor a directory of logs ({', '.join(endings)})")
+        raise InputError(
+            f"{path}: neither a bag nor holds logs; accepted: a bag, or files *{', *'.join(endings)}"
+        )
     return found
 
 
