@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,6 +90,28 @@ def test_a_heading_that_errs_takes_nothing_from_what_fixes_show(kind: str, sourc
     assert math.sqrt(np.mean(squares)) < 0.06
     assert np.mean(nees) < 6.0  # 3 if consistent
     assert math.sqrt(np.mean(headings)) < 0.06
+
+
+@pytest.mark.parametrize("turned", [0.1, 0.5])
+def test_places_are_weighed_on_while_the_headings_beside_them_are_off(turned: float) -> None:
+    """Multipath of a metre for 8 s, by a receiver whose pair of antennas is turned on the machine."""
+    squares, nees = [], []
+    for seed in range(3):
+        truth, measurements = seen(lambda t, heading: turned if t > 20.0 else 0.0, IN_POSES, seed)
+        for k, m in enumerate(measurements):
+            if isinstance(m, PoseFix) and 61 * S <= m.stamp_ns < 69 * S:
+                measurements[k] = replace(m, pose=m.pose + np.array((0.8, 0.6, 0.0)))
+        found = [e for _, e in SlipEstimator(with_headings(IN_POSES)).process_all(measurements) if e]
+        t = np.array([e.stamp_ns for e in found]) / S - 1.0
+        off = np.array([e.pose[:2] for e in found])
+        off -= np.column_stack([np.interp(t, truth.t, truth.poses[:, axis]) for axis in range(2)])
+        P = np.array([e.pose_covariance[:2, :2] for e in found])
+        during = (t > 60.0) & (t < 75.0)
+        squares.append(np.mean(np.sum(off[during] ** 2, axis=1)))
+        of_each = np.einsum("ni,ni->n", off, np.linalg.solve(P, off[:, :, None])[:, :, 0])
+        nees.append(np.mean(of_each[during]))
+    assert math.sqrt(np.mean(squares)) < 0.2
+    assert np.mean(nees) < 5.0  # 2 if consistent
 
 
 @pytest.mark.parametrize("source", [ALONE, IN_POSES])

@@ -71,6 +71,7 @@ from trackslip_estimation.slip.own_errors import (
     to_shown_heading,
     usual_variance,
 )
+from trackslip_estimation.slip.records import POSE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -253,6 +254,12 @@ def wanders(state: State, source: int, c: Config) -> bool:
 def is_heading_off(fault: int) -> bool:
     """Whether a source is assumed to show headings that are off."""
     return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
+
+
+@compiled
+def is_trusted(fault: int, kind: int) -> bool:
+    """Whether a measurement of a source is taken for sound; places are, though headings of theirs are off."""
+    return fault == IS_SOUND or (kind == POSE and is_heading_off(fault))
 
 
 @compiled

@@ -37,9 +37,9 @@ from trackslip_estimation.slip.events import (
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
-    IS_SOUND,
     IS_STAYING,
     is_heading_off,
+    is_trusted,
     latest_pose_source,
 )
 from trackslip_estimation.slip.faulty_sources import (
@@ -107,7 +107,7 @@ def use_weighed(
         _whiten(state, o.innovation, predicted + R, update)
     if not used:
         return
-    if kind == POSE and fault == IS_SOUND and update.nis <= update.gate:
+    if kind == POSE and is_trusted(fault, POSE) and update.nis <= update.gate:
         _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
     if update.coarse == 1 and is_correlated(state, source, c):
         share = student_inflation(update.nis, m)

@@ -46,6 +46,7 @@ from trackslip_estimation.slip.events import (
     apply_event,
     is_heading_off,
     is_steep,
+    is_trusted,
     log_rate,
     reach,
     wander_stddev,
@@ -119,7 +120,7 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
         if measurement.kind in (POSE, VELOCITY) and state.fault[unit] != IS_SOUND:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
-    follows = measurement.kind == POSE and (fault in (IS_SOUND, IS_OFFSET) or is_heading_off(fault))
+    follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
     if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
         follows = fault == IS_SOUND and state.motion.motion != _STANDING
     if follows and not is_correlated(state, source, c):
@@ -144,8 +145,9 @@ def outside_range(state: State, c: Config) -> float:
 def _contradicts(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether measurement k is not what branch s predicts."""
     before, update = window.states[s, k - 1], update_of(window, s, k)
-    limit, fault = c.gate_limits[update.dof] / 2.0, before.fault[window.measurements[k].source]
-    return bool(update.nis > limit or (fault == IS_SOUND and update.outcome == _GATED))
+    limit, m = c.gate_limits[update.dof] / 2.0, window.measurements[k]
+    is_gated = update.outcome == _GATED and is_trusted(before.fault[m.source], m.kind)
+    return bool(update.nis > limit or is_gated)
 
 
 @compiled
@@ -164,7 +166,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if measurement.kind == POSE and outside_range(before, c) > 0.0:
         return True
-    if measurement.kind in (POSE, VELOCITY) and fault == IS_SOUND:
+    if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
         moves = before.motion.motion != _STANDING
         return bool((is_repeated(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
@@ -218,13 +220,13 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind == VELOCITY and (contradicts or shows):
             _have_earlier_children(window, p, k, contradicts, False, c)
         return
-    if fault == IS_SOUND and before.motion.motion != _STANDING:
+    if is_trusted(fault, POSE) and before.motion.motion != _STANDING:
         if is_repeated(update, c):
             _child(window, p, k, REPEATS, source, 0, False, now + log_rate(REPEATS, source, c), c)
         if contradicts and may_repeat(update, c) and _tracks_are_known(before):
             _child(window, p, k, STAYS, source, 0, False, now + log_rate(STAYS, source, c), c)
     implausible = outside_range(before, c) > 0.0
-    shows = fault == IS_SOUND and window.branches[p, k].cusum.max() > c.bank.cusum_limit
+    shows = is_trusted(fault, POSE) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if contradicts:
         _jump(window, p, k, c)
     if contradicts or implausible or shows:
@@ -266,13 +268,13 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, now = m.source, _log_time(window, p, k, c)
     size = _log_any_size(m, before, c)
-    if before.fault[source] == IS_SOUND:
+    if is_trusted(before.fault[source], POSE):
         if update.outcome != _GATED:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         if before.rests_on != source:
             _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
             _child(window, p, k, OFFSET, source, 0, False, now + size + log_rate(OFFSET, source, c), c)
-            if update.dof > YAW:
+            if update.dof > YAW and before.fault[source] == IS_SOUND:
                 _have_heading_off(window, p, k, now, c)
     moved = now + log_rate(MOVED, source, c)
     if before.rests_on == source:  # on one fix, which is as likely to be the outlier as this one
@@ -325,10 +327,11 @@ def _have_earlier_children(
             _child(
                 window, p, k, SWUNG, source, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c
             )
-    turning = drove and _tracks_are_known(before)
-    if before.fault[source] == IS_SOUND and m.kind == POSE and turning and may_repeat(update, c):
+    turning, is_place = drove and _tracks_are_known(before), m.kind == POSE
+    is_place = is_place and is_trusted(before.fault[source], POSE)
+    if is_place and turning and may_repeat(update, c):
         _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
-    if before.fault[source] == IS_SOUND and m.kind == POSE and _may_wander(source, update, c):
+    if is_place and _may_wander(source, update, c):
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     for other in range(MOST_SOURCES):
         if before.fault[other] == IS_SOUND:

@@ -20,14 +20,14 @@ from trackslip_estimation.slip.events import (
     IS_SCATTERING,
     IS_SOUND,
     IS_STAYING,
-    is_heading_off,
+    is_trusted,
 )
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
 from trackslip_estimation.slip.own_errors import errs_by_place, number_of
-from trackslip_estimation.slip.records import GYROS, TRACKS
+from trackslip_estimation.slip.records import GYROS, POSE, TRACKS
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
@@ -76,8 +76,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     if n < 0 or not _shows_errors(state, update, m.source, c):
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
-    fault = state.fault[m.source]
-    is_off = update.coarse == 0 and fault != IS_SOUND and not is_heading_off(fault)
+    is_off = update.coarse == 0 and not is_trusted(state.fault[m.source], POSE)
     is_known = heading < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
     if is_off or not is_known:
         if of.known > 0:
@@ -102,7 +101,7 @@ def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
     strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
     if strays or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return False
-    is_outlier = update.outcome == _GATED and fault in (IS_SOUND, IS_IGNORED)
+    is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(fault, POSE))
     return bool(update.coarse == 1 or not (is_outlier or errs_by_place(source, c)))
 
 

@@ -35,6 +35,7 @@ from trackslip_estimation.slip.events import (
     TURNED,
     UNKNOWN_HEADING,
     apply_event,
+    is_trusted,
     latest_pose_source,
 )
 from trackslip_estimation.slip.models.model import YAW
@@ -198,7 +199,7 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
         if measurement.kind != VELOCITY:  # each shows what happened since the last one
             branch.weighed += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
-        agrees = agrees and state.fault[measurement.source] == IS_SOUND and measurement.kind == POSE
+        agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
         if branch.fresh == 1 or agrees or branch.weighed >= c.bank.look_back:
             _keep_snapshot(window, s, k)
 
