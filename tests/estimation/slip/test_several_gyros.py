@@ -50,11 +50,11 @@ def test_each_finds_its_bias(model: str, filter_: str) -> None:
 def test_one_more_than_the_state_has_room_for_is_refused() -> None:
     with pytest.raises(
         InputError,
-        match=r"7 gyros .*, 1 odometries, 1 sources of headings; 2 .* twice; accepted: at most 13",
+        match=r"2 gyros .*, 1 odometries, 5 sources of headings; 6 .* twice; accepted: at most 18",
     ):
         parameters(
-            yaw_rate_sources=list("abcdxyzw"),
+            yaw_rate_sources=list("abc"),
             odometry_sources=["e"],
-            pose_sources=["box_pose", "gnss_pose"],
+            pose_sources=["box_pose", "gnss_pose", *"fghi"],
             **{"sources.box_pose.lever_arm_z": 2.0},
         )

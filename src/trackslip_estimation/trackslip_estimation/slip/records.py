@@ -173,7 +173,7 @@ class State(Record):
     odometry: Annotated[Table[OdometryRecord], MOST_ODOMETRIES]
     driven: Annotated[FloatArray, 2]  # by left and right sprocket since the start, rad
     moved: Annotated[FloatArray, 3]  # ∫ of the twist as it was predicted, since the start: m, m, rad
-    fixed_ns: int  # stamp of the last fix
+    fixed_ns: int  # stamp of the last fix; never
     down: float  # sine of the slope that the tracks drove down as k was learned
     ran: float  # by the tracks since the start, mean of both, forward or not, m
     is_sector: bool  # whether its heading is one share of the circle

@@ -109,6 +109,8 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
+    if measurement.kind != POSE:
+        state.fixed_ns = NEVER_NS
     state.ran = state.down = state.way[:] = 0.0
     state.is_sector, state.rests_on = False, -1
     state.fault_ns[:] = stamp_ns

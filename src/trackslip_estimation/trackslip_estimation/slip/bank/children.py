@@ -334,7 +334,7 @@ def _have_earlier_children(
     if is_place and _may_wander(source, update, c):
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     for other in range(MOST_SOURCES):
-        if before.fault[other] == IS_SOUND:
+        if before.fault[other] == IS_SOUND and _tells_velocities(before, m, c):
             _have_wrong_source(window, p, k, other, since - penalty, c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
@@ -366,14 +366,26 @@ def _have_wrong_source(window: Window, p: int, k: int, source: int, since: float
 
 
 @compiled
+def _tells_velocities(before: State, m: MeasurementRecord, c: Config) -> bool:
+    """Whether fixes tell wrong velocities and headings from tracks that slip and a machine that turns."""
+    is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
+    return bool(is_fixed and not _heading_is_open(before))
+
+
+@compiled
+def _heading_is_open(before: State) -> bool:
+    """Whether the heading is unknown, or a share of the circle."""
+    return bool(before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+
+
+@compiled
 def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
     """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time.
 
     While the heading is unknown nothing tells them from it.
     """
     before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
-    is_unknown = before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2
-    if is_unknown or math.isinf(c.gate_limits[1]):  # then all that comes is used
+    if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
     if before.fault[TRACKS] == IS_SOUND:
         _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
@@ -399,7 +411,7 @@ def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
         _have_heading_off(window, p, k, now, c)
-        if m.kind == VELOCITY:
+        if m.kind == VELOCITY and _tells_velocities(before, m, c):
             _child(window, p, k, OFFSET, source, 0, False, now + log_rate(OFFSET, source, c), c)
     if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
         _child(window, p, k, SWUNG, source, MEASURED, False, now + log_rate(MOVED, source, c), c)

@@ -21,7 +21,7 @@ POSE = slice(X, YAW + 1)
 BELOW = 14  # numbers of a machine that nothing swings on, and no source of which errs by itself
 SWING, SWING_RATE = BELOW, BELOW + 1  # σ of the upper structure (``swing``) and σ̇, rad, rad/s
 SENSOR_ERRORS = SWING_RATE + 1  # of sources that have errors of their own (``own_errors``)
-MOST_SENSOR_ERRORS = 13
+MOST_SENSOR_ERRORS = 18
 SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
 LASTS = 1.0  # s, for which a speed lasts that nothing shows
 
