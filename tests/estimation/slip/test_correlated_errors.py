@@ -263,6 +263,19 @@ def test_a_jump_is_no_error_that_lasts(jump: float) -> None:
     assert found(fixes, 0.02, 0.1)["white"] > 0.9
 
 
+@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("off", [1.0, math.pi])
+def test_a_start_heading_that_was_wrong_shows_no_error_of_the_receiver(off: float, seed: int) -> None:
+    """Its fixes had left the way that was predicted, and counted as ones that err to one side for minutes."""
+    recording = drive(Machine(duration=60.0, seed=seed, fix_noise=0.05, fix_stated=0.05))
+    given = {"initial_yaw": float(recording.poses[0, 2]) + off, "initial_yaw_stddev": 0.02}
+    estimator = SlipEstimator(parameters(**given, **{"sources.box_pose.standing_share": 0.0}))
+    estimator.process_all(recording.measurements)
+    errors = estimator.window.receivers[estimator.window.count - 1, 0]["errors"][PRECISE]
+    assert abs(math.remainder(estimator.estimate().pose[2] - recording.poses[-1, 2], math.tau)) < 0.05
+    assert errors["white"] > 0.5
+
+
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 50), st.integers(0, 1000))
 def test_any_order_of_arrival_gives_the_same_estimate(seed: int, order: int) -> None:

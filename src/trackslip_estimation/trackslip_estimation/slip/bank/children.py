@@ -334,7 +334,7 @@ def _have_earlier_children(
     if is_place and _may_wander(source, update, c):
         _child(window, p, k, WANDERS, source, 0, True, since + log_rate(WANDERS, source, c), c)
     for other in range(MOST_SOURCES):
-        if before.fault[other] == IS_SOUND and _tells_velocities(before, m, c):
+        if before.fault[other] == IS_SOUND and _fixes_decide(before, m, c):
             _have_wrong_source(window, p, k, other, since - penalty, c)
     if has_velocity_errors(c):
         _have_stray_children(window, p, k, since - penalty, c)
@@ -366,8 +366,8 @@ def _have_wrong_source(window: Window, p: int, k: int, source: int, since: float
 
 
 @compiled
-def _tells_velocities(before: State, m: MeasurementRecord, c: Config) -> bool:
-    """Whether fixes tell wrong velocities and headings from tracks that slip and a machine that turns."""
+def _fixes_decide(before: State, m: MeasurementRecord, c: Config) -> bool:
+    """Whether fixes decide between wrong velocities or headings, and tracks that slip or a turned machine."""
     is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
     return bool(is_fixed and not _heading_is_open(before))
 
@@ -411,7 +411,7 @@ def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         _child(window, p, k, SCATTERS, source, 0, False, now + log_rate(SCATTERS, source, c), c)
         _have_heading_off(window, p, k, now, c)
-        if m.kind == VELOCITY and _tells_velocities(before, m, c):
+        if m.kind == VELOCITY and _fixes_decide(before, m, c):
             _child(window, p, k, OFFSET, source, 0, False, now + log_rate(OFFSET, source, c), c)
     if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
         _child(window, p, k, SWUNG, source, MEASURED, False, now + log_rate(MOVED, source, c), c)

@@ -11,15 +11,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.correlated_errors import QUALITIES, WayError, add_fix
+from trackslip_estimation.slip.correlated_errors import QUALITIES, WayError, add_fix, reset_receiver
 from trackslip_estimation.slip.events import (
     IS_IGNORED,
     IS_REPEATING,
     IS_SCATTERING,
     IS_SOUND,
     IS_STAYING,
+    TURNED,
     is_trusted,
 )
 from trackslip_estimation.slip.measurements import Outcome
@@ -27,14 +29,14 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
 from trackslip_estimation.slip.own_errors import errs_by_place, number_of
-from trackslip_estimation.slip.records import GYROS, POSE, TRACKS
+from trackslip_estimation.slip.records import GYROS, HISTORY, POSE, TRACKS
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
     from trackslip_common.record_types import Table
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.correlated_errors import Masses, Receiver
-    from trackslip_estimation.slip.records import State, Update
+    from trackslip_estimation.slip.records import Branch, State, Update
 
 
 _GATED = int(Outcome.GATED)
@@ -103,6 +105,25 @@ def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
         return False
     is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(fault, POSE))
     return bool(update.coarse == 1 or not (is_outlier or errs_by_place(source, c)))
+
+
+@compiled
+def forget_wrong_ways(window: Window, k: int, c: Config) -> None:
+    """Where the heading turns out to have been wrong, fixes were compared with no way, and showed nothing."""
+    if _turned_ns(window.branches[0, k]) > _turned_ns(window.branches[0, k - 1]):
+        for n in range(c.poses):
+            reset_receiver(window.receivers[k, n], c)
+
+
+@compiled
+def _turned_ns(branch: Branch) -> int:
+    """Stamp of the measurement by which a branch found its heading wrong last."""
+    last_ns = NEVER_NS
+    for n in range(min(branch.events, HISTORY)):
+        e = branch.history[n]
+        if e.event == TURNED and e.after == 0:
+            last_ns = max(last_ns, e.decided_ns)
+    return int(last_ns)
 
 
 @compiled

@@ -24,7 +24,12 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.children import outside_range, propose
 from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, update_of
-from trackslip_estimation.slip.bank.receivers import carry_receivers, compare_fix, take_errors
+from trackslip_estimation.slip.bank.receivers import (
+    carry_receivers,
+    compare_fix,
+    forget_wrong_ways,
+    take_errors,
+)
 from trackslip_estimation.slip.bank.script import play_script, remember
 from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import (
@@ -95,6 +100,7 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
         else:
             if weighs:
                 settle_row(window, k, jobs, c)
+                forget_wrong_ways(window, k, c)
             keep_snapshots(window, k, c)
             if drives_unheaded(states[0, k]):
                 split_unknown_heading(window, k, c)
