@@ -5,32 +5,35 @@
 An event has a rate, so its prior probability over a time Δt is about rate · Δt. Rates of a source are its
 parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``.
 
-    event       opens                                                 happened
-    OUTLIER     nothing; this one measurement is left out             at the measurement
-    OFFSET      the offset of a source's places, or velocities: two   just before it; of velocities also since
-                states                                                the last consistent measurement
-    HEADING_OFF the yaw offset of its headings                        just before it
-    HEADING_WANDERS  the same, which goes on to change                just before it
-    WANDERS     the same, which begins at zero and wanders            since the last consistent measurement
-    REPEATS     nothing; bit-identical fixes                          just before it
-    STAYS       nothing; fixes that jitter about one place            just before it, or since the last
-                                                                      consistent measurement
-    SCATTERS    nothing; measurements uniform over an area            just before it
-    SOUND       nothing; a fault of the source ended                  just before it
-    MOVED       x, y                                                  just before it
-    TURNED      heading, and what was learned through it              since the last consistent measurement
-    SWUNG       σ, σ̇ of the upper structure                           since the last consistent measurement
-    SLIPPED     i₀                                                    since the last consistent measurement
-    SKIDDED     x, y, by a share of the way since the last consistent just before it
-                fix
-    SLID        i₀, k; on a slope                                     since the last consistent measurement
-    NOISE       noise factor of the source                            since the last consistent measurement
-    STRAYS      speed and yaw rate: the machine does not move as its  since the last consistent measurement
-                sprockets turn (encoder fault, towed, slides); or
-                nothing: its gyros do not show how it turns
-    BIASED      bias of the first gyro, and the heading               since the last consistent measurement
-    FOLDED      the source's offset, which becomes a jump of what     just before it
-                it measures
+    event            opens                                               happened
+    OUTLIER          nothing; this one measurement is left out           at the measurement
+    OFFSET           the offset of a source's places: two states         just before it
+                     the offset of its velocities: two states            just before it, or since the last
+                                                                         consistent measurement
+    WANDERS          the offset of its places, which begins at zero and  since the last consistent measurement
+                     wanders
+    HEADING_OFF      the yaw offset of its headings                      just before it
+    HEADING_WANDERS  the same, which goes on to change                   just before it, or since the last
+                                                                         consistent measurement
+    REPEATS          nothing; bit-identical fixes                        just before it
+    STAYS            nothing; fixes that jitter about one place          just before it, or since the last
+                                                                         consistent measurement
+    SCATTERS         nothing; measurements uniform over an area          just before it
+    SOUND            nothing; a fault of the source ended                just before it
+    MOVED            x, y                                                just before it
+    TURNED           heading, and what was learned through it            since the last consistent measurement
+    SWUNG            σ, σ̇ of the upper structure                         since the last consistent measurement
+    SLIPPED          i₀                                                  since the last consistent measurement
+    SKIDDED          x, y, by a share of the way since the last          just before it
+                     consistent fix
+    SLID             i₀, k; on a slope                                   since the last consistent measurement
+    NOISE            noise factor of the source                          since the last consistent measurement
+    STRAYS           speed and yaw rate: the machine does not move as    since the last consistent measurement
+                     its sprockets turn (encoder fault, towed, slides); or
+                     nothing: its gyros do not show how it turns
+    BIASED           bias of the first gyro, and the heading             since the last consistent measurement
+    FOLDED           the source's offset, which becomes a jump of what   just before it
+                     it measures
 
 Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.
 """
