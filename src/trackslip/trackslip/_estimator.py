@@ -110,7 +110,7 @@ class Estimator:
                     raise InputError(str(error).replace(f"{folder}/", "")) from error
 
 
-def _in_full(topic: str, source: Any) -> dict[str, Any]:
+def _in_full(topic: str, source: object) -> dict[str, Any]:
     """With ``(column, unit)`` as a mapping file has it."""
     where = f"sources: {topic}"
     return {
@@ -119,7 +119,7 @@ def _in_full(topic: str, source: Any) -> dict[str, Any]:
     }
 
 
-def _pair(where: str, value: Any) -> dict[str, Any]:
+def _pair(where: str, value: object) -> dict[str, Any]:
     """A column and its unit."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise InputError(f"{where}: {value!r} is not accepted; accepted: (column, unit)")
@@ -176,7 +176,7 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
     return pl.DataFrame(found)
 
 
-def _cells(name: str, column: Any) -> NDArray[Any]:
+def _cells(name: str, column: object) -> NDArray[Any]:
     """(n,) numbers or text of a column of any kind.
 
     Raises:

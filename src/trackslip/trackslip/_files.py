@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pymap3d
@@ -80,7 +80,7 @@ def _geojson(estimates: "Estimates", datum: Datum | None) -> str:
     return json.dumps({"type": "FeatureCollection", "features": [feature]}) + "\n"
 
 
-def _check_datum(datum: Any) -> None:
+def _check_datum(datum: Datum) -> None:
     """It is a place on the Earth.
 
     Raises:

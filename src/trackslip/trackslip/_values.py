@@ -5,21 +5,20 @@
 import json
 import os
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from trackslip_common.errors import InputError
 
 
-def json_text(where: str, value: Any) -> str:
+def json_text(where: str, value: object) -> str:
     """A value as JSON, which is YAML too; numbers and arrays of numpy are as those of Python.
 
     Raises:
         InputError: it holds something that no file states; ``where`` opens the message.
     """
 
-    def plain(one: Any) -> Any:
+    def plain(one: object) -> object:
         if isinstance(one, (np.generic, np.ndarray)):
             return one.tolist()
         if isinstance(one, os.PathLike):

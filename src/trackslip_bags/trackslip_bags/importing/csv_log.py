@@ -186,7 +186,7 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
             continue
         speeds = found.get(f"{side}_velocity", np.full(len(timed), np.nan)) / column.factor
         turned = [
-            _without_restarts(table, name, values, column.turn, (timed, stamps_ns, speeds))
+            _without_restarts(table, name, values, column.turn, timed, stamps_ns, speeds)
             for name, values in zip(column.names, numbers[f"{side}_position"], strict=True)
         ]
         found[f"{side}_position"] = _si(turned, column, topic)
@@ -194,18 +194,23 @@ def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
 
 
 def _without_restarts(
-    table: Table, name: str, values: FloatArray, turn: float, timed: tuple[Rows, IntArray, FloatArray]
+    table: Table,
+    name: str,
+    values: FloatArray,
+    turn: float,
+    timed: Rows,
+    stamps_ns: IntArray,
+    speeds: FloatArray,
 ) -> FloatArray:
     """(rows,) continuous: of an angle after each ``turn``, of whole numbers where a counter is full, noted.
 
-    ``timed``: which rows have a time, their stamps, speeds in units of the values per second.
+    ``timed``: which rows have a time; ``speeds`` in units of the values per second.
     """
-    rows, stamps_ns, speeds = timed
     known = values[np.isfinite(values)]
     counters = _COUNTERS if (known == np.round(known)).all() else ()
     for modulus in (*((turn,) if turn else ()), *counters):
         found = values.copy()
-        found[rows] = continuous(stamps_ns[rows], values[rows], speeds[rows], modulus)
+        found[timed] = continuous(stamps_ns[timed], values[timed], speeds[timed], modulus)
         if not np.array_equal(found, values, equal_nan=True):
             if modulus != turn:
                 table.notes.append(

@@ -327,8 +327,8 @@ def _have_earlier_children(
             _child(
                 window, p, k, SWUNG, source, part, True, since + log_rate(SWUNG, source, c) - _ANY_SHARE, c
             )
-    turning, is_place = drove and _tracks_are_known(before), m.kind == POSE
-    is_place = is_place and is_trusted(before.fault[source], POSE)
+    turning = drove and _tracks_are_known(before)
+    is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
     if is_place and turning and may_repeat(update, c):
         _child(window, p, k, STAYS, source, 0, True, since + log_rate(STAYS, source, c), c)
     if is_place and _may_wander(source, update, c):
