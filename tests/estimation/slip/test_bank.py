@@ -135,6 +135,25 @@ def test_a_wrong_start_heading_is_found_within_metres(turned: float) -> None:
     assert Event.TURNED in events(estimator)
 
 
+def test_children_start_half_a_look_back_ago_unless_fixes_agreed_since() -> None:
+    """A branch that fixes contradicted for long looked back for nothing, just when its children were made."""
+    recording, random = drive(Machine(duration=30.0, fix_rate=1)), np.random.default_rng(0)
+    noisy = changed(recording, lambda m, t: moved(m, *0.05 * random.standard_normal(2)))
+    p = parameters(**GNSS)
+    estimator, longest, kept_ages = SlipEstimator(p), p.bank.look_back_time, []
+    for m in noisy:
+        estimator.process_all([m])
+        last = estimator.window.count - 1
+        stamps = estimator.window.measurements["stamp_ns"]
+        for branch in estimator.window.branches[: int(estimator.window.counts[last]), last]:
+            older, younger = (stamps[last] - stamps[s["entry"]] for s in branch["snapshots"])
+            assert younger <= older <= (longest + 0.1) * S
+            if older != younger:
+                kept_ages.append(older / S)
+    assert min(kept_ages) >= longest / 2.0
+    assert max(kept_ages) > 0.9 * longest
+
+
 def test_swapped_tracks_leave_the_place_known() -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     swapped = [

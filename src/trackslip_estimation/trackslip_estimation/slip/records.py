@@ -241,6 +241,18 @@ class EventRecord(Record):
 EVENT = dtype_of(EventRecord)
 
 
+class Snapshot(Record):
+    """Of a branch, at an entry from which children may start."""
+
+    entry: int  # its number
+    slot: int  # place of the branch in the row of that entry
+    weight: float  # w then
+    weighed: int  # measurements since then by which the branch was weighed
+
+
+OLDER, YOUNGER = range(2)  # snapshots: where children start now, and where they do next
+
+
 class Branch(Record):
     """One explanation, at one entry of the window."""
 
@@ -250,10 +262,7 @@ class Branch(Record):
     first: int  # entry of the first step that it makes for this row
     fresh: int  # 0 or 1: made by this measurement
     cusum: Annotated[FloatArray, 4]  # of innovations: ahead, behind, left, right
-    snapshot: int  # entry from which its children start
-    slot: int  # place in the row of that entry
-    snapshot_weight: float  # w then
-    weighed: int  # measurements since then by which it was weighed
+    snapshots: Annotated[Table[Snapshot], 2]
 
 
 BRANCH = dtype_of(Branch)

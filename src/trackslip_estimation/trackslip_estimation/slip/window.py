@@ -27,6 +27,7 @@ from trackslip_estimation.slip.records import (
     HEADING,
     MANUAL,
     MEASUREMENT,
+    OLDER,
     ON_SWING,
     POSE,
     PRIOR,
@@ -274,13 +275,15 @@ def _move_snapshots(window: Window, entries: int, whole: int) -> None:
     while True:
         oldest = whole
         for b in range(window.counts[whole]):
-            if moved < window.branches[b, whole].snapshot < oldest:
-                oldest = window.branches[b, whole].snapshot
+            for snapshot in window.branches[b, whole].snapshots:
+                if moved < snapshot.entry < oldest:
+                    oldest = snapshot.entry
         if oldest == whole:
             return
         for b in range(window.counts[whole]):
-            if window.branches[b, whole].snapshot == oldest:
-                _move_branch(window, window.branches[b, whole].slot, oldest, entries)
+            for snapshot in window.branches[b, whole].snapshots:
+                if snapshot.entry == oldest:
+                    _move_branch(window, snapshot.slot, oldest, entries)
         moved = oldest
 
 
@@ -291,7 +294,8 @@ def _move_branch(window: Window, s: int, k: int, entries: int) -> None:
         window.states[s, k],
         window.branches[s, k],
     )
-    window.branches[s, k - entries].snapshot = max(window.branches[s, k].snapshot - entries, 0)
+    for snapshot in window.branches[s, k - entries].snapshots:
+        snapshot.entry = max(snapshot.entry - entries, 0)
 
 
 @compiled
@@ -299,7 +303,7 @@ def oldest_needed(window: Window, k: int) -> int:
     """The oldest entry that rows from k on are made from."""
     oldest = k
     for s in range(window.counts[k]):
-        oldest = min(oldest, window.branches[s, k].snapshot)
+        oldest = min(oldest, window.branches[s, k].snapshots[OLDER].entry)
     return oldest
 
 

@@ -65,6 +65,7 @@ from trackslip_estimation.slip.records import (
     HEADING,
     HISTORY,
     MOST_SOURCES,
+    OLDER,
     ON_SWING,
     POSE,
     TRACKS,
@@ -94,7 +95,8 @@ def propose(window: Window, k: int, c: Config) -> int:
         spawns = spawns or _wants_children(window, s, k, c)
     if count == 1 and not spawns:
         branch = window.branches[0, k]
-        branch.snapshot_weight -= branch.weight
+        for snapshot in branch.snapshots:
+            snapshot.weight -= branch.weight
         branch.weight = 0.0
         return 1
     status = window.status[0]
@@ -250,8 +252,8 @@ def _log_time(window: Window, p: int, k: int, c: Config) -> float:
 @compiled
 def _log_since(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the snapshot of branch p."""
-    branch = window.branches[p, k]
-    elapsed_ns = window.measurements[k].stamp_ns - window.states[branch.slot, branch.snapshot].stamp_ns
+    snapshot = window.branches[p, k].snapshots[OLDER]
+    elapsed_ns = window.measurements[k].stamp_ns - window.states[snapshot.slot, snapshot.entry].stamp_ns
     return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
 
 
@@ -319,7 +321,7 @@ def _have_earlier_children(
     penalty = _correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
         _child(window, p, k, SLIPPED, source, 0, True, since + log_rate(SLIPPED, source, c) - penalty, c)
-    is_first = window.branches[p, k - 1].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
+    is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
     if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
         return  # as a rule it is an outlier; what began earlier shows in the next one too
     if contradicts and may_swing(before, source, c):
@@ -397,8 +399,8 @@ def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config
 @compiled
 def _driven_since(window: Window, p: int, k: int) -> float:
     """By the tracks since the snapshot of branch p of row k − 1, m."""
-    branch = window.branches[p, k - 1]
-    return float(window.states[p, k - 1].ran - window.states[branch.slot, branch.snapshot].ran)
+    snapshot = window.branches[p, k - 1].snapshots[OLDER]
+    return float(window.states[p, k - 1].ran - window.states[snapshot.slot, snapshot.entry].ran)
 
 
 @compiled
@@ -436,16 +438,17 @@ def _child(
     There is none where the pool is full, or children have made steps enough.
     """
     status, before, m = window.status[0], window.branches[p, k - 1], window.measurements[k]
-    first, h = before.snapshot + 1 if since else k, status.pooled
+    snapshot = before.snapshots[OLDER]
+    first, h = snapshot.entry + 1 if since else k, status.pooled
     if status.steps_left < k + 1 - first or h == POOL:
         return
     status.pooled, status.steps_left = h + 1, status.steps_left - (k + 1 - first)
     state, branch, update = window.pool_states[h], window.pool_branches[h], window.pool_updates[h]
     window.pool_branches[h] = before
     if since:
-        window.pool_states[h] = window.states[before.slot, before.snapshot]
-        branch.weight = before.snapshot_weight + log_prior
-        snapshot_ns = window.measurements[before.snapshot].stamp_ns
+        window.pool_states[h] = window.states[snapshot.slot, snapshot.entry]
+        branch.weight = snapshot.weight + log_prior
+        snapshot_ns = window.measurements[snapshot.entry].stamp_ns
         while branch.events > 0 and branch.history[(branch.events - 1) % HISTORY].decided_ns > snapshot_ns:
             branch.events -= 1
     else:

@@ -57,7 +57,9 @@ def from_pool(window: Window, k: int, count: int, c: Config) -> None:
             break
         branch = window.branches[kept, k]
         window.states[kept, k], window.branches[kept, k] = window.pool_states[h], window.pool_branches[h]
-        branch.weight, branch.snapshot_weight = weight - best, branch.snapshot_weight - best
+        branch.weight = weight - best
+        for snapshot in branch.snapshots:
+            snapshot.weight -= best
         if kept == 0:
             window.updates[k] = window.pool_updates[h]
         else:
@@ -77,7 +79,9 @@ def _keep_sound(window: Window, k: int, h: int, best: float, c: Config) -> None:
     window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
     window.trials[s] = window.pool_updates[h]
     least = -c.bank.least_sound
-    branch.weight, branch.snapshot_weight = least, max(branch.snapshot_weight - best, least)
+    branch.weight = least
+    for snapshot in branch.snapshots:
+        snapshot.weight = max(snapshot.weight - best, least)
     window.counts[k] = s + 1
 
 

@@ -44,7 +44,7 @@ from trackslip_estimation.slip.events import (
     latest_pose_source,
 )
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.records import POSE, VELOCITY
+from trackslip_estimation.slip.records import OLDER, POSE, VELOCITY, YOUNGER
 from trackslip_estimation.slip.sound import is_sound
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample, prior_of
@@ -117,11 +117,9 @@ def begin_row(window: Window, k: int, c: Config) -> None:
         reset_receiver(window.receivers[k, n], c)
     take_errors(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
-    branch.weight = branch.snapshot_weight = 0.0
-    branch.events = 0
+    branch.weight, branch.events, branch.fresh = 0.0, 0, 0
     branch.cusum[:] = 0.0
-    branch.snapshot, branch.slot, branch.weighed = k, 0, 0
-    branch.fresh = 0
+    _look_back_to(window, 0, k)
 
 
 @compiled
@@ -147,7 +145,7 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
     from_pool(window, k, count, c)
     for s in range(window.counts[k]):
         if window.branches[s, k].fresh == 1:
-            _keep_snapshot(window, s, k)
+            _look_back_to(window, s, k)
 
 
 @compiled
@@ -197,34 +195,39 @@ def _tie(window: Window, count: int, source: int) -> None:
 
 @compiled
 def _move_snapshots(window: Window, k: int, c: Config) -> None:
-    """Branches that agree with measurement k, or have looked back for long enough, look back to it only."""
+    """Branches that agree with measurement k look back to it only."""
     measurement = window.measurements[k]
     for s in range(window.counts[k]):
         branch, state = window.branches[s, k], window.states[s, k]
         update = update_of(window, s, k)
         if measurement.kind != VELOCITY:  # each shows what happened since the last one
-            branch.weighed += 1
+            for snapshot in branch.snapshots:
+                snapshot.weighed += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
-        if branch.fresh == 1 or agrees or branch.weighed >= c.bank.look_back:
-            _keep_snapshot(window, s, k)
+        if branch.fresh == 1 or agrees:
+            _look_back_to(window, s, k)
 
 
 @compiled
-def _keep_snapshot(window: Window, s: int, k: int) -> None:
+def _look_back_to(window: Window, s: int, k: int) -> None:
+    """Children of branch s start from row k."""
     branch = window.branches[s, k]
-    branch.snapshot, branch.slot, branch.weighed = k, s, 0
-    branch.snapshot_weight = branch.weight
+    for snapshot in branch.snapshots:
+        snapshot.entry, snapshot.slot, snapshot.weight, snapshot.weighed = k, s, branch.weight, 0
 
 
 @compiled
 def keep_snapshots(window: Window, k: int, c: Config) -> None:
-    """No branch looks back for longer than it may."""
-    stamp_ns = window.measurements[k].stamp_ns
+    """No branch looks back for longer than it may, nor for less than half of that."""
+    stamp_ns, longest_ns = window.measurements[k].stamp_ns, c.bank.look_back_time * 1e9
     for s in range(window.counts[k]):
         branch = window.branches[s, k]
-        if stamp_ns - window.measurements[branch.snapshot].stamp_ns > c.bank.look_back_time * 1e9:
-            _keep_snapshot(window, s, k)
+        younger = branch.snapshots[YOUNGER]
+        age_ns = stamp_ns - window.measurements[younger.entry].stamp_ns
+        if age_ns > longest_ns / 2.0 or younger.weighed >= c.bank.look_back / 2.0:
+            branch.snapshots[OLDER] = younger
+            younger.entry, younger.slot, younger.weight, younger.weighed = k, s, branch.weight, 0
 
 
 @compiled
