@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Odometry of a camera as increments: what it moved on ground that slips; jumps, gaps, what it states."""
 
+import math
 import random
 from dataclasses import replace
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import odometry_pose
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.measurements import (
     Measurement,
     OdometryPose,
@@ -32,6 +34,10 @@ from trackslip_estimation.slip.sources import Refusal
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
 STANDS = np.array(quaternion_of(0.2, -0.4, 1.0))  # of its odom frame
+GNSS = {
+    f"sources.box_pose.{name}": value
+    for name, value in {"standing_share": 0.0, "fault_rate": 1 / 300, "jump_rate": 1 / 3000}.items()
+}
 ALONE = 40.0  # s, after which there are no fixes
 
 
@@ -51,14 +57,20 @@ def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
     return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
 
 
-def seen(recorded: Recording, scale: float = 1.0, seed: int = 0) -> list[Measurement]:
-    """The odometry of a drive: 10 Hz, lengths times ``scale``, a millimetre of noise between two poses."""
+def seen(
+    recorded: Recording, scale: float = 1.0, seed: int = 0, during: tuple[float, float] = (0.0, math.inf)
+) -> list[Measurement]:
+    """The odometry of a drive: 10 Hz, a millimetre of noise between two poses.
+
+    Its lengths are times ``scale`` between the two times ``during``, s.
+    """
     noise, place = np.random.default_rng(seed), recorded.poses[0, :2]
     found: list[Measurement] = []
     for k in range(0, len(recorded.t), 2):
         if k:
             moved = recorded.poses[k, :2] - recorded.poses[k - 2, :2]
-            place = place + scale * moved + 0.001 * noise.standard_normal(2)
+            times = scale if during[0] <= recorded.t[k] < during[1] else 1.0
+            place = place + times * moved + 0.001 * noise.standard_normal(2)
         pose = np.append(place, recorded.poses[k, 2])
         found.append(pose_of(S + round(recorded.t[k] * S), pose))
     return found
@@ -81,14 +93,20 @@ def run(given: list[Measurement], p: SlipEstimatorParameters) -> tuple[list[Repo
     return [r for r, _ in steps if r.source == SOURCE], [e for _, e in steps if e is not None]
 
 
+def errors(estimates: list, recorded: Recording, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Error of the position, m, and NEES of those between two times, s."""
+    chosen = [e for e in estimates if begin * S < e.stamp_ns - S < end * S]
+    stamps = np.array([(e.stamp_ns - S) / S for e in chosen])
+    true = np.stack([np.interp(stamps, recorded.t, column) for column in recorded.poses[:, :2].T], axis=1)
+    off = np.array([e.pose[:2] for e in chosen]) - true
+    nees = [e @ np.linalg.solve(f.pose_covariance[:2, :2], e) for e, f in zip(off, chosen, strict=True)]
+    return np.hypot(*off.T), np.array(nees)
+
+
 def end_and_nees(estimates: list, recorded: Recording) -> tuple[float, float]:
     """Error of the position at the end, m, and its mean NEES without fixes."""
-    late = [e for e in estimates if e.stamp_ns > S + ALONE * S]
-    stamps = np.array([(e.stamp_ns - S) / S for e in late])
-    true = np.stack([np.interp(stamps, recorded.t, column) for column in recorded.poses[:, :2].T], axis=1)
-    off = np.array([e.pose[:2] for e in late]) - true
-    nees = [e @ np.linalg.solve(found.pose_covariance[:2, :2], e) for e, found in zip(off, late, strict=True)]
-    return float(np.hypot(*off[-1])), float(np.mean(nees))
+    error, nees = errors(estimates, recorded, ALONE, math.inf)
+    return float(error[-1]), float(np.mean(nees))
 
 
 @pytest.mark.parametrize("slip", [0.1, 0.3])
@@ -114,6 +132,31 @@ def test_scale_is_found_from_fixes_and_kept() -> None:
     error, nees = end_and_nees(estimates, recorded)
     assert error < 0.25
     assert nees < 12.0
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.8, 1.3])
+def test_an_odometry_that_does_not_show_the_motion_takes_nothing_from_what_fixes_show(scale: float) -> None:
+    """A fifth too short for 20 s the machine was 0.4 m off, beside fixes of 5 cm, at NEES 19."""
+    nees = []
+    for seed in range(3):
+        recorded = drive(Machine(duration=80.0, seed=seed, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
+        given = seen(recorded, scale, seed, (30.0, 45.0))
+        running = SlipEstimator(with_odometry(**GNSS))
+        steps = running.process_all(sorted([*recorded.measurements, *given], key=lambda m: m.stamp_ns))
+        found = [e for _, e in steps if e is not None]
+        assert np.sqrt(np.mean(errors(found, recorded, 30.0, 55.0)[0] ** 2)) < 0.15
+        nees.append(np.mean(errors(found, recorded, 34.0, 55.0)[1]))  # five fixes take 2 s to show it
+        happened = [e.event for e in running.read_events() if e.source == SOURCE]
+        assert happened[0] is Event.STRAYS
+        assert happened[-1] is Event.SOUND
+    assert np.mean(nees) < 5.0  # 2 if consistent
+
+
+def test_an_odometry_that_shows_the_motion_is_no_event() -> None:
+    recorded = drive(Machine(duration=60.0, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
+    running = SlipEstimator(with_odometry(**GNSS))
+    running.process_all(sorted([*recorded.measurements, *seen(recorded)], key=lambda m: m.stamp_ns))
+    assert not {e.event for e in running.read_events()} - {Event.OUTLIER}
 
 
 def test_order_of_arrival_does_not_matter() -> None:

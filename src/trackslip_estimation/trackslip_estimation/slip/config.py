@@ -30,7 +30,7 @@ from trackslip_estimation.slip.models.swing import constants as swing_constants
 from trackslip_estimation.slip.models.turning import TurningConstants
 from trackslip_estimation.slip.motion import LimitsRecord, Motion, MotionState, limits_record
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.records import MOST_SOURCES, Adaptation
+from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, TRACKS, Adaptation
 from trackslip_estimation.slip.sources import COVARIANCES, DRIFT_TIME, LEAN_TIME, YAW_TIME
 
 ConfigRecord = NDArray[np.void]
@@ -71,7 +71,7 @@ class Config(Record):
     unknown_yaw_rate: float  # rad/s
     unseen_yaw_rate: float  # standard deviation of a yaw rate that no state holds, rad/s
     max_gap: float  # s
-    gyros: int  # how many there are
+    shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, and ``TRACKS`` and ``GYROS`` as one
     window_ns: int
     clock: ClockLimits
     gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite where all are used
@@ -215,7 +215,8 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         if pose.above:
             c["repeat_times"][numbers[name]] = p.swing.repeat_time
     c["swing_place"] = next((numbers[name] for name in p.poses() if numbers[name] in above), -1)
-    c["gyros"] = len(p.gyros())
+    c["shows_motion"][[TRACKS, *(numbers[name] for name in p.odometries())]] = 1
+    c["shows_motion"][GYROS] = 1 if p.gyros() else 0
     for name, gyro in p.gyros().items():
         c["rate_scale"][numbers[name]] = gyro.sign * gyro.scale
     c["attitude"], c["tilt_source"] = attitude_constants(p.attitude, measures_height=p.measures_height), -1

@@ -30,7 +30,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     NOISE            noise factor of the source                          since the last consistent measurement
     STRAYS           speed and yaw rate: the machine does not move as    since the last consistent measurement
                      its sprockets turn (encoder fault, towed, slides); or
-                     nothing: its gyros do not show how it turns
+                     nothing: its gyros do not show how it turns; or
+                     i₀: an odometry shows another motion
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
     FOLDED           the source's offset, which becomes a jump of what   just before it
                      it measures
@@ -74,7 +75,7 @@ from trackslip_estimation.slip.own_errors import (
     to_shown_heading,
     usual_variance,
 )
-from trackslip_estimation.slip.records import POSE
+from trackslip_estimation.slip.records import POSE, TRACKS
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -200,7 +201,7 @@ class EventParameters(Parameters):
     )
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
     stray_rate: float = parameter(
-        "rate at which the sprockets, or the gyros, no longer show the motion", unit="1/s", gt=0.0
+        "rate at which sprockets, gyros or an odometry no longer show the motion", unit="1/s", gt=0.0
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
     bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)
@@ -266,6 +267,12 @@ def is_trusted(fault: int, kind: int) -> bool:
 
 
 @compiled
+def strays(state: State) -> bool:
+    """Whether sprockets, gyros or an odometry are assumed not to show the motion."""
+    return bool((state.fault == IS_STRAYING).any())
+
+
+@compiled
 def pass_faults(state: State, dt: float, c: Config) -> None:
     """Headings that wander, and velocities that are off, are so by something else dt later."""
     P = state.covariance
@@ -327,7 +334,7 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
         P[Y, Y] += value * value
     elif event == BIASED:
         _open_bias(P, c)
-    elif event in (SLIPPED, SLID):
+    elif event in (SLIPPED, SLID) or (event == STRAYS and source < TRACKS):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
     opened = Opened(np.empty(_MOST_OPENED, np.int64), np.empty(_MOST_OPENED), np.empty(_MOST_OPENED))

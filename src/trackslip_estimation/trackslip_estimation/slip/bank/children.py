@@ -26,6 +26,7 @@ from trackslip_estimation.slip.events import (
     IS_SCATTERING,
     IS_SOUND,
     IS_STAYING,
+    IS_STRAYING,
     MEASURED,
     MOVED,
     NOISE,
@@ -49,6 +50,7 @@ from trackslip_estimation.slip.events import (
     is_trusted,
     log_rate,
     reach,
+    strays,
     wander_stddev,
     wanders,
 )
@@ -68,7 +70,6 @@ from trackslip_estimation.slip.records import (
     OLDER,
     ON_SWING,
     POSE,
-    TRACKS,
     VELOCITY,
 )
 from trackslip_estimation.slip.window import POOL, Window
@@ -118,8 +119,8 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
     if fault != IS_SOUND:
         elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
         branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
-    for unit in (TRACKS, GYROS):
-        if measurement.kind in (POSE, VELOCITY) and state.fault[unit] != IS_SOUND:
+    for unit in range(MOST_SOURCES):
+        if measurement.kind in (POSE, VELOCITY) and state.fault[unit] == IS_STRAYING:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
@@ -161,8 +162,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
-    strays = before.fault[TRACKS] != IS_SOUND or before.fault[GYROS] != IS_SOUND
-    if strays and measurement.kind in (POSE, VELOCITY):
+    if strays(before) and measurement.kind in (POSE, VELOCITY):
         return True
     if wanders(before, measurement.source, c):
         return True
@@ -211,8 +211,8 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + log_rate(MOVED, source, c) - log_rate(OFFSET, source, c)
         _child(window, p, k, FOLDED, source, 0, False, prior, c)
-    for unit in (TRACKS, GYROS):
-        if m.kind in (POSE, VELOCITY) and before.fault[unit] != IS_SOUND:
+    for unit in range(MOST_SOURCES):
+        if m.kind in (POSE, VELOCITY) and before.fault[unit] == IS_STRAYING:
             ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
             _child(window, p, k, SOUND, unit, 0, True, ended, c)
     if m.kind != POSE:
@@ -382,17 +382,17 @@ def _heading_is_open(before: State) -> bool:
 
 @compiled
 def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config) -> None:
-    """Children in which sprockets or gyros have not shown the motion; ``since``: ln of the time.
+    """Children in which sprockets, gyros or an odometry have not shown the motion; ``since``: ln of the time.
 
     While the heading is unknown nothing tells them from it.
     """
-    before, strays = window.states[p, k - 1], since + log_rate(STRAYS, TRACKS, c)
+    before = window.states[p, k - 1]
     if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
-    if before.fault[TRACKS] == IS_SOUND:
-        _child(window, p, k, STRAYS, TRACKS, 0, True, strays, c)
-    if before.fault[GYROS] == IS_SOUND and c.gyros > 0:
-        _child(window, p, k, STRAYS, GYROS, 0, True, strays, c)
+    for unit in range(MOST_SOURCES):
+        if c.shows_motion[unit] == 1 and before.fault[unit] == IS_SOUND:
+            _child(window, p, k, STRAYS, unit, 0, True, since + log_rate(STRAYS, unit, c), c)
+    if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_SOUND:
         _child(window, p, k, BIASED, GYROS, 0, True, since + log_rate(BIASED, GYROS, c), c)
 
 

@@ -19,17 +19,17 @@ from trackslip_estimation.slip.events import (
     IS_IGNORED,
     IS_REPEATING,
     IS_SCATTERING,
-    IS_SOUND,
     IS_STAYING,
     TURNED,
     is_trusted,
+    strays,
 )
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
 from trackslip_estimation.slip.own_errors import errs_by_place, number_of
-from trackslip_estimation.slip.records import GYROS, HISTORY, POSE, TRACKS
+from trackslip_estimation.slip.records import HISTORY, POSE
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
@@ -95,13 +95,12 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
-    """Whether a fix shows what its receiver errs by: source, tracks and gyros are taken for sound.
+    """Whether a fix shows what its receiver errs by: it, tracks, gyros and odometry are taken for sound.
 
     A precise fix shows nothing as an outlier, or where its source errs by its place.
     """
     fault = state.fault[source]
-    strays = state.fault[TRACKS] != IS_SOUND or state.fault[GYROS] != IS_SOUND
-    if strays or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
+    if strays(state) or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return False
     is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(fault, POSE))
     return bool(update.coarse == 1 or not (is_outlier or errs_by_place(source, c)))

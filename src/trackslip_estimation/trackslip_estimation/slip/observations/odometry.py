@@ -40,6 +40,7 @@ from trackslip_estimation.kalman.linear_algebra import (
 )
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
+from trackslip_estimation.slip.events import IS_STRAYING
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models import speed
@@ -110,7 +111,10 @@ def use_odometry(
     before = state.odometry[c.odometry_number[source]]
     T = (measurement.stamp_ns - before.stamp_ns) * 1e-9
     follows = before.known and before.frame == measurement.frame and before.coasting == state.coasting
-    if follows and c.odometry_gap[source] >= T:
+    if state.fault[source] == IS_STRAYING:
+        update.outcome = _GATED
+        _agree_on_nothing(before)
+    elif follows and c.odometry_gap[source] >= T:
         z = increment(before, measurement, T, c)
         if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
             _use(
