@@ -83,6 +83,25 @@ def test_where_neither_shows_the_speed_it_is_silence() -> None:
     assert not states_at(samples, (49,))[0].coasting
 
 
+def test_a_machine_whose_samples_are_refused_may_be_anywhere_that_a_silent_one_may_be(
+    drive: Callable[..., Any],
+) -> None:
+    """Each of them began the silence anew: its speed was another one every 50 ms, so no way grew long."""
+    driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
+    kept = without(driven.measurements, (PoseFix,), 6.0, 10.0)
+    refused = [
+        replace(m, left_speed=99.0, right_speed=99.0, positions=None)
+        if isinstance(m, Sprockets) and 6.0 * S < m.stamp_ns < 10.0 * S
+        else m
+        for m in kept
+    ]
+    spread = []
+    for found in (refused, without(kept, (Sprockets,), 6.0, 10.0)):
+        estimator = run([m for m in found if m.stamp_ns < 9.9 * S])[2]
+        spread.append(np.sqrt(np.trace(estimator.estimate().pose_covariance[:2, :2])))
+    assert spread[0] > 0.7 * spread[1]
+
+
 def run(found: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}, changes))
     steps = [estimator.process(m) for m in found]

@@ -30,10 +30,7 @@ from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_tr
 from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
 from trackslip_estimation.slip.events import (
     ANY_HEADING,
-    FOLDED,
     IS_SOUND,
-    MOVED,
-    TURNED,
     UNKNOWN_HEADING,
     pass_faults,
 )
@@ -112,7 +109,7 @@ def step(
 @inlined
 def _update_ground(state: State, update: Update, prior: Prior) -> None:
     """The height, where the place was corrected; one where it began, or that was found again, is no way."""
-    jumped = update.opened == MOVED or update.opened == FOLDED or update.opened == TURNED
+    jumped = update.renewed & 3 != 0
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
 
@@ -130,7 +127,7 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
     if state.sample.seen and state.sample.stamp_ns == stamp_ns == state.stamp_ns:
         return  # at the sample: nothing passes
     known_ns, reached_ns = set_speeds(state, closing, stamp_ns, c), state.stamp_ns
-    if known_ns >= reached_ns:
+    if known_ns > reached_ns:
         dt = (known_ns - reached_ns) * 1e-9
         update_motion(state.motion, state.speeds, dt, c.motion_limits, c.encoder_resolution)
         propagate(state, dt, c)
