@@ -82,6 +82,7 @@ class Receiver(Record):
     elapsed: float  # s since masses learned last
     driven: float  # m since then
     way: Annotated[FloatArray, 2]  # as predicted since the last fix, m
+    lately: Annotated[FloatArray, 2]  # as predicted in about the longest time of an offset, m
     last: Annotated[FloatArray, 2]  # place that it showed, m
     last_ns: int
     beyond: Annotated[FloatArray, 2]  # r
@@ -119,7 +120,7 @@ def same_quality(stddev: float, other: float, c: Config) -> bool:
 def reset_receiver(s: Receiver, c: Config) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
     s.known, s.stddev, s.elapsed, s.driven = 0, 0.0, 0.0, 0.0
-    s.way[:] = s.beyond[:] = s.last[:] = 0.0
+    s.way[:] = s.lately[:] = s.beyond[:] = s.last[:] = 0.0
     s.last_ns = 0
     for quality in range(QUALITIES):
         s.errors[quality].observed = 0.0
@@ -155,11 +156,13 @@ def add_fix(
             masses.weights[q] = _log_priors(q, c)
     if begins:
         _begin_means(masses, stddev * stddev)
-        s.beyond[:] = s.elapsed = s.driven = 0.0
+        s.beyond[:] = s.lately[:] = s.elapsed = s.driven = 0.0
     else:
+        elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
+        kept = math.exp(-elapsed / c.receivers.longest_time)
         for axis in range(2):
             s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
-        elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
+            s.lately[axis] = kept * s.lately[axis] + s.way[axis]
         s.elapsed += elapsed
         s.errors[quality].observed += min(elapsed, c.receivers.longest_time)
     s.known, s.stddev, s.last_ns = 1, stddev, stamp_ns

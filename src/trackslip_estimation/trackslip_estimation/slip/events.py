@@ -319,21 +319,23 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
 
     ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a
-    skid, of fixes that are off or wander, and of a machine that was moved it is the standard deviation, m.
+    skid, of fixes that are off or wander, and of a machine that was moved it is the standard deviation, m. Of
+    a slip and a bias that changed a while ago it is how long, s: an offset of the source took it for its own.
     """
     x, P, renewed, was = state.mean[: c.size], state.covariance[:], 0, state.fault[source]
+    lags = event in (SLIPPED, BIASED) and value > 0.0
     _assume(state, event, source)
     if event == FOLDED and is_heading_off(was):
         to_shown_heading(x, P, source, 1.0, c)
         renewed = 1 << YAW
-    elif event == FOLDED:
+    elif event == FOLDED or lags:
         to_offset(x, P, source, 1.0, c)
         renewed = (1 << X) | (1 << Y)
     elif event == SKIDDED:
         P[X, X] += value * value
         P[Y, Y] += value * value
-    elif event == BIASED:
-        _open_bias(P, c)
+    if event == BIASED:
+        _open_bias(P, max(value, c.events.bias_unseen), c)
     elif event in (SLIPPED, SLID) or (event == STRAYS and source < TRACKS):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
@@ -348,13 +350,15 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
         renewed |= 1 << opened.states[i]
     if event == TURNED:
         to_sensor(x, P, state.attitude.level, about, -1.0, c)
+    elif lags:
+        to_offset(x, P, source, -1.0, c)
     return renewed
 
 
 @compiled
-def _open_bias(P: FloatArray, c: Config) -> None:
-    """The bias of the first gyro, and the heading that it turned meanwhile; in place."""
-    variance, unseen = c.events.bias_stddev**2, c.events.bias_unseen
+def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
+    """The bias of the first gyro, and the heading that it turned for ``unseen`` s; in place."""
+    variance = c.events.bias_stddev**2
     P[GYRO_BIAS, GYRO_BIAS] += variance
     P[YAW, YAW] += variance * unseen**2 / 3.0
     P[YAW, GYRO_BIAS] -= variance * unseen / 2.0
@@ -413,7 +417,7 @@ def _set_opened(
     elif begins or (ends and is_heading_off(was)):
         count, states[0], means[0] = 1, c.yaw_offsets[source], 0.0
         variances[0] = ANY_HEADING**2 if begins else c.prior_variance[states[0]]
-    elif event in (OFFSET, SOUND, FOLDED) and own >= 0:
+    elif own >= 0 and (event in (OFFSET, SOUND, FOLDED) or (event in (SLIPPED, BIASED) and value > 0.0)):
         count, usual, number = 2, 0.0, number_of(source, c)
         if number >= 0:
             usual = usual_variance(state, source, c)

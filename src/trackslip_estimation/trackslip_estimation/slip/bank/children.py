@@ -61,7 +61,7 @@ from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, number_of
+from trackslip_estimation.slip.own_errors import errors_of, errs_by_place, is_correlated, number_of
 from trackslip_estimation.slip.records import (
     GYROS,
     HEADING,
@@ -162,6 +162,8 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
+    if _is_behind(window, s, k, c):
+        return True
     if strays(before) and measurement.kind in (POSE, VELOCITY):
         return True
     if wanders(before, measurement.source, c):
@@ -172,6 +174,39 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         moves = before.motion.motion != _STANDING
         return bool((is_repeated(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
+
+
+@compiled
+def _log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> float:
+    """ln of the odds that slip or bias changed a while ago, and not that fixes of a coarse receiver went off.
+
+    Its offset follows whatever lasts. By a slip that is along the way, by a turned heading across it; neither
+    is off by more than the event lets it be.
+    """
+    m, before = window.measurements[k], window.states[p, k - 1]
+    if m.kind != POSE or not (has_velocity_errors(c) and is_correlated(before, m.source, c)):
+        return -math.inf
+    n = number_of(m.source, c)
+    (east, north), own, usual = window.receivers[k, n].lately, c.offsets[m.source], before.offsets[n].variance
+    way = math.hypot(east, north)
+    found = errors_of(before.offsets[n], c)
+    if way < c.bank.least_driven or before.fault[m.source] != IS_SOUND or found.observed < found.time:
+        return -math.inf
+    off = before.mean[own] * east + before.mean[own + 1] * north
+    spread = c.events.slip_stddev * way
+    if event == BIASED:
+        off = before.mean[own + 1] * east - before.mean[own] * north
+        spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * way
+    either = usual + spread**2
+    odds = ((off / way) ** 2 * (1.0 / usual - 1.0 / either) - math.log(either / usual)) / 2.0
+    return odds + _log_time(window, p, k, c) + log_rate(event, m.source, c)
+
+
+@compiled
+def _is_behind(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether what changed a while ago may have become an offset of a receiver."""
+    slipped, biased = _log_odds_of_lag(window, p, k, SLIPPED, c), _log_odds_of_lag(window, p, k, BIASED, c)
+    return bool(max(slipped, biased) > -c.bank.spawns)
 
 
 @compiled
@@ -215,6 +250,10 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         if m.kind in (POSE, VELOCITY) and before.fault[unit] == IS_STRAYING:
             ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
             _child(window, p, k, SOUND, unit, 0, True, ended, c)
+    for event in (SLIPPED, BIASED):
+        odds = _log_odds_of_lag(window, p, k, event, c)
+        if odds > -c.bank.spawns:
+            _child(window, p, k, event, source, 0, False, odds, c)
     if m.kind != POSE:
         if contradicts:
             _have_angle_children(window, p, k, c)
@@ -461,6 +500,8 @@ def _child(
     elif event == WANDERS:
         dt = max((m.stamp_ns - window.states[p, k - 1].last_ns[source]) * 1e-9, c.bank.shortest_time)
         value = wander_stddev(state, source, dt, c)
+    elif event in (SLIPPED, BIASED):
+        value = 0.0 if since else c.receivers.longest_time
     elif event == OFFSET and number_of(source, c) < 0:
         value = c.events.velocity_stddev
     elif m.kind == POSE and event in (OFFSET, MOVED):

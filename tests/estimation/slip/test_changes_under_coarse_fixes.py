@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Slip or gyro bias change while only a receiver that wanders by metres shows the place."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import Machine, drive, parameters, with_coarse_fixes
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.measurements import Measurement, Sprockets, YawRate
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
+
+S = 1_000_000_000
+CHANGE, END = 60.0, 180.0  # s
+GNSS = {
+    f"sources.box_pose.{name}": value
+    for name, value in {"standing_share": 0.0, "fault_rate": 1 / 300, "jump_rate": 1 / 3000}.items()
+}
+Change = Callable[[Measurement], Measurement]
+
+
+def slips(m: Measurement) -> Measurement:
+    """The tracks run at twice the speed over the ground."""
+    if isinstance(m, Sprockets):
+        return replace(m, left_speed=2.0 * m.left_speed, right_speed=2.0 * m.right_speed)
+    return m
+
+
+def biased(m: Measurement) -> Measurement:
+    return replace(m, rate=m.rate + 0.03) if isinstance(m, YawRate) else m
+
+
+def run(change: Change, seed: int, stddev: float = 1.0) -> tuple[np.ndarray, np.ndarray, SlipEstimator]:
+    """Error of the place, m, and its NEES after the change; the estimator at the end."""
+    recording = drive(Machine(duration=END, seed=seed, track_error=0.02))
+    coarse = with_coarse_fixes(recording, stddev, 60.0, seed=seed)
+    changed = [change(m) if m.stamp_ns > S + CHANGE * S else m for m in coarse]
+    estimator = SlipEstimator(parameters(**GNSS, max_sprocket_speed=8.0))
+    found = [e for _, e in estimator.process_all(changed) if e is not None]
+    found = [e for e in found if e.stamp_ns > S + CHANGE * S]
+    times = np.array([e.stamp_ns / S - 1.0 for e in found])
+    true = np.column_stack([np.interp(times, recording.t, recording.poses[:, k]) for k in (0, 1)])
+    off = np.array([e.pose[:2] for e in found]) - true
+    P = np.array([e.pose_covariance[:2, :2] for e in found])
+    return np.hypot(*off.T), np.einsum("ki,kij,kj->k", off, np.linalg.inv(P), off), estimator
+
+
+@pytest.mark.parametrize("change", [slips, biased])
+def test_what_changed_does_not_become_an_error_of_the_receiver(change: Change) -> None:
+    """Its offset followed for as long as that lasted: the place was 20 m off, at NEES 40."""
+    errors, nees = zip(*(run(change, seed)[:2] for seed in range(4)), strict=True)
+    assert math.sqrt(np.mean(np.square(errors))) < 3.0
+    assert np.mean(nees) < 5.0
+
+
+def test_a_slip_that_began_a_while_ago_is_found() -> None:
+    slip = []
+    for seed in range(4):
+        estimator = run(slips, seed)[2]
+        assert Event.SLIPPED in {e.event for e in estimator.read_events()}
+        slip.append(estimator.window.best[estimator.window.count - 1]["mean"][COMMON_SLIP])
+    assert 0.25 < np.mean(slip) < 0.55  # from 0 ± 0.25, within 90 s
+
+
+@pytest.mark.parametrize("stddev", [1.0, 2.5])
+def test_a_receiver_that_wanders_is_no_change(stddev: float) -> None:
+    for seed in range(4):
+        events = {e.event for e in run(lambda m: m, seed, stddev)[2].read_events()}
+        assert not events & {Event.SLIPPED, Event.BIASED}
