@@ -40,6 +40,7 @@ def with_headings(**changed: object) -> SlipEstimatorParameters:
         "heading_sources": [SOURCE],
         "sources.heading.offset": OFFSET,
         "sources.heading.stamp_error": 0.0,
+        "sources.heading.yaw_offset_stddev": 0.02,  # two antennas
         "sources.box_pose.lever_arm_x": LEVER[0],
         "sources.box_pose.lever_arm_y": LEVER[1],
     }
