@@ -199,7 +199,7 @@ def _log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> f
         spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * way
     either = usual + spread**2
     odds = ((off / way) ** 2 * (1.0 / usual - 1.0 / either) - math.log(either / usual)) / 2.0
-    return odds + _log_time(window, p, k, c) + log_rate(event, m.source, c)
+    return float(odds) + _log_time(window, p, k, c) + log_rate(event, m.source, c)
 
 
 @compiled
