@@ -5,6 +5,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -133,6 +134,24 @@ def test_a_wrong_start_heading_is_found_within_metres(turned: float) -> None:
     error, _, estimator = errors(recording.measurements, recording, p)
     assert error[300:].max() < 0.1
     assert Event.TURNED in events(estimator)
+
+
+def test_fixes_that_wandered_off_did_not_jump_for_good() -> None:
+    """After 10 s a receiver that had gone off by degrees was a machine that was moved, up to 1 m off."""
+    recording = drive(Machine(duration=60.0, fix_noise=0.03, fix_stated=0.03))
+    away = [0.0, 8.0, 26.0, 34.0], [0.0, 1.2, 1.2, 0.0]
+    given = changed(
+        recording, lambda m, t: moved(m, 0.8 * np.interp(t - 15.0, *away), 0.6 * np.interp(t - 15.0, *away))
+    )
+    estimator, happened = SlipEstimator(parameters(**GNSS)), set()
+    for m in given:
+        estimator.process_all([m])
+        last = estimator.window.count - 1
+        for branch in estimator.window.branches[: int(estimator.window.counts[last]), last]:
+            events = [Event(branch["history"][n % 16]["event"]) for n in range(int(branch["events"]))]
+            happened |= set(pairwise(events))
+    assert any(Event.WANDERS in pair for pair in happened)
+    assert (Event.WANDERS, Event.FOLDED) not in happened
 
 
 def test_children_start_half_a_look_back_ago_unless_fixes_agreed_since() -> None:
