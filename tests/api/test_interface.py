@@ -89,11 +89,22 @@ def test_settings_and_filters_act_as_the_options_do(result: ts.Result) -> None:
         ({"withhold": ["gps"]}, r"--withhold gps: there is no such topic"),
         ({"vehicle": "excavator"}, r"vehicle 'excavator': no such vehicle or file"),
         ({"start": 5.0, "stop": 4.0}, "start before stop"),
+        ({"start": "a"}, "start: 'a' is refused; accepted: a number"),
+        ({"vehicle": {"mass": 20000}}, "vehicle: .* is refused; accepted: text"),
+        ({"withhold": [3]}, "withhold: 3 is refused"),
+        ({"namespace": 3}, "namespace: 3 is refused"),
     ],
 )
 def test_bad_arguments_raise_the_sentence_of_the_command(arguments: dict, sentence: str) -> None:
     with pytest.raises(ts.InputError, match=sentence):
         ts.replay(ts.example(), **arguments)
+
+
+def test_one_topic_stands_for_a_list_of_one() -> None:
+    """It was taken letter by letter."""
+    one, listed = (ts.replay(ts.example(), withhold=w, stop=4.0) for w in ("gnss_pose", ["gnss_pose"]))
+    assert one.summary["withheld"] == listed.summary["withheld"]
+    assert [w["topic"] for w in one.summary["withheld"]] == ["gnss_pose"]
 
 
 def test_check_lists_what_the_drive_cannot_decide(capsys: pytest.CaptureFixture[str]) -> None:

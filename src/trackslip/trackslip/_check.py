@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trackslip._values import json_text
+from trackslip._values import as_name, as_text, as_texts, json_text
 from trackslip_bags.importing.tree import section
 from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
@@ -55,8 +55,13 @@ def check(
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    with compilation_announced(), collected(), open_bag(bag, namespace) as opened:
-        p = replay_options.parameters_of(opened, params, setting_texts(settings), vehicle)
+    with (
+        compilation_announced(),
+        collected(),
+        open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
+    ):
+        given = as_texts("params", params), setting_texts(settings), as_name("vehicle", vehicle)
+        p = replay_options.parameters_of(opened, *given)
         return of_result(check_bag(opened, p))
 
 

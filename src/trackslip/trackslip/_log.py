@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip._frames import to_pandas
+from trackslip._values import as_text
 from trackslip_bags.parameters import bag_vehicle
 from trackslip_bags.reader import Bag, absolute, open_bag, require_topics
 from trackslip_bags.tables import read_tables
@@ -68,8 +69,9 @@ def load(bag: Path | str, namespace: str = "") -> Log:
     Raises:
         InputError: it cannot be read.
     """
-    with open_bag(bag, namespace) as opened:
-        return _overview(opened, Path(bag), namespace)
+    path, of = Path(as_text("bag", bag)), as_text("namespace", namespace)
+    with open_bag(path, of) as opened:
+        return _overview(opened, path, of)
 
 
 def _overview(bag: Bag, path: Path, namespace: str) -> Log:

@@ -9,6 +9,7 @@ from typing import Any
 
 from trackslip._check import SetupCheck, of_result, setting_texts
 from trackslip._estimates import Estimates, of_rows
+from trackslip._values import as_name, as_number, as_text, as_texts
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
@@ -60,7 +61,7 @@ def replay(
         settings: parameters over all files: ``{"slip_estimator.sources.gnss_pose.timeout": 3.0}``.
         start: s from the bag's first message.
         stop: s from the bag's first message.
-        withhold: topics that the estimator does not get, ``TOPIC`` or ``TOPIC:T0:T1`` (s).
+        withhold: topics that the estimator does not get, ``TOPIC`` or ``TOPIC:T0:T1`` (s); one, or several.
         thin: topics that it gets at a lower rate, ``TOPIC:HZ`` or ``TOPIC:HZ:SIGMA`` (m).
         seed: of the noise that ``thin`` adds.
         remap: ``from:=to``.
@@ -70,9 +71,22 @@ def replay(
     Raises:
         InputError: the bag, a parameter or an option cannot be used.
     """
-    options = ReplayOptions(start, stop, withhold, thin, seed, remap, reference)
-    with compilation_announced(), collected() as notes, open_bag(bag, namespace) as opened:
-        return replayed(opened, options, (vehicle, params, settings), notes)
+    options = ReplayOptions(
+        as_number("start", start),
+        as_number("stop", stop),
+        as_texts("withhold", withhold),
+        as_texts("thin", thin),
+        int(as_number("seed", seed)),
+        as_texts("remap", remap),
+        as_name("reference", reference),
+    )
+    with (
+        compilation_announced(),
+        collected() as notes,
+        open_bag(as_text("bag", bag), as_text("namespace", namespace)) as opened,
+    ):
+        given = as_name("vehicle", vehicle), as_texts("params", params), settings
+        return replayed(opened, options, given, notes)
 
 
 def replayed(
