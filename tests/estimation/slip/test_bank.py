@@ -20,6 +20,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.log import make_log, run_log, script_of
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
 
@@ -278,6 +279,37 @@ def test_a_machine_whose_encoders_fail_is_where_the_fixes_show_it(shown: tuple[f
     assert error.max() < 1.5
     assert error[(t > end + 3.0)].max() < 0.15
     assert np.mean(nees[t > begin] > 13.8) < 0.1
+
+
+@pytest.mark.parametrize("fastest", [5.0, 20.0])  # rad/s, that a sprocket is said to reach
+def test_sprockets_that_lose_every_other_count_leave_the_place_to_fixes(fastest: float) -> None:
+    """The receiver was called off, with RTK of 5 cm all the time, and the place was off by 1 to 3 m."""
+    recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.05, fix_stated=0.05, fix_rate=1))
+    begin, end = 20.0, 35.0
+    halved = [
+        replace(m, left_speed=0.5 * m.left_speed, right_speed=0.5 * m.right_speed)
+        if isinstance(m, Sprockets) and begin <= m.stamp_ns / S - 1.0 < end
+        else m
+        for m in recording.measurements
+    ]
+    p = parameters(**GNSS, max_sprocket_speed=fastest)
+    error, nees, estimator = errors(halved, recording, p)
+    t = np.arange(error.size) * 50.0 / error.size
+    assert np.sqrt(np.mean(error[t > begin] ** 2)) < 0.2
+    assert np.mean(nees[t > begin] > 13.8) < 0.06
+    happened = [e.event for e in estimator.read_events() if e.source == "sprockets"]
+    assert happened == [Event.STRAYS, Event.SOUND]
+
+
+def test_while_counts_are_lost_slips_are_none_of_the_ground() -> None:
+    recording = drive(Machine(duration=30.0, fix_noise=0.03, fix_stated=0.03))
+    estimator = SlipEstimator(parameters(**GNSS))
+    for m in recording.measurements:
+        if isinstance(m, Sprockets) and m.stamp_ns > 21 * S:
+            m = replace(m, left_speed=0.5 * m.left_speed, right_speed=0.5 * m.right_speed)
+        estimator.process(m)
+    assert estimator.estimate().motion is Motion.UNKNOWN
+    assert estimator.explained.found[0].text == "sprockets count half of the way"
 
 
 def test_a_gyro_that_fails_does_not_turn_the_machine() -> None:

@@ -30,6 +30,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     NOISE            noise factor of the source                          since the last consistent measurement
     STRAYS           speed and yaw rate: the machine does not move as    since the last consistent measurement
                      its sprockets turn (encoder fault, towed, slides); or
+                     i₀, about −1: they count half of the way; or
                      nothing: its gyros do not show how it turns; or
                      i₀: an odometry shows another motion
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
@@ -119,6 +120,7 @@ class SourceFault(IntEnum):
     STAYS = 6  # where it was, and jitters on
     HEADING_OFF = 7  # its headings are off, not its places
     HEADING_WANDERS = 8  # the same, by something else at any time
+    MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
 
 
 (
@@ -153,6 +155,7 @@ class SourceFault(IntEnum):
     IS_STAYING,
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
+    IS_MISCOUNTING,
 ) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
@@ -160,6 +163,7 @@ UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split
 ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of one that may be any
 AREA = 1e4  # m², of a place of which nothing is known
 MEASURED = -1  # part of the circle: the one that a compass shows
+LOST = 1  # part of what sprockets count: half of it is lost
 
 _ABOUT_SOURCES = (
     REPEATS,
@@ -269,7 +273,13 @@ def is_trusted(fault: int, kind: int) -> bool:
 @compiled
 def strays(state: State) -> bool:
     """Whether sprockets, gyros or an odometry are assumed not to show the motion."""
-    return bool((state.fault == IS_STRAYING).any())
+    return bool(((state.fault == IS_STRAYING) | (state.fault == IS_MISCOUNTING)).any())
+
+
+@compiled
+def is_straying(fault: int) -> bool:
+    """Whether a unit is assumed not to show the motion, or but for a factor."""
+    return fault in (IS_STRAYING, IS_MISCOUNTING)
 
 
 @compiled
@@ -324,7 +334,7 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     """
     x, P, renewed, was = state.mean[: c.size], state.covariance[:], 0, state.fault[source]
     lags = event in (SLIPPED, BIASED) and value > 0.0
-    _assume(state, event, source)
+    _assume(state, event, source, part)
     if event == FOLDED and is_heading_off(was):
         to_shown_heading(x, P, source, 1.0, c)
         renewed = 1 << YAW
@@ -374,7 +384,7 @@ class Opened(NamedTuple):
 
 
 @compiled
-def _assume(state: State, event: int, source: int) -> None:
+def _assume(state: State, event: int, source: int, part: int) -> None:
     """What a branch assumes of a source from an event on."""
     if event == OUTLIER:
         state.fault[source] = IS_IGNORED
@@ -393,7 +403,7 @@ def _assume(state: State, event: int, source: int) -> None:
         elif event == SCATTERS:
             state.fault[source] = IS_SCATTERING
         elif event == STRAYS:
-            state.fault[source] = IS_STRAYING
+            state.fault[source] = IS_MISCOUNTING if part == LOST else IS_STRAYING
         elif event == HEADING_OFF:
             state.fault[source] = IS_HEADING_OFF
         elif event == HEADING_WANDERS:
@@ -424,6 +434,9 @@ def _set_opened(
             state.offsets[number].variance = 0.0 if event == OFFSET else usual
         for i in range(count):
             states[i], means[i], variances[i] = own + i, 0.0, value * value if event == OFFSET else usual
+    elif source == TRACKS and (was == IS_MISCOUNTING or part == LOST):
+        count, states[0], means[0] = 1, COMMON_SLIP, -1.0 if part == LOST else c.prior_mean[COMMON_SLIP]
+        variances[0] = c.events.slip_stddev**2
     elif event == MOVED:
         count = 2
         for i in (X, Y):

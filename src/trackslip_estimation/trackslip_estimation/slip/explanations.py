@@ -217,6 +217,8 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
     name, own = sources.names[number], sources.offsets[number]
     if fault is SourceFault.STRAYS:
         return _STRAYS.format(source=name)
+    if fault is SourceFault.MISCOUNTS:
+        return f"{name} count half of the way"
     if fault in (SourceFault.REPEATS, SourceFault.STAYS):
         return _WORDS[Event[fault.name]].format(source=name)
     if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):

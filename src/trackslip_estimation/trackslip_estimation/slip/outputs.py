@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import predicted_covariance
+from trackslip_estimation.slip.events import IS_MISCOUNTING
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -21,7 +22,8 @@ from trackslip_estimation.slip.models.dispatch import (
     slips_jacobian,
 )
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
-from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.motion import Motion, rounding, steady_speeds
+from trackslip_estimation.slip.records import TRACKS
 from trackslip_estimation.slip.tilt import fill_tilt
 
 if TYPE_CHECKING:
@@ -30,16 +32,19 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+_UNKNOWN = int(Motion.UNKNOWN)
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
 
 
 @inlined
 def fill_estimate(state: State, c: Config, estimate: EstimateRecord) -> None:
-    """What is published of a state, into a record of ``ESTIMATE``."""
+    """What is published of a state, into a record of ``ESTIMATE``; its motion, where the tracks show it."""
     fill_motion(state, c, estimate)
     fill_tilt(state, estimate)
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
+    if state.fault[TRACKS] == IS_MISCOUNTING:  # its slips are none of the ground
+        estimate.motion = _UNKNOWN
 
 
 @compiled

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.events import IS_SOUND
+from trackslip_estimation.slip.events import IS_STRAYING
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
     """
     sample, speeds = state.sample, state.speeds
     state.unheard = 0.0
-    if state.fault[TRACKS] != IS_SOUND:
+    if state.fault[TRACKS] == IS_STRAYING:
         return NEVER_NS
     closed = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start

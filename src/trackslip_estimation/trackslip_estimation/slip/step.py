@@ -31,6 +31,7 @@ from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
 from trackslip_estimation.slip.events import (
     ANY_HEADING,
     IS_SOUND,
+    IS_STRAYING,
     UNKNOWN_HEADING,
     pass_faults,
 )
@@ -137,7 +138,7 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
         ends = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
-        if ends and state.fault[TRACKS] == IS_SOUND:
+        if ends and state.fault[TRACKS] != IS_STRAYING:
             interval_speeds(state.sample, closing, c, state.speeds)
     state.stamp_ns = stamp_ns
 
@@ -149,7 +150,7 @@ def coast(state: State, dt: float, c: Config) -> None:
     if not state.coasting:
         left, right = state.speeds.left, state.speeds.right
         rate, variance = 0.0, c.unknown_yaw_rate**2
-        if state.fault[TRACKS] == IS_SOUND:
+        if state.fault[TRACKS] != IS_STRAYING:
             rate = twist(state.mean[:], left, right, c)[2]
             variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
         begin_coast(state, (rate, variance), c)

@@ -21,12 +21,14 @@ from trackslip_estimation.slip.events import (
     HEADING_OFF,
     HEADING_WANDERS,
     HEADINGS,
+    IS_MISCOUNTING,
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
     IS_SOUND,
     IS_STAYING,
     IS_STRAYING,
+    LOST,
     MEASURED,
     MOVED,
     NOISE,
@@ -47,6 +49,7 @@ from trackslip_estimation.slip.events import (
     apply_event,
     is_heading_off,
     is_steep,
+    is_straying,
     is_trusted,
     log_rate,
     reach,
@@ -70,6 +73,7 @@ from trackslip_estimation.slip.records import (
     OLDER,
     ON_SWING,
     POSE,
+    TRACKS,
     VELOCITY,
 )
 from trackslip_estimation.slip.window import POOL, Window
@@ -120,7 +124,7 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
         elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
         branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     for unit in range(MOST_SOURCES):
-        if measurement.kind in (POSE, VELOCITY) and state.fault[unit] == IS_STRAYING:
+        if measurement.kind in (POSE, VELOCITY) and is_straying(state.fault[unit]):
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
@@ -136,7 +140,7 @@ def _pay(window: Window, s: int, k: int, c: Config) -> None:
 @compiled
 def outside_range(state: State, c: Config) -> float:
     """By how much less likely a branch is whose i₀ no track can have."""
-    if not has_velocity_errors(c):
+    if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
         return 0.0
     low, high = c.bank.least_slip, c.bank.most_slip
     excess = max(state.mean[COMMON_SLIP] - high, low - state.mean[COMMON_SLIP], 0.0)
@@ -247,7 +251,7 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         prior = age + log_rate(MOVED, source, c) - log_rate(OFFSET, source, c)
         _child(window, p, k, FOLDED, source, 0, False, prior, c)
     for unit in range(MOST_SOURCES):
-        if m.kind in (POSE, VELOCITY) and before.fault[unit] == IS_STRAYING:
+        if m.kind in (POSE, VELOCITY) and is_straying(before.fault[unit]):
             ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
             _child(window, p, k, SOUND, unit, 0, True, ended, c)
     for event in (SLIPPED, BIASED):
@@ -429,8 +433,11 @@ def _have_stray_children(window: Window, p: int, k: int, since: float, c: Config
     if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
     for unit in range(MOST_SOURCES):
-        if c.shows_motion[unit] == 1 and before.fault[unit] == IS_SOUND:
-            _child(window, p, k, STRAYS, unit, 0, True, since + log_rate(STRAYS, unit, c), c)
+        if c.shows_motion[unit] == 1 and before.fault[unit] != IS_STRAYING:
+            prior = since + log_rate(STRAYS, unit, c) if before.fault[unit] == IS_SOUND else 0.0
+            _child(window, p, k, STRAYS, unit, 0, True, prior, c)
+    if before.fault[TRACKS] == IS_SOUND:
+        _child(window, p, k, STRAYS, TRACKS, LOST, True, since + log_rate(STRAYS, TRACKS, c), c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_SOUND:
         _child(window, p, k, BIASED, GYROS, 0, True, since + log_rate(BIASED, GYROS, c), c)
 
