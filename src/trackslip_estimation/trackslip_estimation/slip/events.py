@@ -24,6 +24,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     TURNED           heading, and what was learned through it            since the last consistent measurement
     SWUNG            σ, σ̇ of the upper structure                         since the last consistent measurement
     SLIPPED          i₀                                                  since the last consistent measurement
+                     i₀, and the offset of a coarse receiver             or a while ago
     SKIDDED          x, y, by a share of the way since the last          just before it
                      consistent fix
     SLID             i₀, k; on a slope                                   since the last consistent measurement
@@ -34,6 +35,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                      nothing: its gyros do not show how it turns; or
                      i₀: an odometry shows another motion
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
+                     the same, and the offset of a coarse receiver       or a while ago
     FOLDED           the source's offset, which becomes a jump of what   just before it
                      it measures
 

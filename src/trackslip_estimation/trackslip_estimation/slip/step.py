@@ -110,7 +110,7 @@ def step(
 @inlined
 def _update_ground(state: State, update: Update, prior: Prior) -> None:
     """The height, where the place was corrected; one where it began, or that was found again, is no way."""
-    jumped = update.renewed & 3 != 0
+    jumped = update.renewed & ((1 << X) | (1 << Y)) != 0
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
         update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
 

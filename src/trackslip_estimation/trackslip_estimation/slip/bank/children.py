@@ -184,11 +184,13 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
 def _log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> float:
     """ln of the odds that slip or bias changed a while ago, and not that fixes of a coarse receiver went off.
 
-    Its offset follows whatever lasts. By a slip that is along the way, by a turned heading across it; neither
-    is off by more than the event lets it be.
+    Its offset follows whatever lasts: a slip along the way, a heading that turns across it. So it is held
+    against what it is a priori, and against what the event could have made of the way of late.
     """
     m, before = window.measurements[k], window.states[p, k - 1]
     if m.kind != POSE or not (has_velocity_errors(c) and is_correlated(before, m.source, c)):
+        return -math.inf
+    if event == BIASED and (c.shows_motion[GYROS] == 0 or before.fault[GYROS] != IS_SOUND):
         return -math.inf
     n = number_of(m.source, c)
     (east, north), own, usual = window.receivers[k, n].lately, c.offsets[m.source], before.offsets[n].variance
