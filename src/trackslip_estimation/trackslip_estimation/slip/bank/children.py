@@ -13,6 +13,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.bank.lags import is_behind, log_odds_of_lag, log_time
 from trackslip_estimation.slip.bank.pool import to_pool, update_of
 from trackslip_estimation.slip.bank.script import remember
 from trackslip_estimation.slip.events import (
@@ -64,7 +65,7 @@ from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.own_errors import errors_of, errs_by_place, is_correlated, number_of
+from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, number_of
 from trackslip_estimation.slip.records import (
     GYROS,
     HEADING,
@@ -166,7 +167,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
-    if _is_behind(window, s, k, c):
+    if is_behind(window, s, k, c):
         return True
     if strays(before) and measurement.kind in (POSE, VELOCITY):
         return True
@@ -178,41 +179,6 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         moves = before.motion.motion != _STANDING
         return bool((is_repeated(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
     return False
-
-
-@compiled
-def _log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> float:
-    """ln of the odds that slip or bias changed a while ago, and not that fixes of a coarse receiver went off.
-
-    Its offset follows whatever lasts: a slip along the way, a heading that turns across it. So it is held
-    against what it is a priori, and against what the event could have made of the way of late.
-    """
-    m, before = window.measurements[k], window.states[p, k - 1]
-    if m.kind != POSE or not (has_velocity_errors(c) and is_correlated(before, m.source, c)):
-        return -math.inf
-    if event == BIASED and (c.shows_motion[GYROS] == 0 or before.fault[GYROS] != IS_SOUND):
-        return -math.inf
-    n = number_of(m.source, c)
-    (east, north), own, usual = window.receivers[k, n].lately, c.offsets[m.source], before.offsets[n].variance
-    way = math.hypot(east, north)
-    found = errors_of(before.offsets[n], c)
-    if way < c.bank.least_driven or before.fault[m.source] != IS_SOUND or found.observed < found.time:
-        return -math.inf
-    off = before.mean[own] * east + before.mean[own + 1] * north
-    spread = c.events.slip_stddev * way
-    if event == BIASED:
-        off = before.mean[own + 1] * east - before.mean[own] * north
-        spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * way
-    either = usual + spread**2
-    odds = ((off / way) ** 2 * (1.0 / usual - 1.0 / either) - math.log(either / usual)) / 2.0
-    return float(odds) + _log_time(window, p, k, c) + log_rate(event, m.source, c)
-
-
-@compiled
-def _is_behind(window: Window, p: int, k: int, c: Config) -> bool:
-    """Whether what changed a while ago may have become an offset of a receiver."""
-    slipped, biased = _log_odds_of_lag(window, p, k, SLIPPED, c), _log_odds_of_lag(window, p, k, BIASED, c)
-    return bool(max(slipped, biased) > -c.bank.spawns)
 
 
 @compiled
@@ -236,7 +202,7 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
 def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at measurement k."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, fault, now = m.source, before.fault[m.source], _log_time(window, p, k, c)
+    source, fault, now = m.source, before.fault[m.source], log_time(window, p, k, c)
     contradicts = _contradicts(window, p, k, c)
     if fault == IS_SCATTERING:
         ended = now + log_rate(SOUND, source, c)
@@ -257,7 +223,7 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
             ended = _log_since(window, p, k, c) + log_rate(SOUND, unit, c)
             _child(window, p, k, SOUND, unit, 0, True, ended, c)
     for event in (SLIPPED, BIASED):
-        odds = _log_odds_of_lag(window, p, k, event, c)
+        odds = log_odds_of_lag(window, p, k, event, c)
         if odds > -c.bank.spawns:
             _child(window, p, k, event, source, 0, False, odds, c)
     if m.kind != POSE:
@@ -287,14 +253,6 @@ def _tracks_are_known(before: State) -> bool:
 
 
 @compiled
-def _log_time(window: Window, p: int, k: int, c: Config) -> float:
-    """ln of the time since the source's measurement before."""
-    m = window.measurements[k]
-    elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
-    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
-
-
-@compiled
 def _log_since(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the snapshot of branch p."""
     snapshot = window.branches[p, k].snapshots[OLDER]
@@ -313,7 +271,7 @@ def _correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
 def _jump(window: Window, p: int, k: int, c: Config) -> None:
     """Children in which the source, or the machine, jumped just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, now = m.source, _log_time(window, p, k, c)
+    source, now = m.source, log_time(window, p, k, c)
     size = _log_any_size(m, before, c)
     if is_trusted(before.fault[source], POSE):
         if update.outcome != _GATED:
@@ -455,7 +413,7 @@ def _driven_since(window: Window, p: int, k: int) -> float:
 def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at a heading, a swing angle or a velocity that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, now = m.source, _log_time(window, p, k, c)
+    source, now = m.source, log_time(window, p, k, c)
     if before.fault[source] == IS_SOUND:
         if update.outcome != _GATED:
             _child(window, p, k, OUTLIER, source, 0, False, 0.0, c)

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes that a coarse receiver hides: whether slip or gyro bias changed a while ago; compiled.
+
+    b    offset of the receiver, as the branch has it                              (2,) m
+    V    its variance a priori                                                     m²
+    d    way of late, as predicted                                                 (2,) m
+    s    what the event may have made of it: of d by a slip, across d by a bias    m
+
+An offset follows whatever lasts, so that nothing contradicts. Along s it is N(0, V) if it is the receiver's
+own, and N(0, V + s²) if the event has happened.
+
+Source: likelihood ratio of two zero-mean normal densities, Willsky & Jones (1976).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.events import BIASED, IS_SOUND, SLIPPED, log_rate
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.own_errors import errors_of, is_correlated, number_of
+from trackslip_estimation.slip.records import GYROS, POSE
+from trackslip_estimation.slip.window import Window
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+
+
+@compiled
+def log_time(window: Window, p: int, k: int, c: Config) -> float:
+    """ln of the time since the source's measurement before."""
+    m = window.measurements[k]
+    elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
+    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
+
+
+@compiled
+def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> float:
+    """ln of the odds that slip or bias changed a while ago, and not that fixes of a coarse receiver went off.
+
+    −∞ where this source's fixes, or this branch, cannot hide such a change.
+    """
+    m, before = window.measurements[k], window.states[p, k - 1]
+    if m.kind != POSE or not (has_velocity_errors(c) and is_correlated(before, m.source, c)):
+        return -math.inf
+    if event == BIASED and (c.shows_motion[GYROS] == 0 or before.fault[GYROS] != IS_SOUND):
+        return -math.inf
+    n = number_of(m.source, c)
+    (east, north), own, usual = window.receivers[k, n].lately, c.offsets[m.source], before.offsets[n].variance
+    way = math.hypot(east, north)
+    found = errors_of(before.offsets[n], c)
+    if way < c.bank.least_driven or before.fault[m.source] != IS_SOUND or found.observed < found.time:
+        return -math.inf
+    off = before.mean[own] * east + before.mean[own + 1] * north
+    spread = c.events.slip_stddev * way
+    if event == BIASED:
+        off = before.mean[own + 1] * east - before.mean[own] * north
+        spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * way
+    either = usual + spread**2
+    odds = ((off / way) ** 2 * (1.0 / usual - 1.0 / either) - math.log(either / usual)) / 2.0
+    return float(odds) + log_time(window, p, k, c) + log_rate(event, m.source, c)
+
+
+@compiled
+def is_behind(window: Window, p: int, k: int, c: Config) -> bool:
+    """Whether what changed a while ago may have become an offset of a receiver."""
+    slipped, biased = log_odds_of_lag(window, p, k, SLIPPED, c), log_odds_of_lag(window, p, k, BIASED, c)
+    return bool(max(slipped, biased) > -c.bank.spawns)
