@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import FIX, FIXES, Machine, Recording, drive, parameters
+from fixtures.drawn_machine import FIX, FIXES, GNSS, Machine, Recording, drive, parameters
 from fixtures.records import assert_same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,11 +27,6 @@ from trackslip_estimation.slip.records import EVENT, to_records
 FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
-GNSS = {
-    "sources.box_pose.fault_rate": 1 / 300,
-    "sources.box_pose.jump_rate": 1 / 3000,
-    "sources.box_pose.standing_share": 0.0,
-}
 
 
 def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:

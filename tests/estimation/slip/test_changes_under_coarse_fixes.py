@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import Machine, drive, parameters, with_coarse_fixes
+from fixtures.drawn_machine import GNSS, Machine, drive, parameters, with_coarse_fixes
 
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
@@ -17,10 +17,6 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 
 S = 1_000_000_000
 CHANGE, END = 60.0, 180.0  # s
-GNSS = {
-    f"sources.box_pose.{name}": value
-    for name, value in {"standing_share": 0.0, "fault_rate": 1 / 300, "jump_rate": 1 / 3000}.items()
-}
 Change = Callable[[Measurement], Measurement]
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from fixtures.drawn_machine import GNSS, Machine, Recording, drive, parameters
 from fixtures.visual_odometry import product, turned_by
 
 from trackslip_common.errors import InputError
@@ -34,10 +34,6 @@ from trackslip_estimation.slip.sources import Refusal
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
 STANDS = np.array(quaternion_of(0.2, -0.4, 1.0))  # of its odom frame
-GNSS = {
-    f"sources.box_pose.{name}": value
-    for name, value in {"standing_share": 0.0, "fault_rate": 1 / 300, "jump_rate": 1 / 3000}.items()
-}
 ALONE = 40.0  # s, after which there are no fixes
 
 

@@ -86,7 +86,7 @@ def test_where_neither_shows_the_speed_it_is_silence() -> None:
 def test_a_machine_whose_samples_are_refused_may_be_anywhere_that_a_silent_one_may_be(
     drive: Callable[..., Any],
 ) -> None:
-    """Each of them began the silence anew: its speed was another one every 50 ms, so no way grew long."""
+    """Each of them began the silence again: its speed was another one every 50 ms, so no way grew long."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (PoseFix,), 6.0, 10.0)
     refused = [
