@@ -31,7 +31,7 @@ ALL: dict[str, Any] = {
     "yaw_rate_sources": ["imu/data_raw", "imu_top"],
     "heading_sources": ["compass"],
     "slip_sources": ["slip_seed"],
-    "velocity_sources": ["doppler", "doppler_top", "radar", "radar_top"],
+    "velocity_sources": ["doppler_top", "radar", "radar_top"],
     "sources.imu_data_raw.use_orientation": True,
     "sources.gnss.lever_arm_x": 0.8,
     "sources.gnss.lever_arm_y": -0.3,
@@ -43,7 +43,7 @@ ALL: dict[str, Any] = {
     "sources.compass.mount": "upper",
     **{
         f"sources.{name}.{key}": value
-        for name in ("doppler", "doppler_top", "radar", "radar_top")
+        for name in ("doppler_top", "radar", "radar_top")
         for key, value in (("lever_arm_x", 0.8), ("lever_arm_y", -0.3), ("lever_arm_z", 2.0))
     },
     **{f"sources.{name}.mount": "upper" for name in ("doppler_top", "radar_top")},
@@ -58,7 +58,6 @@ KINDS = [
     (YAW_RATE, "imu/data_raw", 1),
     (YAW_RATE, "imu_top", 1),
     (SLIPS, "slip_seed", 2),
-    (VELOCITY, "doppler", 2),
     (VELOCITY, "doppler_top", 2),
     (VELOCITY, "radar", 2),
     (VELOCITY, "radar_top", 2),

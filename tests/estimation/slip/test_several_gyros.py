@@ -50,7 +50,7 @@ def test_each_finds_its_bias(model: str, filter_: str) -> None:
 def test_one_more_than_the_state_has_room_for_is_refused() -> None:
     with pytest.raises(
         InputError,
-        match=r"2 gyros .*, 1 odometries, 5 sources of headings; 6 .* twice; accepted: at most 18",
+        match=r"2 gyros .*, 1 odometries, 5 sources of headings .*; 6 .* twice; accepted: at most 18",
     ):
         parameters(
             yaw_rate_sources=list("abc"),

@@ -21,7 +21,7 @@ from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.conversions import swing as swing_message
 from trackslip_estimation.slip.conversions import swing_angle
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, SwingAngle, YawRate
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, YawRate
 from trackslip_estimation.slip.models.model import (
     BELOW,
     GYRO_BIAS,
@@ -66,7 +66,8 @@ def test_nothing_above_costs_nothing() -> None:
     )
     p, plain = load_slip_parameters(WITH, below), load_slip_parameters()
     assert (p.swings, p.angles(), p.initial_pose()[0][2]) == (False, {}, 0.0)
-    assert config_of(WITH, below)[0]["size"] == config_of(WITH)[0]["size"] == SENSOR_ERRORS + 2  # an offset
+    assert config_of(WITH, below)[0]["size"] == SENSOR_ERRORS + 2  # an offset
+    assert config_of(WITH)[0]["size"] == SENSOR_ERRORS + 3  # and that of the encoder
     given = record(dig(), Cab(encoder=False)).measurements
     own, other = SlipEstimator(p), SlipEstimator(plain)
     for (_, a), (_, b) in zip(own.process_all(given), other.process_all(given), strict=True):
@@ -100,7 +101,7 @@ def test_fixes_above_count_less_only_where_they_follow_each_other_within_the_tim
     parts = [Part(2.0), Part(20.0, 2.0, 2.0)]
     far = record(parts, Cab(fix_hertz=1.0)).measurements
     close = record(parts, Cab(fix_hertz=20.0)).measurements
-    assert _last_place(far, 0.1) == pytest.approx(_last_place(far, 0.0), rel=0.01)
+    assert _last_place(far, 0.1) == pytest.approx(_last_place(far, 0.0), rel=0.02)
     assert _last_place(close, 5.0) > 1.3 * _last_place(close, 0.0)
 
 
@@ -183,20 +184,6 @@ def test_a_swing_while_it_drives_is_seen_by_the_encoder() -> None:
     found = errors(estimates(truth.measurements, of_cab()), truth)
     assert np.abs(found[:, 4]).max() < 0.15
     assert np.abs(found[-60:, 3]).max() < 0.02
-
-
-def test_a_spike_of_the_encoder_is_rejected_and_a_persistent_angle_is_accepted() -> None:
-    truth = record([Part(2.0), Part(8.0, 2.0, 2.0)], Cab())
-    readings = [k for k, m in enumerate(truth.measurements) if isinstance(m, SwingAngle)]
-    spoilt = list(truth.measurements)
-    for k in readings[100:101] + readings[150:]:
-        spoilt[k] = replace(spoilt[k], angle=spoilt[k].angle + 0.5)
-    steps = SlipEstimator(of_cab()).process_all(spoilt)
-    outcomes = [report.outcome for report, _ in steps if report.source == ENCODER]
-    assert outcomes[100] is Outcome.GATED
-    assert Outcome.GATED not in outcomes[20:100] + outcomes[101:150]
-    assert outcomes[150] is Outcome.GATED
-    assert outcomes[-1] is Outcome.ACCEPTED
 
 
 def test_the_order_of_arrival_does_not_matter() -> None:

@@ -88,6 +88,7 @@ class Config(Record):
     heading_floor: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_ceiling: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_offset: Annotated[FloatArray, MOST_SOURCES]  # rad
+    of_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether its angles are those of the upper structure
     velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
     body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether its velocities are along axes of its own
     repeat_times: Annotated[FloatArray, MOST_SOURCES]  # s, for which fixes err alike by where they are
@@ -202,7 +203,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         c["fault_rate"][k], c["jump_rate"][k] = compass.fault_rate, compass.jump_rate
     for name, angle in p.angles().items():
         k = numbers[name]
-        c["heading_offset"][k] = angle.offset
+        c["heading_offset"][k], c["of_swing"][k] = angle.offset, 1
         c["fault_rate"][k], c["jump_rate"][k] = angle.fault_rate, angle.jump_rate
     for name, velocity in p.velocities().items():
         k = numbers[name]

@@ -251,7 +251,7 @@ class SlipEstimator:
         names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
         c = self.config[0]
         places = c["offsets"].tolist(), c["yaw_offsets"].tolist()
-        self._named = Sources(names, *places, set(p.velocities()))
+        self._named = Sources(names, *places, set(p.velocities()), set(p.angles()))
         if self._start is not None:
             start_from(self._start, self.config, self.meaning, self.sources)
 

@@ -12,7 +12,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                                                                          consistent measurement
     WANDERS          the offset of its places, which begins at zero and  since the last consistent measurement
                      wanders
-    HEADING_OFF      the yaw offset of its headings                      just before it
+    HEADING_OFF      the offset of its headings or swing angles          just before it
     HEADING_WANDERS  the same, which goes on to change                   just before it, or since the last
                                                                          consistent measurement
     REPEATS          nothing; bit-identical fixes                        just before it
@@ -37,7 +37,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
                      the same, and the offset of a coarse receiver       or a while ago
     FOLDED           the source's offset, which becomes a jump of what   just before it
-                     it measures
+                     it measures; nothing for one of swing angles,
+                     which keeps it
 
 Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.
 """
@@ -338,8 +339,9 @@ def apply_event(state: State, event: int, source: int, part: int, value: float, 
     lags = event in (SLIPPED, BIASED) and value > 0.0
     _assume(state, event, source, part)
     if event == FOLDED and is_heading_off(was):
-        to_shown_heading(x, P, source, 1.0, c)
-        renewed = 1 << YAW
+        if c.of_swing[source] == 0:  # else its offset is another one from now on
+            to_shown_heading(x, P, source, 1.0, c)
+            renewed = 1 << YAW
     elif event == FOLDED or lags:
         to_offset(x, P, source, 1.0, c)
         renewed = (1 << X) | (1 << Y)
@@ -421,7 +423,8 @@ def _set_opened(
     """States that an event replaces, their means and variances; how many. ``was``: fault of the source."""
     states, means, variances = opened
     x, count, own = state.mean, 0, c.offsets[source]
-    begins, ends = event in (HEADING_OFF, HEADING_WANDERS), event in (SOUND, FOLDED)
+    begins = event in (HEADING_OFF, HEADING_WANDERS)
+    ends = event == SOUND or (event == FOLDED and c.of_swing[source] == 0)
     if event == WANDERS:
         count, state.offsets[number_of(source, c)].variance = 2, value * value
         for i in range(count):

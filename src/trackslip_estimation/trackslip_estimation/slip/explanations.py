@@ -69,11 +69,12 @@ class Happened(NamedTuple):
     source: str  # of that measurement
     probability: float  # of the branch that has it, when it was last looked at
     begins: bool = False  # it is a share of a heading that was unknown
+    swings: bool = False  # the source shows angles of the upper structure
 
     @property
     def text(self) -> str:
         """As a user says it."""
-        return _BEGAN if self.begins else _WORDS[self.event].format(source=self.source)
+        return _BEGAN if self.begins else _text(self.event, self.source, self.swings)
 
 
 class Sources(NamedTuple):
@@ -81,8 +82,9 @@ class Sources(NamedTuple):
 
     names: Mapping[int, str]  # number → name
     offsets: Sequence[int]  # places of the offsets of their places in the state, by number; −1: it has none
-    yaw_offsets: Sequence[int]  # of their headings
+    yaw_offsets: Sequence[int]  # of their headings or swing angles
     velocities: Collection[str]  # names of those whose offset is in m/s
+    swings: Collection[str]  # names of those of swing angles
 
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
@@ -94,8 +96,8 @@ _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
     Event.OFFSET: "{source} is off",
-    Event.HEADING_OFF: "the heading of {source} is off",
-    Event.HEADING_WANDERS: "the heading of {source} wanders",
+    Event.HEADING_OFF: "angles of {source} are off",
+    Event.HEADING_WANDERS: "angles of {source} wander",
     Event.WANDERS: "{source} wanders",
     Event.REPEATS: "{source} repeats itself",
     Event.STAYS: "{source} stays where it was",
@@ -112,6 +114,7 @@ _WORDS = {
     Event.NOISE: "{source} is noisier than before",
     Event.FOLDED: "the machine was moved",
 }
+_OFF_FOR_GOOD = "angles of {source} are off for good"
 
 
 def explanations(window: Window, sources: Sources) -> list[Explanation]:
@@ -160,8 +163,14 @@ def history(branch: Branch, sources: Sources, known: list[Happened], probability
     for n in range(max(count - HISTORY, 0), count):
         e = branch["history"][n % HISTORY]
         name = sources.names.get(int(e["source"]), "")
-        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), name, probability, _begins(e)))
+        of_source = name, probability, _begins(e), name in sources.swings
+        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), *of_source))
     return found
+
+
+def _text(event: Event, source: str, swings: bool) -> str:
+    words = _OFF_FOR_GOOD if swings and event is Event.FOLDED else _WORDS[event]
+    return words.format(source=source)
 
 
 def _begins(e: EventRecord) -> bool:
@@ -183,7 +192,8 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
     for number, fault in enumerate(state["fault"].tolist()):
         if fault != SourceFault.SOUND and number in sources.names:
             text = _fault_text(state, number, SourceFault(fault), sources)
-            return f"{fault} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
+            kind = SourceFault.HEADING_OFF if fault == SourceFault.HEADING_WANDERS else fault
+            return f"{kind} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
     count = int(branch["events"])
     events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
     sound: set[int] = set()  # sources that are sound again
@@ -200,7 +210,8 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
             if not is_found:
                 return _BEGINS, Explanation(_BEGINS, 0.0, stamp_ns)
         elif event is not Event.OUTLIER and not (event in _FAULTS and source in sound):
-            text = _WORDS[event].format(source=sources.names.get(source, ""))
+            name = sources.names.get(source, "")
+            text = _text(event, name, name in sources.swings)
             if event is Event.FOLDED:
                 stamp_ns = _begin_of_offset(events[:n], source, stamp_ns)
             return text, Explanation(text, 0.0, stamp_ns, event not in _JUMPS)

@@ -8,8 +8,8 @@ The offset of a source of poses is what its places err by for a while. Of a rece
 correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
 find. Any other offset, as that of velocities, is zero until an event opens it.
 
-The yaw offset of a source of headings is by how much its sensor is turned on the machine. An event opens it
-where they are off for a while.
+The yaw offset of a source of headings is by how much its sensor is turned on the machine, that of a swing
+encoder by how much ``offset`` errs. An event opens it where they are off for a while.
 """
 
 from __future__ import annotations

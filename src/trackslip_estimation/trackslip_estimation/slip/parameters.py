@@ -181,7 +181,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             )
         if own > MOST_SENSOR_ERRORS:
             parts = f"{gyros} gyros after the first one, {odometries} odometries, {turned} sources of"
-            parts += f" headings; {offsets} sources of poses and velocities and"
+            parts += f" headings or swing angles; {offsets} sources of poses and velocities and"
             parts += f" {int(self.leans)} tilt of a high antenna, which count twice"
             raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
 
@@ -286,10 +286,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         return self.of_kind("heading_sources")
 
     def yaw_offsets(self) -> dict[str, float]:
-        """By topic of a source of headings: standard deviation of what all of them are off by, rad."""
+        """By topic of a source of headings or swing angles: the standard deviation of their offset, rad."""
         compasses = {name: compass.yaw_offset_stddev for name, compass in self.compasses().items()}
         poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.has_yaw_offset}
-        return compasses | poses
+        return compasses | poses | {name: angle.yaw_offset_stddev for name, angle in self.angles().items()}
 
     def odometries(self) -> dict[str, OdometrySource]:
         """By topic."""

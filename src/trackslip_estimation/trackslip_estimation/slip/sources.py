@@ -27,7 +27,7 @@ A = TypeVar("A", float, NDArray[np.float64])
 
 _MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
 _FAULT_RATE = "rate at which it begins to be off, repeat itself or scatter"
-_YAW_OFFSET = "standard deviation of what its headings are off by for minutes, which is estimated"
+_YAW_OFFSET = "standard deviation of what its angles are off by for minutes, which is estimated"
 _JUMP_RATE = "rate at which what it measures jumps: the machine was moved, or turned"
 _TIMEOUT = "with nothing accepted for so long it counts as lost"
 
@@ -230,6 +230,7 @@ class SwingSource(Source):
         "what it shows while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
     )
     stddev: float = parameter("of one reading", unit="rad", gt=0.0)
+    yaw_offset_stddev: float = parameter(_YAW_OFFSET, unit="rad", ge=0.0, le=0.5)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,9 @@ A measurement has two explanations inside a branch: it is sound, with a likeliho
 noise-factor masses, or it is an outlier of any size. The more likely one decides whether it is used: that is
 the gate. ``update.evidence`` is the log of that likelihood, by which the bank weighs the branch. Fixes of a
 coarse receiver have its offset in them (``correlated_errors``); a large innovation inflates that first.
+
+A compass or an encoder that is wrong is so in each reading. That its angles agree with a branch counts once a
+second, that they do not counts each time.
 """
 
 from __future__ import annotations
@@ -65,7 +68,7 @@ from trackslip_estimation.slip.own_errors import (
     prepare_offset,
     spread_of,
 )
-from trackslip_estimation.slip.records import HEADING, POSE, VELOCITY
+from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, VELOCITY
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
 if TYPE_CHECKING:
@@ -76,6 +79,7 @@ FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 _LOG_TURN = math.log(2.0 * math.pi)
+_ALIKE = 1.0  # s, for which a compass or an encoder errs alike
 
 
 @inlined
@@ -103,6 +107,9 @@ def use_weighed(
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
+    if kind in (HEADING, ON_SWING):
+        uncounted = 1.0 - min(elapsed / _ALIKE, 1.0)
+        update.evidence -= uncounted * max(_log_density(update) - outside, 0.0)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _whiten(state, o.innovation, predicted + R, update)
     if not used:
@@ -118,8 +125,14 @@ def use_weighed(
         R *= min(known, shared_error(predicted, R))
         count_fix(state, source, alone, R, c)
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
-    if fault == IS_OFFSET or (is_heading_off(fault) and kind == HEADING):
+    if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
         update.outcome = _GATED
+
+
+@compiled
+def _log_density(update: Update) -> float:
+    """ln of the normal density of an innovation."""
+    return float(-(update.nis + update.log_determinant + update.dof * _LOG_TURN) / 2.0)
 
 
 @compiled

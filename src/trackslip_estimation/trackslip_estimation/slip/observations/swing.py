@@ -3,7 +3,8 @@
 """An angle of the upper structure against the undercarriage; compiled.
 
 z    angle that it shows, rad
-h    σ + its mounting
+h    σ + its mounting + b
+b    offset of the source (``own_errors``), rad
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 @compiled
 def observe_swing(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of an angle."""
-    nu = wrap(measurement.value[0] - c.heading_offset[measurement.source] - state.mean[SWING])
+    own, H = c.yaw_offsets[measurement.source], np.eye(1, c.size, SWING)
+    nu = measurement.value[0] - c.heading_offset[measurement.source] - state.mean[SWING]
+    if own >= 0:
+        H[0, own] = 1.0
+        nu -= state.mean[own]
     R = max(measurement.noise[0, 0], LEAST_VARIANCE)
-    return observe_alone(np.array((nu,)), np.eye(1, c.size, SWING), np.array(((R,),)))
+    return observe_alone(np.array((wrap(nu),)), H, np.array(((R,),)))

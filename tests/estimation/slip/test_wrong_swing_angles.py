@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A swing encoder that is wrong takes nothing from what fixes and gyro on the cab show."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from fixtures.swinging_cab import ENCODER, Cab, Part, Recording, dig, record
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.events import Event
+from trackslip_estimation.slip.measurements import Measurement, Outcome, SwingAngle
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+
+S = 1_000_000_000
+BEGIN, END = 60.0, 85.0
+Shown = Callable[[float, float, float], float]  # by t, s, the true angle and that at BEGIN, rad
+
+FAULTS: Mapping[str, Shown] = {
+    "frozen for 25 s": lambda t, angle, at_begin: at_begin if BEGIN <= t < END else angle,
+    "slipped on its ring by 10°": lambda t, angle, _: angle + (0.175 if t >= BEGIN else 0.0),
+    "slipped on its ring by 90°": lambda t, angle, _: angle + (1.571 if t >= BEGIN else 0.0),
+    "shows zero": lambda t, angle, _: 0.0,
+    "counts backwards": lambda t, angle, _: -angle,
+}
+
+
+def of_receiver(**values: object) -> SlipEstimatorParameters:
+    """Of a cab with an encoder, a gyro, and a receiver of precise places and headings."""
+    receiver = {"fault_rate": 3.3e-3, "jump_rate": 3.3e-4, "standing_share": 0.0}
+    source = {f"sources.box_pose.{name}": value for name, value in receiver.items()}
+    return load_slip_parameters({"vehicle": "pc05_cab"}, source | values)
+
+
+def spoilt(recording: Recording, shown: Shown) -> list[Measurement]:
+    """The same with an encoder that shows something else."""
+    measurements, at_begin = list(recording.measurements), math.nan
+    for k, m in enumerate(measurements):
+        if isinstance(m, SwingAngle):
+            t = m.stamp_ns / S - 1.0
+            if math.isnan(at_begin) and t >= BEGIN:
+                at_begin = m.angle
+            measurements[k] = replace(m, angle=math.remainder(shown(t, m.angle, at_begin), math.tau))
+    return measurements
+
+
+class Errors(NamedTuple):
+    """Root mean squares and mean NEES of the estimates after 20 s."""
+
+    place: float  # m
+    heading: float  # rad
+    place_nees: float  # 2 if consistent
+    heading_nees: float  # 1 if consistent
+
+
+def errors_of(recording: Recording, measurements: Sequence[Measurement]) -> Errors:
+    steps = SlipEstimator(of_receiver()).process_all(measurements)
+    found = [e for _, e in steps if e is not None and e.stamp_ns > 21 * S]
+    t = np.array([e.stamp_ns for e in found]) / S - 1.0
+    off = np.array([e.pose for e in found])
+    off -= np.column_stack([np.interp(t, recording.t, column) for column in recording.poses.T])
+    off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
+    P = np.array([e.pose_covariance for e in found])
+    place = np.einsum("ni,ni->n", off[:, :2], np.linalg.solve(P[:, :2, :2], off[:, :2, None])[:, :, 0])
+    squares = np.mean(off**2, axis=0)
+    return Errors(
+        math.sqrt(squares[0] + squares[1]),
+        math.sqrt(squares[2]),
+        float(np.mean(place)),
+        float(np.mean(off[:, 2] ** 2 / P[:, 2, 2])),
+    )
+
+
+@pytest.mark.parametrize("fix_hertz", [4.0, 1.0])
+@pytest.mark.parametrize("kind", FAULTS)
+def test_an_encoder_that_is_wrong_costs_neither_place_nor_heading(kind: str, fix_hertz: float) -> None:
+    parts = [part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)]
+    recording = record(parts, Cab(fix_hertz=fix_hertz))
+    found = errors_of(recording, spoilt(recording, FAULTS[kind]))
+    assert found.place < 0.02
+    assert found.heading < 0.02
+    assert found.place_nees < 4.0
+    assert found.heading_nees < 3.0
+
+
+def test_an_encoder_that_counts_a_tenth_too_little_turns_the_heading_by_a_tenth_of_the_swing_at_most() -> (
+    None
+):
+    recording = record([part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)], Cab())
+    found = errors_of(recording, spoilt(recording, lambda t, angle, _: 0.9 * angle))
+    assert found.heading < math.pi / 10.0
+    assert found.place < 0.02
+
+
+DRIVES_ON = [Part(2.0), Part(8.0, 2.0, 2.0)]
+JUMPS = 7.5  # s
+
+
+def test_a_spike_of_the_encoder_is_rejected() -> None:
+    recording = record(DRIVES_ON, Cab())
+    at = JUMPS + 0.01
+    measurements = spoilt(recording, lambda t, angle, _: angle + (0.5 if at < t < at + 0.05 else 0.0))
+    steps = SlipEstimator(of_receiver()).process_all(measurements)
+    outcomes = [report.outcome for report, _ in steps if report.source == ENCODER]
+    assert outcomes.count(Outcome.GATED) == 1
+
+
+def test_an_angle_that_jumps_while_the_cab_does_not_turn_is_named_as_the_encoders() -> None:
+    recording = record(DRIVES_ON, Cab())
+    measurements = spoilt(recording, lambda t, angle, _: angle + (0.5 if t > JUMPS else 0.0))
+    estimator = SlipEstimator(of_receiver())
+    found = [e for _, e in estimator.process_all(measurements) if e is not None]
+    angles = [e.outputs.swing.angle for e in found if e.outputs.swing is not None]
+    assert abs(angles[-1]) < 0.02
+    assert estimator.explained.competing == 1
+    assert ENCODER in estimator.explained.text
+
+
+def test_an_encoder_that_slipped_stays_off_and_is_used_again() -> None:
+    recording = record(dig(), Cab())
+    jumps = 30.0
+    measurements = spoilt(recording, lambda t, angle, _: angle + (0.5 if t > jumps else 0.0))
+    estimator = SlipEstimator(of_receiver())
+    steps = estimator.process_all(measurements)
+    outcomes = [report.outcome for report, _ in steps if report.source == ENCODER]
+    assert set(outcomes[-20:]) == {Outcome.ACCEPTED}
+    found = [e for _, e in steps if e is not None and e.outputs.swing is not None]
+    true = np.interp(found[-1].stamp_ns / S - 1.0, recording.t, recording.swings[:, 0])
+    assert found[-1].outputs.swing is not None
+    assert abs(math.remainder(found[-1].outputs.swing.angle - float(true), math.tau)) < 0.02
+    assert Event.FOLDED in {h.event for h in estimator.read_events()}
+    assert Event.MOVED not in {h.event for h in estimator.read_events()}
