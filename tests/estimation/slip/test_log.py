@@ -15,11 +15,11 @@ from trackslip_common.errors import InputError
 from trackslip_estimation.slip import log as logs
 from trackslip_estimation.slip import process as live
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.events import SourceFault
 from trackslip_estimation.slip.log import Log, make_log, run_log, run_whole, script_of
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
+from trackslip_estimation.slip.source_faults import SourceFault
 from trackslip_estimation.slip.window import Records
 
 MS, S = 1_000_000, 1_000_000_000

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import correct
-from trackslip_estimation.slip.events import IS_OFFSET
 from trackslip_estimation.slip.levers import lever, to_sensor, turn_about
 from trackslip_estimation.slip.models.model import FIX_DELAY, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import HEADING, MEASUREMENT, ON_SWING, POSE, SLIPS, VELOCITY, YAW_RATE
+from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.update import observe
 
 FloatArray = NDArray[np.float64]

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All numbers of the compiled estimator in one record, made from its parameters."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from trackslip_estimation.slip import adaptation
 from trackslip_estimation.slip.adaptation import AdaptationConstants
 from trackslip_estimation.slip.bank.parameters import BankParameters, ReceiverParameters
 from trackslip_estimation.slip.coasting import unknown_motion
-from trackslip_estimation.slip.events import EventParameters
+from trackslip_estimation.slip.events import Event, EventParameters, event_rates
 from trackslip_estimation.slip.ground import GroundParameters
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.free_slips import FreeSlipsConstants
@@ -97,8 +98,9 @@ class Config(Record):
     bank: BankParameters
     receivers: ReceiverParameters
     ground: GroundParameters
-    fault_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
-    jump_rate: Annotated[FloatArray, MOST_SOURCES]  # 1/s
+    log_rates: Annotated[
+        FloatArray, (len(Event), MOST_SOURCES)
+    ]  # ln of rates of events, 1/s; −∞: it has none
     poses: int  # how many sources of poses there are
     offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or velocities; −1: none
     yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all its headings are off by; −1: none
@@ -147,6 +149,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     _set_model(c, p)
     numbers = {name: number for number, name in enumerate(p.timeouts_ns())}
     _set_sources(c, p, numbers)
+    _set_rates(c, p, numbers)
     _set_odometry(c, p, numbers)
     _set_own_errors(c, p, numbers)
     return config
@@ -184,7 +187,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
     tail = 1.0 - p.gate_probability
     c["gate_limits"] = [np.inf, *(chi_square.limit(dof, tail) for dof in (1, 2, 3))]
     c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
-    c["rate_scale"] = c["timeouts_ns"] = c["fault_rate"] = c["jump_rate"] = 1
+    c["rate_scale"] = c["timeouts_ns"] = 1
     for name, timeout_ns in p.timeouts_ns().items():
         c["timeouts_ns"][numbers[name]] = timeout_ns
     for name, pose in p.poses().items():
@@ -195,21 +198,17 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         c["heading_ceiling"][k] = pose.heading_ceiling
         c["standing_share"][k] = pose.standing_share
         c["use_altitude"][k] = pose.use_altitude
-        c["fault_rate"][k], c["jump_rate"][k] = pose.fault_rate, pose.jump_rate
     for name, compass in p.compasses().items():
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
         c["stamp_errors"][k] = compass.stamp_error
-        c["fault_rate"][k], c["jump_rate"][k] = compass.fault_rate, compass.jump_rate
     for name, angle in p.angles().items():
         k = numbers[name]
         c["heading_offset"][k], c["of_swing"][k] = angle.offset, 1
-        c["fault_rate"][k], c["jump_rate"][k] = angle.fault_rate, angle.jump_rate
     for name, velocity in p.velocities().items():
         k = numbers[name]
         c["levers"][k], c["velocity_floor"][k] = velocity.lever, velocity.velocity_floor
         c["body_axes"][k], c["heading_offset"][k] = velocity.axes == "body", velocity.mounting_yaw
-        c["fault_rate"][k] = velocity.fault_rate
     above = [numbers[name] for name, source in p.mounted().items() if source.above]
     c["above"][above] = 1
     for name, pose in p.poses().items():
@@ -226,6 +225,20 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         c["tilt_source"], c["tilt_lever"] = numbers[p.tilt_source], imu.lever
         c["tilt_acceleration"], c["tilt_orientation"] = imu.use_acceleration, imu.use_orientation
         c["attitude"]["orientation_time"], c["attitude"]["gate"] = imu.orientation_time, c["gate_limits"][2]
+
+
+def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+    """Of events, by source; one without rates of its own has only those of the machine."""
+    own = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
+    own |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
+    own |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.angles().items()}
+    own |= {name: (velocity.fault_rate, 1.0) for name, velocity in p.velocities().items()}
+    by_number = {numbers[name]: rates for name, rates in own.items()}
+    c["log_rates"] = -np.inf
+    for k in range(MOST_SOURCES):
+        rates = event_rates(p.events, *by_number.get(k, (1.0, 1.0)), p.bank.repeat_jitter)
+        for event, rate in rates.items():
+            c["log_rates"][event, k] = math.log(rate)
 
 
 def _set_odometry(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:

@@ -43,47 +43,12 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
 Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.
 """
 
-from __future__ import annotations
-
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray
-from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.single_state import replace_state
-from trackslip_estimation.slip.levers import to_sensor
-from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import (
-    DOWNHILL,
-    FIX_DELAY,
-    GYRO_BIAS,
-    GYRO_SCALE,
-    SWING,
-    SWING_RATE,
-    YAW,
-    X,
-    Y,
-)
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
-from trackslip_estimation.slip.own_errors import (
-    errors_of,
-    number_of,
-    to_offset,
-    to_shown_heading,
-    usual_variance,
-)
-from trackslip_estimation.slip.records import POSE, TRACKS
-
-if TYPE_CHECKING:
-    from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import State
 
 
 class Event(IntEnum):
@@ -111,21 +76,6 @@ class Event(IntEnum):
     HEADING_WANDERS = 19
 
 
-class SourceFault(IntEnum):
-    """What a branch assumes of a source."""
-
-    SOUND = 0
-    OFFSET = 1
-    REPEATS = 2
-    SCATTERS = 3
-    IGNORED = 4  # for one measurement
-    STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
-    STAYS = 6  # where it was, and jitters on
-    HEADING_OFF = 7  # its headings are off, not its places
-    HEADING_WANDERS = 8  # the same, by something else at any time
-    MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
-
-
 (
     NONE,
     OUTLIER,
@@ -148,42 +98,12 @@ class SourceFault(IntEnum):
     HEADING_OFF,
     HEADING_WANDERS,
 ) = map(int, Event)
-(
-    IS_SOUND,
-    IS_OFFSET,
-    IS_REPEATING,
-    IS_SCATTERING,
-    IS_IGNORED,
-    IS_STRAYING,
-    IS_STAYING,
-    IS_HEADING_OFF,
-    IS_HEADING_WANDERING,
-    IS_MISCOUNTING,
-) = map(int, SourceFault)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``
 ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of one that may be any
-AREA = 1e4  # m², of a place of which nothing is known
 MEASURED = -1  # part of the circle: the one that a compass shows
 LOST = 1  # part of what sprockets count: half of it is lost
-
-_ABOUT_SOURCES = (
-    REPEATS,
-    STAYS,
-    SCATTERS,
-    OFFSET,
-    WANDERS,
-    HEADING_OFF,
-    HEADING_WANDERS,
-    SOUND,
-    FOLDED,
-    STRAYS,
-)
-_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET
-_MOST_OPENED = 1 + len(_LEARNED_BY_HEADING)  # states
-_SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
-_STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,255 +139,26 @@ class EventParameters(Parameters):
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
 
 
-@compiled
-def log_rate(event: int, source: int, c: Config) -> float:
-    """ln of the rate of an event of a source, 1/s."""
-    e = c.events
-    if event in (OFFSET, HEADING_OFF, HEADING_WANDERS):
-        return math.log(c.fault_rate[source])
-    if event == REPEATS:
-        return math.log(c.fault_rate[source] * e.repeat_share)
-    if event == STAYS:
-        return math.log(c.fault_rate[source] * e.repeat_share * c.bank.repeat_jitter)
-    if event == WANDERS:
-        return math.log(c.fault_rate[source] * e.wander_share)
-    if event == SCATTERS:
-        return math.log(c.fault_rate[source] * e.scatter_share)
-    if event == MOVED:
-        return math.log(c.jump_rate[source])
-    if event == SLIPPED:
-        return math.log(e.slip_rate)
-    if event == SLID:
-        return math.log(e.slide_rate)
-    if event == NOISE:
-        return math.log(e.noise_rate)
-    if event == SKIDDED:
-        return math.log(e.skid_rate)
-    if event == STRAYS:
-        return math.log(e.stray_rate)
-    if event == BIASED:
-        return math.log(e.bias_rate)
-    if event == SOUND:
-        return -math.log(e.fault_time)
-    return math.log(e.heading_rate)
-
-
-@compiled
-def wanders(state: State, source: int, c: Config) -> bool:
-    """Whether a source is off by what wanders, so that nothing contradicts it as the fault ends."""
-    number, fault = number_of(source, c), state.fault[source]
-    if fault == IS_OFFSET:
-        return bool(number < 0 or state.offsets[number].variance > 0.0)
-    return bool(fault == IS_HEADING_WANDERING)
-
-
-@compiled
-def is_heading_off(fault: int) -> bool:
-    """Whether a source is assumed to show headings that are off."""
-    return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
-
-
-@compiled
-def is_trusted(fault: int, kind: int) -> bool:
-    """Whether a measurement of a source is taken for sound; places are, though headings of theirs are off."""
-    return fault == IS_SOUND or (kind == POSE and is_heading_off(fault))
-
-
-@compiled
-def strays(state: State) -> bool:
-    """Whether sprockets, gyros or an odometry are assumed not to show the motion."""
-    return bool(((state.fault == IS_STRAYING) | (state.fault == IS_MISCOUNTING)).any())
-
-
-@compiled
-def is_straying(fault: int) -> bool:
-    """Whether a unit is assumed not to show the motion, or but for a factor."""
-    return fault in (IS_STRAYING, IS_MISCOUNTING)
-
-
-@compiled
-def pass_faults(state: State, dt: float, c: Config) -> None:
-    """Headings that wander, and velocities that are off, are so by something else dt later."""
-    P = state.covariance
-    for source in range(state.fault.size):
-        if state.fault[source] == IS_HEADING_WANDERING:
-            own = c.yaw_offsets[source]
-            P[own, own] += c.events.heading_walk**2 * dt
-        elif state.fault[source] == IS_OFFSET and number_of(source, c) < 0:
-            for own in (c.offsets[source], c.offsets[source] + 1):
-                P[own, own] += c.events.velocity_walk**2 * dt
-
-
-@compiled
-def wander_stddev(state: State, source: int, dt: float, c: Config) -> float:
-    """Of fixes of a source that wander, and come dt s after each other, m."""
-    time = errors_of(state.offsets[number_of(source, c)], c).time
-    return min(c.events.wander_speed * math.sqrt(dt * time / 2.0), c.events.wander)
-
-
-@compiled
-def latest_pose_source(state: State, c: Config) -> int:
-    """Number of the source of poses that was consistent last; 0 where there is none."""
-    latest = -1
-    for k in range(c.offsets.size):
-        if number_of(k, c) >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
-            latest = k
-    return max(latest, 0)
-
-
-@compiled
-def reach(squared: float) -> float:
-    """Standard deviation of a place of which nothing is known but that it may be ``squared`` m² away, m."""
-    return math.sqrt(max(AREA / (2.0 * math.pi), squared))
-
-
-@compiled
-def sector(part: int) -> tuple[float, float]:
-    """Angle of a share of the circle from its first, rad, and variance inside it, rad²."""
-    return 2.0 * math.pi * part / HEADINGS, (math.pi / HEADINGS) ** 2 / 2.0
-
-
-@compiled
-def apply_event(state: State, event: int, source: int, part: int, value: float, c: Config) -> int:
-    """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits.
-
-    ``part``: share of the circle; ``MEASURED``: where the source measured the angle ``value``, rad. Of a
-    skid, of fixes that are off or wander, and of a machine that was moved it is the standard deviation, m. Of
-    a slip and a bias that changed a while ago it is how long, s: an offset of the source took it for its own.
-    """
-    x, P, renewed, was = state.mean[: c.size], state.covariance[:], 0, state.fault[source]
-    lags = event in (SLIPPED, BIASED) and value > 0.0
-    _assume(state, event, source, part)
-    if event == FOLDED and is_heading_off(was):
-        if c.of_swing[source] == 0:  # else its offset is another one from now on
-            to_shown_heading(x, P, source, 1.0, c)
-            renewed = 1 << YAW
-    elif event == FOLDED or lags:
-        to_offset(x, P, source, 1.0, c)
-        renewed = (1 << X) | (1 << Y)
-    elif event == SKIDDED:
-        P[X, X] += value * value
-        P[Y, Y] += value * value
-    if event == BIASED:
-        _open_bias(P, max(value, c.events.bias_unseen), c)
-    elif event in (SLIPPED, SLID) or (event == STRAYS and source < TRACKS):
-        P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
-        P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if event == SLID else 0.0
-    opened = Opened(np.empty(_MOST_OPENED, np.int64), np.empty(_MOST_OPENED), np.empty(_MOST_OPENED))
-    count, about = _set_opened(state, event, source, part, value, was, opened, c), -1
-    if event == TURNED:
-        about = latest_pose_source(state, c) if part == MEASURED else source
-        renewed = (1 << X) | (1 << Y)
-        to_sensor(x, P, state.attitude.level, about, 1.0, c)
-    for i in range(count):
-        replace_state(x, P, opened.states[i], opened.means[i], opened.variances[i])
-        renewed |= 1 << opened.states[i]
-    if event == TURNED:
-        to_sensor(x, P, state.attitude.level, about, -1.0, c)
-    elif lags:
-        to_offset(x, P, source, -1.0, c)
-    return renewed
-
-
-@compiled
-def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
-    """The bias of the first gyro, and the heading that it turned for ``unseen`` s; in place."""
-    variance = c.events.bias_stddev**2
-    P[GYRO_BIAS, GYRO_BIAS] += variance
-    P[YAW, YAW] += variance * unseen**2 / 3.0
-    P[YAW, GYRO_BIAS] -= variance * unseen / 2.0
-    P[GYRO_BIAS, YAW] -= variance * unseen / 2.0
-
-
-class Opened(NamedTuple):
-    """States that an event replaces."""
-
-    states: NDArray[np.int64]
-    means: FloatArray
-    variances: FloatArray
-
-
-@compiled
-def _assume(state: State, event: int, source: int, part: int) -> None:
-    """What a branch assumes of a source from an event on."""
-    if event == OUTLIER:
-        state.fault[source] = IS_IGNORED
-    elif event == NOISE:
-        state.adaptation.fix_log_weights[source] = 1e-9
-    elif event == MOVED:
-        state.rests_on = source
-        if state.fault[source] == IS_SCATTERING:
-            state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
-    elif event in _ABOUT_SOURCES:
-        state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
-        if event == REPEATS:
-            state.fault[source] = IS_REPEATING
-        elif event == STAYS:
-            state.fault[source] = IS_STAYING
-        elif event == SCATTERS:
-            state.fault[source] = IS_SCATTERING
-        elif event == STRAYS:
-            state.fault[source] = IS_MISCOUNTING if part == LOST else IS_STRAYING
-        elif event == HEADING_OFF:
-            state.fault[source] = IS_HEADING_OFF
-        elif event == HEADING_WANDERS:
-            state.fault[source] = IS_HEADING_WANDERING
-        elif event in (OFFSET, WANDERS):
-            state.fault[source] = IS_OFFSET
-
-
-@compiled
-def _set_opened(
-    state: State, event: int, source: int, part: int, value: float, was: int, opened: Opened, c: Config
-) -> int:
-    """States that an event replaces, their means and variances; how many. ``was``: fault of the source."""
-    states, means, variances = opened
-    x, count, own = state.mean, 0, c.offsets[source]
-    begins = event in (HEADING_OFF, HEADING_WANDERS)
-    ends = event == SOUND or (event == FOLDED and c.of_swing[source] == 0)
-    if event == WANDERS:
-        count, state.offsets[number_of(source, c)].variance = 2, value * value
-        for i in range(count):
-            states[i], means[i], variances[i] = own + i, 0.0, 0.0
-    elif begins or (ends and is_heading_off(was)):
-        count, states[0], means[0] = 1, c.yaw_offsets[source], 0.0
-        variances[0] = ANY_HEADING**2 if begins else c.prior_variance[states[0]]
-    elif own >= 0 and (event in (OFFSET, SOUND, FOLDED) or (event in (SLIPPED, BIASED) and value > 0.0)):
-        count, usual, number = 2, 0.0, number_of(source, c)
-        if number >= 0:
-            usual = usual_variance(state, source, c)
-            state.offsets[number].variance = 0.0 if event == OFFSET else usual
-        for i in range(count):
-            states[i], means[i], variances[i] = own + i, 0.0, value * value if event == OFFSET else usual
-    elif source == TRACKS and (was == IS_MISCOUNTING or part == LOST):
-        count, states[0], means[0] = 1, COMMON_SLIP, -1.0 if part == LOST else c.prior_mean[COMMON_SLIP]
-        variances[0] = c.events.slip_stddev**2
-    elif event == MOVED:
-        count = 2
-        for i in (X, Y):
-            states[i], means[i], variances[i] = i, x[i], value * value
-    elif event == TURNED:
-        turn, variance = sector(part) if part != MEASURED else (0.0, (math.pi / HEADINGS) ** 2)
-        about, state.is_sector = source, part != MEASURED
-        if part == MEASURED:
-            turn, about = wrap(value - c.heading_offset[source] - x[YAW]), latest_pose_source(state, c)
-        swing = x[SWING] if c.above[about] == 1 else 0.0
-        count, states[0], means[0], variances[0] = 1, YAW, wrap(x[YAW] + turn + swing), variance
-        if has_velocity_errors(c):
-            for q in _LEARNED_BY_HEADING:
-                states[count], means[count], variances[count] = q, c.prior_mean[q], c.prior_variance[q]
-                count += 1
-    elif event == SWUNG:
-        turn, variance = sector(max(part, 0))
-        if part == MEASURED:
-            turn = wrap(value - c.heading_offset[source] - x[SWING])
-        states[0], means[0], variances[0] = SWING, wrap(x[SWING] + turn), variance
-        count, states[1], means[1], variances[1] = 2, SWING_RATE, 0.0, c.swing.fastest**2
-    return count
-
-
-@compiled
-def is_steep(state: State) -> bool:
-    """Whether the ground is so steep that the machine may slide."""
-    level = state.attitude.level
-    return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
+def event_rates(
+    e: EventParameters, fault_rate: float, jump_rate: float, repeat_jitter: float
+) -> Mapping[Event, float]:
+    """1/s of those events of a source that have one, by its own two rates."""
+    return {
+        Event.OFFSET: fault_rate,
+        Event.HEADING_OFF: fault_rate,
+        Event.HEADING_WANDERS: fault_rate,
+        Event.REPEATS: fault_rate * e.repeat_share,
+        Event.STAYS: fault_rate * e.repeat_share * repeat_jitter,
+        Event.WANDERS: fault_rate * e.wander_share,
+        Event.SCATTERS: fault_rate * e.scatter_share,
+        Event.SOUND: 1.0 / e.fault_time,
+        Event.MOVED: jump_rate,
+        Event.TURNED: e.heading_rate,
+        Event.SWUNG: e.heading_rate,
+        Event.SLIPPED: e.slip_rate,
+        Event.SLID: e.slide_rate,
+        Event.SKIDDED: e.skid_rate,
+        Event.NOISE: e.noise_rate,
+        Event.STRAYS: e.stray_rate,
+        Event.BIASED: e.bias_rate,
+    }

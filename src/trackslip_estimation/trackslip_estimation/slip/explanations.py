@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.slip.events import Event, SourceFault
+from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import HISTORY
+from trackslip_estimation.slip.source_faults import SourceFault
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import predicted_covariance
-from trackslip_estimation.slip.events import IS_MISCOUNTING
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
     body_twist,
@@ -24,6 +23,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
 from trackslip_estimation.slip.motion import Motion, rounding, steady_speeds
 from trackslip_estimation.slip.records import TRACKS
+from trackslip_estimation.slip.source_faults import IS_MISCOUNTING
 from trackslip_estimation.slip.tilt import fill_tilt
 
 if TYPE_CHECKING:

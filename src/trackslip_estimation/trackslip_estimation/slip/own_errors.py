@@ -42,6 +42,16 @@ def number_of(source: int, c: Config) -> int:
 
 
 @compiled
+def latest_pose_source(state: State, c: Config) -> int:
+    """Number of the source of poses that was consistent last; 0 where there is none."""
+    latest = -1
+    for k in range(c.offsets.size):
+        if number_of(k, c) >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
+            latest = k
+    return max(latest, 0)
+
+
+@compiled
 def errors_of(offset: Offset, c: Config) -> FixErrors:
     """What fixes of the quality that the source gave last err by."""
     return offset.errors[quality_of(offset.stddev, c)]

@@ -229,8 +229,11 @@ class EventRecord(Record):
 
     event: int  # of ``events.Event``
     source: int  # whose measurement it explains
-    part: int  # of the circle
-    value: float  # angle that the source measured, rad; of a skid its standard deviation, m
+    part: int  # of the circle, or ``MEASURED``: where the source measured the angle ``value``; or ``LOST``
+    value: (
+        float  # that angle, rad; of a skid, of fixes that are off or wander, and of a machine that was moved
+    )
+    # the standard deviation, m; of a slip and a bias that changed a while ago how long, s
     decided_ns: int  # stamp of the measurement that it explains
     stamp_ns: int  # of the measurement of the step, with kind and source
     kind: int

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.events import IS_STRAYING
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
+from trackslip_estimation.slip.source_faults import IS_STRAYING
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config

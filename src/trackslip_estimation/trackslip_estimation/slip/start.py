@@ -13,7 +13,6 @@ from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adapta
 from trackslip_estimation.slip.bank.receivers import add_first_fix
 from trackslip_estimation.slip.bank.rows import begin_row, drives_unheaded, split_unknown_heading
 from trackslip_estimation.slip.bank.script import play_script
-from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -22,6 +21,7 @@ from trackslip_estimation.slip.observations.odometry import begin_odometry
 from trackslip_estimation.slip.observations.pose import raise_to_floors
 from trackslip_estimation.slip.own_errors import begin_offset, to_shown_heading
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
+from trackslip_estimation.slip.source_faults import IS_SOUND
 from trackslip_estimation.slip.sprockets import remember, stand_still
 from trackslip_estimation.slip.usable import has_heading
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of

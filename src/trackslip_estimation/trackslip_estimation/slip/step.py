@@ -28,13 +28,7 @@ from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
 from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
-from trackslip_estimation.slip.events import (
-    ANY_HEADING,
-    IS_SOUND,
-    IS_STRAYING,
-    UNKNOWN_HEADING,
-    pass_faults,
-)
+from trackslip_estimation.slip.events import ANY_HEADING, UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -53,6 +47,7 @@ from trackslip_estimation.slip.observations.altitude import use_altitude
 from trackslip_estimation.slip.observations.odometry import integrate_motion
 from trackslip_estimation.slip.own_errors import pass_offsets
 from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, TRACKS
+from trackslip_estimation.slip.source_faults import IS_SOUND, IS_STRAYING, pass_faults
 from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
 from trackslip_estimation.slip.tilt import rise, update_ground
 from trackslip_estimation.slip.update import use

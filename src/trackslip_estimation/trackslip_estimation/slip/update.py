@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.events import IS_SOUND
 from trackslip_estimation.slip.gate import note_reception
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, use_rate
 from trackslip_estimation.slip.observations.odometry import use_odometry
 from trackslip_estimation.slip.observations.slips import observe_slips, use_slips
 from trackslip_estimation.slip.records import GYROS, ODOMETRY, SLIPS, YAW_RATE
+from trackslip_estimation.slip.source_faults import IS_SOUND
 from trackslip_estimation.slip.tilt import tilt_by
 from trackslip_estimation.slip.weighing import observe_weighed, use_weighed
 from trackslip_estimation.slip.window import is_weighed

@@ -35,21 +35,6 @@ from trackslip_estimation.slip.adaptation import (
     shared_error,
 )
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, student_inflation
-from trackslip_estimation.slip.events import (
-    IS_IGNORED,
-    IS_OFFSET,
-    IS_REPEATING,
-    IS_SCATTERING,
-    IS_STAYING,
-    is_heading_off,
-    is_trusted,
-    latest_pose_source,
-)
-from trackslip_estimation.slip.faulty_sources import (
-    density_of_outlier,
-    density_of_scatter,
-    weigh_repeat,
-)
 from trackslip_estimation.slip.levers import lever, turn_about
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -64,11 +49,24 @@ from trackslip_estimation.slip.own_errors import (
     inflate_offset,
     is_correlated,
     lasts,
+    latest_pose_source,
     number_of,
     prepare_offset,
     spread_of,
 )
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, VELOCITY
+from trackslip_estimation.slip.source_faults import (
+    IS_IGNORED,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_STAYING,
+    density_of_outlier,
+    density_of_scatter,
+    is_heading_off,
+    is_trusted,
+    weigh_repeat,
+)
 from trackslip_estimation.slip.stands import count_fix, stands_still
 
 if TYPE_CHECKING:

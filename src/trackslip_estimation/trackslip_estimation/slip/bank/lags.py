@@ -19,22 +19,16 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.events import BIASED, IS_SOUND, SLIPPED, log_rate
+from trackslip_estimation.slip.bank.child import log_time
+from trackslip_estimation.slip.events import BIASED, SLIPPED
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.own_errors import errors_of, is_correlated, number_of
 from trackslip_estimation.slip.records import GYROS, POSE
+from trackslip_estimation.slip.source_faults import IS_SOUND
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-
-
-@compiled
-def log_time(window: Window, p: int, k: int, c: Config) -> float:
-    """ln of the time since the source's measurement before."""
-    m = window.measurements[k]
-    elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
-    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
 
 
 @compiled
@@ -61,7 +55,7 @@ def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> fl
         spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * way
     either = usual + spread**2
     odds = ((off / way) ** 2 * (1.0 / usual - 1.0 / either) - math.log(either / usual)) / 2.0
-    return float(odds) + log_time(window, p, k, c) + log_rate(event, m.source, c)
+    return float(odds + log_time(window, p, k, c) + c.log_rates[event, m.source])
 
 
 @compiled

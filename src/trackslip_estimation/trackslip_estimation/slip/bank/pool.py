@@ -11,10 +11,10 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.events import IS_OFFSET, IS_SOUND, is_heading_off
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
+from trackslip_estimation.slip.source_faults import IS_OFFSET, IS_SOUND, is_heading_off
 from trackslip_estimation.slip.window import MOST_BRANCHES, Window
 
 if TYPE_CHECKING:

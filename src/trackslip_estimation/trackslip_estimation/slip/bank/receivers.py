@@ -15,21 +15,21 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.correlated_errors import QUALITIES, WayError, add_fix, reset_receiver
-from trackslip_estimation.slip.events import (
-    IS_IGNORED,
-    IS_REPEATING,
-    IS_SCATTERING,
-    IS_STAYING,
-    TURNED,
-    is_trusted,
-    strays,
-)
+from trackslip_estimation.slip.events import TURNED
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
 from trackslip_estimation.slip.own_errors import errs_by_place, number_of
 from trackslip_estimation.slip.records import HISTORY, POSE
+from trackslip_estimation.slip.source_faults import (
+    IS_IGNORED,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_STAYING,
+    is_trusted,
+    strays,
+)
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.children import outside_range, propose
+from trackslip_estimation.slip.bank.opening import open_states
 from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, update_of
 from trackslip_estimation.slip.bank.receivers import (
     carry_receivers,
@@ -32,20 +33,12 @@ from trackslip_estimation.slip.bank.receivers import (
 )
 from trackslip_estimation.slip.bank.script import play_script, remember
 from trackslip_estimation.slip.correlated_errors import reset_receiver
-from trackslip_estimation.slip.events import (
-    HEADINGS,
-    IS_IGNORED,
-    IS_SOUND,
-    NONE,
-    TURNED,
-    UNKNOWN_HEADING,
-    apply_event,
-    is_trusted,
-    latest_pose_source,
-)
+from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.own_errors import latest_pose_source
 from trackslip_estimation.slip.records import OLDER, POSE, VELOCITY, YOUNGER
 from trackslip_estimation.slip.sound import is_sound
+from trackslip_estimation.slip.source_faults import IS_IGNORED, IS_SOUND, is_trusted
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample, prior_of
 
@@ -153,10 +146,9 @@ def _take_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
     """Branch h of the pool gets a share of the circle for its heading."""
     state, branch, measurement = window.pool_states[h], window.pool_branches[h], window.measurements[k]
     source = latest_pose_source(state, c)
-    apply_event(state, TURNED, source, part, 0.0, c)
     branch.weight -= math.log(HEADINGS)
     branch.fresh = 1
-    remember(branch, TURNED, source, part, 0.0, measurement, measurement, 1)
+    open_states(state, remember(branch, TURNED, source, part, 0.0, measurement, measurement, 1), c)
 
 
 @compiled

@@ -7,13 +7,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.events import IS_IGNORED, IS_SOUND, apply_event
+from trackslip_estimation.slip.bank.opening import open_states
 from trackslip_estimation.slip.records import HISTORY
+from trackslip_estimation.slip.source_faults import IS_IGNORED, IS_SOUND
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import Branch, MeasurementRecord
+    from trackslip_estimation.slip.records import Branch, EventRecord, MeasurementRecord
 
 
 @compiled
@@ -26,12 +27,13 @@ def remember(
     decides: MeasurementRecord,
     steps: MeasurementRecord,
     after: int,
-) -> None:
+) -> EventRecord:
     """One more event of a branch, which explains ``decides`` and opens states at the step to ``steps``."""
     e = branch.history[branch.events % HISTORY]
     e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, decides.stamp_ns
     e.stamp_ns, e.kind, e.of, e.after = steps.stamp_ns, steps.kind, steps.source, after
     branch.events += 1
+    return e
 
 
 @compiled
@@ -47,5 +49,5 @@ def play_script(window: Window, k: int, after: int, c: Config) -> None:
         if e.stamp_ns != m.stamp_ns or e.kind != m.kind or e.of != m.source or e.after != after:
             return
         update.opened = e.event
-        update.renewed |= apply_event(state, e.event, e.source, e.part, e.value, c)
+        update.renewed |= open_states(state, e, c)
         status.played += 1

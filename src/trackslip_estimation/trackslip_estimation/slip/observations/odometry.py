@@ -40,7 +40,6 @@ from trackslip_estimation.kalman.linear_algebra import (
 )
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
-from trackslip_estimation.slip.events import IS_STRAYING
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models import speed
@@ -49,6 +48,7 @@ from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW_RATE_ERROR
 from trackslip_estimation.slip.motion import Motion, rounding
 from trackslip_estimation.slip.observations.increments import increment, variances_stated
+from trackslip_estimation.slip.source_faults import IS_STRAYING
 from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
 
 if TYPE_CHECKING:

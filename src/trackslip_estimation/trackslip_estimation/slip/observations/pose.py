@@ -24,12 +24,12 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.correlated_errors import quality_of
-from trackslip_estimation.slip.events import IS_OFFSET
 from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above, stamp_shift, unknown_arm
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
 from trackslip_estimation.slip.own_errors import is_new, lasts, number_of, spread_of
+from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation, observe_alone
-from trackslip_estimation.slip.events import IS_OFFSET
 from trackslip_estimation.slip.levers import sensor_place, swung_place
 from trackslip_estimation.slip.models import slope
 from trackslip_estimation.slip.models.dispatch import (
@@ -37,6 +36,7 @@ from trackslip_estimation.slip.models.dispatch import (
 )
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
 from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.usable import LEAST_VARIANCE, rows_of_velocity
 
 if TYPE_CHECKING:

@@ -1,26 +1,116 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How likely measurements of a source at fault are: outliers, scatter, repeats; compiled."""
+"""Faults of sources: what a branch assumes of each, and how likely its measurements are then; compiled."""
 
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import FloatArray
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.events import AREA
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
+from trackslip_estimation.slip.own_errors import errors_of, number_of
 from trackslip_estimation.slip.records import POSE, VELOCITY
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import Update
+    from trackslip_estimation.slip.records import State, Update
 
 _GATED = int(Outcome.GATED)
 _LOG_TURN = math.log(2.0 * math.pi)
+_AREA = 1e4  # m², of a place of which nothing is known
+
+
+class SourceFault(IntEnum):
+    """What a branch assumes of a source."""
+
+    SOUND = 0
+    OFFSET = 1
+    REPEATS = 2
+    SCATTERS = 3
+    IGNORED = 4  # for one measurement
+    STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
+    STAYS = 6  # where it was, and jitters on
+    HEADING_OFF = 7  # its headings are off, not its places
+    HEADING_WANDERS = 8  # the same, by something else at any time
+    MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
+
+
+(
+    IS_SOUND,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_IGNORED,
+    IS_STRAYING,
+    IS_STAYING,
+    IS_HEADING_OFF,
+    IS_HEADING_WANDERING,
+    IS_MISCOUNTING,
+) = map(int, SourceFault)
+
+
+@compiled
+def is_heading_off(fault: int) -> bool:
+    """Whether a source is assumed to show headings that are off."""
+    return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
+
+
+@compiled
+def is_trusted(fault: int, kind: int) -> bool:
+    """Whether a measurement of a source is taken for sound; places are, though headings of theirs are off."""
+    return fault == IS_SOUND or (kind == POSE and is_heading_off(fault))
+
+
+@compiled
+def is_straying(fault: int) -> bool:
+    """Whether a unit is assumed not to show the motion, or but for a factor."""
+    return fault in (IS_STRAYING, IS_MISCOUNTING)
+
+
+@compiled
+def strays(state: State) -> bool:
+    """Whether sprockets, gyros or an odometry are assumed not to show the motion."""
+    return bool(((state.fault == IS_STRAYING) | (state.fault == IS_MISCOUNTING)).any())
+
+
+@compiled
+def wanders(state: State, source: int, c: Config) -> bool:
+    """Whether a source is off by what wanders, so that nothing contradicts it as the fault ends."""
+    number, fault = number_of(source, c), state.fault[source]
+    if fault == IS_OFFSET:
+        return bool(number < 0 or state.offsets[number].variance > 0.0)
+    return bool(fault == IS_HEADING_WANDERING)
+
+
+@compiled
+def pass_faults(state: State, dt: float, c: Config) -> None:
+    """Headings that wander, and velocities that are off, are so by something else dt later."""
+    P = state.covariance
+    for source in range(state.fault.size):
+        if state.fault[source] == IS_HEADING_WANDERING:
+            own = c.yaw_offsets[source]
+            P[own, own] += c.events.heading_walk**2 * dt
+        elif state.fault[source] == IS_OFFSET and number_of(source, c) < 0:
+            for own in (c.offsets[source], c.offsets[source] + 1):
+                P[own, own] += c.events.velocity_walk**2 * dt
+
+
+@compiled
+def wander_stddev(state: State, source: int, dt: float, c: Config) -> float:
+    """Of fixes of a source that wander, and come dt s after each other, m."""
+    time = errors_of(state.offsets[number_of(source, c)], c).time
+    return min(c.events.wander_speed * math.sqrt(dt * time / 2.0), c.events.wander)
+
+
+@compiled
+def reach(squared: float) -> float:
+    """Standard deviation of a place of which nothing is known but that it may be ``squared`` m² away, m."""
+    return math.sqrt(max(_AREA / (2.0 * math.pi), squared))
 
 
 @compiled
@@ -55,7 +145,7 @@ def density_of_scatter(kind: int, innovation: FloatArray, c: Config) -> float:
     if kind != POSE:
         return -_LOG_TURN
     squared = innovation[X] ** 2 + innovation[Y] ** 2
-    place = log_density_of_any_size(squared, c) if squared > AREA else -math.log(AREA)
+    place = log_density_of_any_size(squared, c) if squared > _AREA else -math.log(_AREA)
     return place - (_LOG_TURN if m > YAW else 0.0)
 
 

@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""A child of a branch: in it one event happened; compiled.
+
+Its prior is the rate of the event times the time in which it may have happened: since the source's
+measurement before, or since the snapshot, from which the child makes its steps again. An event that is as
+likely at every place, or for every angle, has the density of that.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.bank.opening import open_states
+from trackslip_estimation.slip.bank.script import remember
+from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED, WANDERS
+from trackslip_estimation.slip.models.model import X, Y
+from trackslip_estimation.slip.own_errors import number_of
+from trackslip_estimation.slip.records import HISTORY, OLDER, POSE
+from trackslip_estimation.slip.source_faults import reach, wander_stddev
+from trackslip_estimation.slip.window import POOL, Window
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
+
+@compiled
+def log_time(window: Window, p: int, k: int, c: Config) -> float:
+    """ln of the time since the source's measurement before."""
+    m = window.measurements[k]
+    elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
+    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
+
+
+@compiled
+def log_time_since(window: Window, p: int, k: int, c: Config) -> float:
+    """ln of the time since the snapshot of branch p."""
+    snapshot = window.branches[p, k].snapshots[OLDER]
+    elapsed_ns = window.measurements[k].stamp_ns - window.states[snapshot.slot, snapshot.entry].stamp_ns
+    return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
+
+
+@compiled
+def driven_since(window: Window, p: int, k: int) -> float:
+    """By the tracks since the snapshot of branch p of row k − 1, m."""
+    snapshot = window.branches[p, k - 1].snapshots[OLDER]
+    return float(window.states[p, k - 1].ran - window.states[snapshot.slot, snapshot.entry].ran)
+
+
+@compiled
+def squared_jump(m: MeasurementRecord, before: State) -> float:
+    """Squared distance of a fix from where the machine was before it, m²."""
+    return float((m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2)
+
+
+@compiled
+def child_now(window: Window, p: int, k: int, event: int, source: int, log_odds: float, c: Config) -> None:
+    """An event was just before measurement k; ``log_odds``: for it, beyond its rate and the time."""
+    prior = log_time(window, p, k, c) + c.log_rates[event, source] + log_odds
+    add_child(window, p, k, event, source, 0, False, prior, c)
+
+
+@compiled
+def child_since(
+    window: Window, p: int, k: int, event: int, source: int, part: int, log_odds: float, c: Config
+) -> None:
+    """An event was since the snapshot; arguments as above, ``part`` as in ``EventRecord``."""
+    prior = log_time_since(window, p, k, c) + c.log_rates[event, source] + log_odds
+    add_child(window, p, k, event, source, part, True, prior, c)
+
+
+@compiled
+def add_child(
+    window: Window,
+    p: int,
+    k: int,
+    event: int,
+    source: int,
+    part: int,
+    since: bool,
+    log_prior: float,
+    c: Config,
+) -> None:
+    """A child of branch p in the pool: an event was just before measurement k, or ``since`` the snapshot.
+
+    There is none where the pool is full, or children have made steps enough.
+    """
+    status, before, m = window.status[0], window.branches[p, k - 1], window.measurements[k]
+    snapshot = before.snapshots[OLDER]
+    first, h = snapshot.entry + 1 if since else k, status.pooled
+    if status.steps_left < k + 1 - first or h == POOL:
+        return
+    status.pooled, status.steps_left = h + 1, status.steps_left - (k + 1 - first)
+    state, branch, update = window.pool_states[h], window.pool_branches[h], window.pool_updates[h]
+    window.pool_branches[h] = before
+    if since:
+        window.pool_states[h] = window.states[snapshot.slot, snapshot.entry]
+        branch.weight = snapshot.weight + log_prior
+        snapshot_ns = window.measurements[snapshot.entry].stamp_ns
+        while branch.events > 0 and branch.history[(branch.events - 1) % HISTORY].decided_ns > snapshot_ns:
+            branch.events -= 1
+    else:
+        window.pool_states[h] = window.states[p, k - 1]
+        branch.weight = before.weight + log_prior
+    branch.first, branch.fresh = first, 1
+    value = _value(window, p, k, event, source, since, c)
+    e = remember(branch, event, source, part, value, m, window.measurements[first], 0)
+    update.opened = event
+    update.renewed = open_states(state, e, c)
+
+
+@compiled
+def _value(window: Window, p: int, k: int, event: int, source: int, since: bool, c: Config) -> float:
+    """What an event at measurement k has beside its part, see ``EventRecord``."""
+    m, before = window.measurements[k], window.states[p, k - 1]
+    if event == SKIDDED:
+        return c.events.skid_share * driven_since(window, p, k)
+    if event == WANDERS:
+        dt = max((m.stamp_ns - before.last_ns[source]) * 1e-9, c.bank.shortest_time)
+        return wander_stddev(before, source, dt, c)
+    if event in (SLIPPED, BIASED):
+        return 0.0 if since else float(c.receivers.longest_time)
+    if event == OFFSET and number_of(source, c) < 0:
+        return float(c.events.velocity_stddev)
+    if m.kind == POSE and event in (OFFSET, MOVED):
+        return reach(squared_jump(m, before))
+    return float(m.value[0])

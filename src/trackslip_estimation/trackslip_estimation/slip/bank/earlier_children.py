@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Children of a branch in which an event happened since its snapshot, and shows now; compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.bank.child import add_child, child_since, driven_since
+from trackslip_estimation.slip.bank.pool import update_of
+from trackslip_estimation.slip.events import (
+    BIASED,
+    HEADING_WANDERS,
+    HEADINGS,
+    LOST,
+    NOISE,
+    OFFSET,
+    SLID,
+    SLIPPED,
+    STAYS,
+    STRAYS,
+    SWUNG,
+    TURNED,
+    UNKNOWN_HEADING,
+    WANDERS,
+)
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.models.swing import may_swing
+from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, number_of
+from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
+from trackslip_estimation.slip.source_faults import (
+    IS_MISCOUNTING,
+    IS_REPEATING,
+    IS_SOUND,
+    IS_STAYING,
+    is_trusted,
+    may_repeat,
+)
+from trackslip_estimation.slip.window import Window
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import MeasurementRecord, State
+
+_ANY_SHARE = math.log(HEADINGS)
+_STEEP = 0.1  # sine of a slope on which a machine may slide
+
+
+@compiled
+def have_earlier_children(
+    window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
+) -> None:
+    """Children of branch p at a fix or a velocity that ``contradicts`` it, or by which its slip is none."""
+    m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
+    e, source, drove = window.branches[p, k], m.source, driven_since(window, p, k) > c.bank.least_driven
+    penalty = correlated_penalty(window, p, k, c)
+    if drove and has_velocity_errors(c):
+        child_since(window, p, k, SLIPPED, source, 0, -penalty, c)
+    is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
+    if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
+        return  # as a rule it is an outlier; what began earlier shows in the next one too
+    if contradicts and may_swing(before, source, c):
+        for part in range(HEADINGS):
+            child_since(window, p, k, SWUNG, source, part, -_ANY_SHARE, c)
+    is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
+    if is_place and drove and tracks_are_known(before) and may_repeat(update, c):
+        child_since(window, p, k, STAYS, source, 0, 0.0, c)
+    if is_place and update.coarse == 0 and not errs_by_place(source, c):
+        child_since(window, p, k, WANDERS, source, 0, 0.0, c)
+    _have_wrong_sources(window, p, k, penalty, c)
+    if has_velocity_errors(c):
+        _have_stray_children(window, p, k, penalty, c)
+    if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
+        child_since(window, p, k, NOISE, source, 0, 0.0, c)
+    if _is_steep(before) and has_velocity_errors(c):
+        child_since(window, p, k, SLID, source, 0, 0.0, c)
+    if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):
+        for part in range(HEADINGS):
+            child_since(window, p, k, TURNED, source, part, -_ANY_SHARE - penalty, c)
+
+
+@compiled
+def _have_wrong_sources(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+    """Children in which another source has shown wrong angles, or velocities."""
+    before = window.states[p, k - 1]
+    if not fixes_decide(before, window.measurements[k], c):
+        return
+    for other in range(MOST_SOURCES):
+        if before.fault[other] != IS_SOUND:
+            continue
+        if c.yaw_offsets[other] >= 0:
+            child_since(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
+        elif c.offsets[other] >= 0 and number_of(other, c) < 0:
+            child_since(window, p, k, OFFSET, other, 0, -penalty, c)
+
+
+@compiled
+def fixes_decide(before: State, m: MeasurementRecord, c: Config) -> bool:
+    """Whether fixes decide between wrong velocities or angles, and tracks that slip or a turned machine."""
+    is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
+    return bool(is_fixed and not _heading_is_open(before))
+
+
+@compiled
+def _heading_is_open(before: State) -> bool:
+    """Whether the heading is unknown, or a share of the circle."""
+    return bool(before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
+
+
+@compiled
+def _have_stray_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+    """Children in which sprockets, gyros or an odometry have not shown the motion.
+
+    While the heading is unknown nothing tells them from it.
+    """
+    before = window.states[p, k - 1]
+    if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
+        return
+    for unit in range(MOST_SOURCES):
+        if c.shows_motion[unit] == 1 and before.fault[unit] == IS_SOUND:
+            child_since(window, p, k, STRAYS, unit, 0, -penalty, c)
+        elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # another kind of the same
+            add_child(window, p, k, STRAYS, unit, 0, True, 0.0, c)
+    if before.fault[TRACKS] == IS_SOUND:
+        child_since(window, p, k, STRAYS, TRACKS, LOST, -penalty, c)
+    if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_SOUND:
+        child_since(window, p, k, BIASED, GYROS, 0, -penalty, c)
+
+
+@compiled
+def tracks_are_known(before: State) -> bool:
+    """Whether the sprockets show what the tracks do, and are not just taken to go on."""
+    return bool(before.unheard == 0.0 and not before.coasting)
+
+
+@compiled
+def _is_steep(state: State) -> bool:
+    """Whether the ground is so steep that the machine may slide."""
+    level = state.attitude.level
+    return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
+
+
+@compiled
+def correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
+    """By which w of events of the machine is less, where fixes of the source err to one side."""
+    errs_aside = is_correlated(window.states[p, k - 1], window.measurements[k].source, c)
+    return float(c.bank.correlated_penalty if errs_aside else 0.0)

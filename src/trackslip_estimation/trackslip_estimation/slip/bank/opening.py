@@ -1,0 +1,262 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What each event opens: which states it replaces or widens, and what is assumed of its source; compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trackslip_common.compiled import compiled
+from trackslip_common.record_types import FloatArray
+from trackslip_estimation.kalman.linear_algebra import wrap
+from trackslip_estimation.kalman.single_state import replace_state
+from trackslip_estimation.slip.events import (
+    ANY_HEADING,
+    BIASED,
+    FOLDED,
+    HEADING_OFF,
+    HEADING_WANDERS,
+    HEADINGS,
+    LOST,
+    MEASURED,
+    MOVED,
+    NOISE,
+    OFFSET,
+    OUTLIER,
+    REPEATS,
+    SCATTERS,
+    SKIDDED,
+    SLID,
+    SLIPPED,
+    SOUND,
+    STAYS,
+    STRAYS,
+    SWUNG,
+    TURNED,
+    WANDERS,
+    Event,
+)
+from trackslip_estimation.slip.levers import to_sensor
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import (
+    DOWNHILL,
+    FIX_DELAY,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    SWING,
+    SWING_RATE,
+    YAW,
+    X,
+    Y,
+)
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
+from trackslip_estimation.slip.own_errors import (
+    latest_pose_source,
+    number_of,
+    to_offset,
+    to_shown_heading,
+    usual_variance,
+)
+from trackslip_estimation.slip.records import TRACKS
+from trackslip_estimation.slip.source_faults import (
+    IS_HEADING_OFF,
+    IS_HEADING_WANDERING,
+    IS_IGNORED,
+    IS_MISCOUNTING,
+    IS_OFFSET,
+    IS_REPEATING,
+    IS_SCATTERING,
+    IS_SOUND,
+    IS_STAYING,
+    IS_STRAYING,
+    is_heading_off,
+)
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import EventRecord, State
+
+_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET
+_SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
+_PLACE = (1 << X) | (1 << Y)
+_NOT_ABOUT_SOURCE = -1
+_FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # by event, what is assumed of its source from then on
+_FAULTS[[SOUND, FOLDED]] = IS_SOUND
+_FAULTS[[OFFSET, WANDERS]] = IS_OFFSET
+_FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
+_FAULTS[HEADING_OFF], _FAULTS[HEADING_WANDERS] = IS_HEADING_OFF, IS_HEADING_WANDERING
+_FAULTS[STRAYS] = IS_STRAYING
+
+
+@compiled
+def sector(part: int) -> tuple[float, float]:
+    """Angle of a share of the circle from its first, rad, and variance inside it, rad²."""
+    return 2.0 * math.pi * part / HEADINGS, (math.pi / HEADINGS) ** 2 / 2.0
+
+
+@compiled
+def open_states(state: State, e: EventRecord, c: Config) -> int:
+    """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits."""
+    x, P, source, was = state.mean[: c.size], state.covariance[:], e.source, state.fault[e.source]
+    _assume(state, e)
+    if e.event in (OFFSET, WANDERS):
+        return _begin_offset(state, e, c)
+    if e.event in (HEADING_OFF, HEADING_WANDERS):
+        return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
+    if e.event in (SOUND, FOLDED):
+        return _end_fault(state, e, was, c)
+    if e.event == MOVED:
+        return _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
+    if e.event == TURNED:
+        return _turn(state, e, c)
+    if e.event == SWUNG:
+        return _swing(state, e, c)
+    if e.event in (SLIPPED, SLID):
+        P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
+        P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if e.event == SLID else 0.0
+    elif e.event == BIASED:
+        _open_bias(P, max(e.value, c.events.bias_unseen), c)
+    elif e.event == SKIDDED:
+        P[X, X] += e.value**2
+        P[Y, Y] += e.value**2
+    elif e.event == STRAYS:
+        return _stray(state, e, was, c)
+    if e.event in (SLIPPED, BIASED) and e.value > 0.0:
+        return _give_offset_to_place(state, source, c)
+    return 0
+
+
+@compiled
+def _replace(state: State, k: int, mean: float, variance: float, c: Config) -> int:
+    """State k becomes another one, with which nothing is correlated; its bit."""
+    replace_state(state.mean[: c.size], state.covariance[:], k, mean, variance)
+    return 1 << k
+
+
+@compiled
+def _assume(state: State, e: EventRecord) -> None:
+    """What a branch assumes of a source from an event on."""
+    source, fault = e.source, _FAULTS[e.event]
+    if e.event == OUTLIER:
+        state.fault[source] = IS_IGNORED
+    elif e.event == NOISE:
+        state.adaptation.fix_log_weights[source] = 1e-9
+    elif e.event == MOVED:
+        state.rests_on = source
+        if state.fault[source] == IS_SCATTERING:
+            state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
+    elif fault != _NOT_ABOUT_SOURCE:
+        state.fault_ns[source], state.fault[source] = state.stamp_ns, fault
+        if e.event == STRAYS and e.part == LOST:
+            state.fault[source] = IS_MISCOUNTING
+
+
+@compiled
+def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
+    """The offset of a source's places or velocities; one that wanders begins at zero."""
+    own, number, opened = c.offsets[e.source], number_of(e.source, c), e.value**2
+    if own < 0:
+        return 0
+    if number >= 0:
+        state.offsets[number].variance = opened if e.event == WANDERS else 0.0
+    variance = 0.0 if e.event == WANDERS else opened
+    return _replace(state, own, 0.0, variance, c) | _replace(state, own + 1, 0.0, variance, c)
+
+
+@compiled
+def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
+    """The source is sound again; what it was off by may have become a jump of what it measures."""
+    x, P, source, own = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
+    if is_heading_off(was):
+        if e.event == FOLDED and c.of_swing[source] == 1:  # it stays off
+            return 0
+        if e.event == FOLDED:
+            to_shown_heading(x, P, source, 1.0, c)
+        renewed = _replace(state, own, 0.0, c.prior_variance[own], c)
+        return renewed | (1 << YAW) if e.event == FOLDED else renewed
+    if c.offsets[source] >= 0:
+        if e.event == FOLDED:
+            to_offset(x, P, source, 1.0, c)
+        renewed = _end_offset(state, source, c)
+        return renewed | _PLACE if e.event == FOLDED else renewed
+    if source == TRACKS and was == IS_MISCOUNTING:
+        return _replace(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
+    return 0
+
+
+@compiled
+def _end_offset(state: State, source: int, c: Config) -> int:
+    """The offset of a source's places is that of its receiver again, that of its velocities none."""
+    own, number, usual = c.offsets[source], number_of(source, c), 0.0
+    if number >= 0:
+        usual = usual_variance(state, source, c)
+        state.offsets[number].variance = usual
+    return _replace(state, own, 0.0, usual, c) | _replace(state, own + 1, 0.0, usual, c)
+
+
+@compiled
+def _give_offset_to_place(state: State, source: int, c: Config) -> int:
+    """A receiver took for its own offset what the machine did; its error is as at the start, and in both."""
+    x, P = state.mean[: c.size], state.covariance[:]
+    to_offset(x, P, source, 1.0, c)
+    renewed = _end_offset(state, source, c)
+    to_offset(x, P, source, -1.0, c)
+    return renewed | _PLACE
+
+
+@compiled
+def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
+    """The bias of the first gyro, and the heading that it turned for ``unseen`` s; in place."""
+    variance = c.events.bias_stddev**2
+    P[GYRO_BIAS, GYRO_BIAS] += variance
+    P[YAW, YAW] += variance * unseen**2 / 3.0
+    P[YAW, GYRO_BIAS] -= variance * unseen / 2.0
+    P[GYRO_BIAS, YAW] -= variance * unseen / 2.0
+
+
+@compiled
+def _stray(state: State, e: EventRecord, was: int, c: Config) -> int:
+    """Sprockets, gyros or an odometry do not show the motion."""
+    opened = c.events.slip_stddev**2
+    if e.source < TRACKS:
+        state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
+    elif e.source == TRACKS and e.part == LOST:
+        return _replace(state, COMMON_SLIP, -1.0, opened, c)
+    elif e.source == TRACKS and was == IS_MISCOUNTING:
+        return _replace(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
+    return 0
+
+
+@compiled
+def _turn(state: State, e: EventRecord, c: Config) -> int:
+    """The heading is another one, about the sensor that showed the place, and what was learned through it."""
+    x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
+    is_measured = e.part == MEASURED
+    about = latest_pose_source(state, c) if is_measured else e.source
+    turn, variance = (0.0, (math.pi / HEADINGS) ** 2) if is_measured else sector(e.part)
+    if is_measured:
+        turn = wrap(e.value - c.heading_offset[e.source] - x[YAW])
+    swing = x[SWING] if c.above[about] == 1 else 0.0
+    heading = wrap(x[YAW] + turn + swing)
+    state.is_sector = not is_measured
+    to_sensor(x, P, level, about, 1.0, c)
+    renewed = _PLACE | _replace(state, YAW, heading, variance, c)
+    if has_velocity_errors(c):
+        for k in _LEARNED_BY_HEADING:
+            renewed |= _replace(state, k, c.prior_mean[k], c.prior_variance[k], c)
+    to_sensor(x, P, level, about, -1.0, c)
+    return renewed
+
+
+@compiled
+def _swing(state: State, e: EventRecord, c: Config) -> int:
+    """The upper structure looks elsewhere, and may swing."""
+    x = state.mean
+    turn, variance = sector(max(e.part, 0))
+    if e.part == MEASURED:
+        turn = wrap(e.value - c.heading_offset[e.source] - x[SWING])
+    renewed = _replace(state, SWING, wrap(x[SWING] + turn), variance, c)
+    return renewed | _replace(state, SWING_RATE, 0.0, c.swing.fastest**2, c)
