@@ -139,6 +139,36 @@ def test_places_are_weighed_on_while_the_headings_beside_them_are_off(turned: fl
     assert np.mean(nees) < 5.0  # 2 if consistent
 
 
+def shifted(measurements: Sequence[Measurement], by: Mapping[int, tuple[float, float]]) -> list[Measurement]:
+    """The same with some fixes, by their number, elsewhere."""
+    fixes = (k for k, m in enumerate(measurements) if isinstance(m, PoseFix))
+    places = {k: by[n] for n, k in enumerate(fixes) if n in by}
+    return [
+        replace(m, pose=m.pose + np.array((*places[k], 0.0))) if isinstance(m, PoseFix) and k in places else m
+        for k, m in enumerate(measurements)
+    ]
+
+
+def largest_error(truth: Recording, measurements: Sequence[Measurement], source: str, since: float) -> float:
+    """Of the place ``since`` s after the start, m."""
+    found = [e for _, e in SlipEstimator(with_headings(source)).process_all(measurements) if e]
+    t = np.array([e.stamp_ns for e in found]) / S - 1.0
+    off = np.array([e.pose[:2] for e in found])
+    off -= np.column_stack([np.interp(t, truth.t, truth.poses[:, axis]) for axis in range(2)])
+    return float(np.hypot(*off[t > since].T).max())
+
+
+def test_a_first_fix_that_is_an_outlier_is_left_though_headings_agree_meanwhile() -> None:
+    truth, measurements = seen(lambda t, heading: 0.0, ALONE, 0)
+    assert largest_error(truth, shifted(measurements, {0: (-5.0, 1.0)}), ALONE, 5.0) < 0.1
+
+
+def test_outliers_in_a_row_whose_headings_are_right_do_not_move_the_machine() -> None:
+    truth, measurements = seen(lambda t, heading: 0.0, IN_POSES, 0)
+    spoilt = shifted(measurements, {120: (1.0, 5.0), 121: (-2.0, -7.0), 122: (0.7, 0.3)})
+    assert largest_error(truth, spoilt, IN_POSES, 20.0) < 0.2
+
+
 @pytest.mark.parametrize("source", [ALONE, IN_POSES])
 def test_a_heading_as_it_is_stated_is_no_event(source: str) -> None:
     _, measurements = seen(lambda t, heading: 0.0, source, 3)

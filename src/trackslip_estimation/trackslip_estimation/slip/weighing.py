@@ -247,7 +247,7 @@ def _weigh(
     update.evidence = evidence
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
-        if measurement.kind != VELOCITY:
+        if measurement.kind == POSE:
             state.rests_on = -1
     return R, True, alone
 

@@ -266,6 +266,8 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
             child_now(window, p, k, OFFSET, source, size, c)
             if update.dof > YAW and before.fault[source] == IS_SOUND:
                 _have_heading_off(window, p, k, c)
+    elif before.fault[source] == IS_OFFSET:  # by something else
+        child_now(window, p, k, OFFSET, source, size, c)
     moved = log_time(window, p, k, c) + c.log_rates[MOVED, source]
     if before.rests_on == source:  # on one fix, which is as likely to be the outlier as this one
         moved = max(moved, math.log(before.outlier_share[source]))
