@@ -123,9 +123,8 @@ class EventParameters(Parameters):
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
     slide_rate: float = parameter("rate at which the machine slides on a slope", unit="1/s", gt=0.0)
     skid_rate: float = parameter("rate at which the machine skids", unit="1/s", gt=0.0)
-    skid_share: float = parameter(
-        "its standard deviation, over the way since the last consistent fix", gt=0.0
-    )
+    skid_time: float = parameter("that it lasts at the most", unit="s", gt=0.0)
+    skid_share: float = parameter("its standard deviation, over the way meanwhile", gt=0.0)
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
     stray_rate: float = parameter(
         "rate at which sprockets, gyros or an odometry no longer show the motion", unit="1/s", gt=0.0

@@ -117,7 +117,8 @@ def _value(window: Window, p: int, k: int, event: int, source: int, since: bool,
     """What an event at measurement k has beside its part, see ``EventRecord``."""
     m, before = window.measurements[k], window.states[p, k - 1]
     if event == SKIDDED:
-        return c.events.skid_share * driven_since(window, p, k)
+        seconds = math.exp(log_time_since(window, p, k, c))
+        return c.events.skid_share * driven_since(window, p, k) * min(c.events.skid_time / seconds, 1.0)
     if event == WANDERS:
         dt = max((m.stamp_ns - before.last_ns[source]) * 1e-9, c.bank.shortest_time)
         return wander_stddev(before, source, dt, c)

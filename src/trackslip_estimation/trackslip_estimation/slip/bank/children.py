@@ -273,7 +273,9 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
         moved = max(moved, math.log(before.outlier_share[source]))
     add_child(window, p, k, MOVED, source, 0, False, size + moved, c)
     if driven_since(window, p, k) > c.bank.least_driven and update.stated <= c.events.skid_stddev:
-        child_now(window, p, k, SKIDDED, source, -correlated_penalty(window, p, k, c), c)
+        skidded = min(log_time(window, p, k, c), math.log(c.events.skid_time)) + c.log_rates[SKIDDED, source]
+        penalty = correlated_penalty(window, p, k, c)
+        add_child(window, p, k, SKIDDED, source, 0, False, skidded - penalty, c)
 
 
 @compiled
