@@ -238,6 +238,16 @@ def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_two_secon
     assert np.mean(nees > 13.8) < 0.03
 
 
+def test_fixes_that_are_off_after_an_outage_are_no_skid() -> None:
+    """Whoever drives without fixes for 20 s may have skidded, but not by a share of all that way."""
+    recorded = drive(Machine(duration=80.0, fix_rate=5))
+    off = changed(recorded, lambda fix, t: moved(fix, 0.8, 0.6) if 50.0 <= t < 60.0 else fix)
+    spoilt = [m for m in off if not isinstance(m, PoseFix) or not 31 * S <= m.stamp_ns < 51 * S]
+    error, _, _ = errors(spoilt, recorded, parameters(**GNSS))
+    after = np.arange(error.size) > error.size * 50.0 / 80.0
+    assert error[after].max() < 0.4
+
+
 def test_a_slip_that_no_track_can_have_is_a_wrong_heading() -> None:
     """With half a turn a slip of 2 drives the same way; while it is slow to be found the slip is doubted."""
     recording = drive(Machine(duration=60.0, track_error=0.05))

@@ -169,6 +169,15 @@ def test_outliers_in_a_row_whose_headings_are_right_do_not_move_the_machine() ->
     assert largest_error(truth, spoilt, IN_POSES, 20.0) < 0.2
 
 
+def test_most_places_of_two_antennas_may_be_wrong_for_a_while_if_their_headings_are_right() -> None:
+    random = np.random.default_rng(7)
+    truth, measurements = seen(lambda t, heading: 0.0, IN_POSES, 0)
+    wrong = {k: tuple(random.normal(0.0, 3.0, 2).tolist()) for k in range(100, 140) if random.random() < 0.6}
+    spoilt = shifted(measurements, wrong)
+    assert len(wrong) > 15
+    assert largest_error(truth, spoilt, IN_POSES, 20.0) < 0.3
+
+
 @pytest.mark.parametrize("source", [ALONE, IN_POSES])
 def test_a_heading_as_it_is_stated_is_no_event(source: str) -> None:
     _, measurements = seen(lambda t, heading: 0.0, source, 3)

@@ -18,7 +18,7 @@ from trackslip_estimation.slip.records import POSE, VELOCITY
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.records import State, Update
+    from trackslip_estimation.slip.records import MeasurementRecord, State, Update
 
 _GATED = int(Outcome.GATED)
 _LOG_TURN = math.log(2.0 * math.pi)
@@ -120,33 +120,47 @@ def log_density_of_any_size(squared: float, c: Config) -> float:
 
 
 @compiled
-def density_of_outlier(kind: int, o: Observation, predicted: FloatArray, c: Config) -> float:
+def density_of_outlier(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
     """ln of the density of an outlier: any angle, or a place or a velocity off by no less than expected."""
-    if kind not in (POSE, VELOCITY):
+    if m.kind not in (POSE, VELOCITY):
         return -_LOG_TURN
-    squared, expected, m = 0.0, 0.0, o.innovation.size
-    for axis in range(min(m, YAW)):
+    squared, expected = 0.0, 0.0
+    for axis in range(min(o.innovation.size, YAW)):
         squared += o.innovation[axis] ** 2
         expected += predicted[axis, axis] + o.noise[axis, axis]
-    if m == 1:
+    if o.innovation.size == 1:
         return -math.log(2.0 * c.bank.outlier_sizes * math.sqrt(max(squared, expected)))
-    return log_density_of_any_size(max(squared, expected), c) - (_LOG_TURN if m > YAW else 0.0)
+    return log_density_of_any_size(max(squared, expected), c) + _density_of_heading(m, o, predicted, c)
 
 
 @compiled
-def density_of_scatter(kind: int, innovation: FloatArray, c: Config) -> float:
+def _density_of_heading(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
+    """ln of the density of the heading of a fix whose place is wrong, if it has one.
+
+    It is any; that of two antennas, which is found apart from the place, is as likely right.
+    """
+    if o.innovation.size <= YAW:
+        return 0.0
+    if c.yaw_offsets[m.source] < 0:
+        return -_LOG_TURN
+    S = predicted[YAW, YAW] + o.noise[YAW, YAW]
+    right = math.exp(-(o.innovation[YAW] ** 2) / (2.0 * S)) / math.sqrt(2.0 * math.pi * S)
+    return math.log((right + 1.0 / (2.0 * math.pi)) / 2.0)
+
+
+@compiled
+def density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
     """ln of the density of a measurement of a source that scatters: any place, angle or speed.
 
     Places are those of an area; farther ones err by any size.
     """
-    m = innovation.size
-    if kind == VELOCITY:
-        return -math.log(math.pi * c.unknown_speed**2 if m > 1 else 2.0 * c.unknown_speed)
-    if kind != POSE:
+    if m.kind == VELOCITY:
+        return -math.log(math.pi * c.unknown_speed**2 if o.innovation.size > 1 else 2.0 * c.unknown_speed)
+    if m.kind != POSE:
         return -_LOG_TURN
-    squared = innovation[X] ** 2 + innovation[Y] ** 2
+    squared = o.innovation[X] ** 2 + o.innovation[Y] ** 2
     place = log_density_of_any_size(squared, c) if squared > _AREA else -math.log(_AREA)
-    return place - (_LOG_TURN if m > YAW else 0.0)
+    return place + _density_of_heading(m, o, predicted, c)
 
 
 @compiled

@@ -99,7 +99,7 @@ def use_weighed(
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
-    outside = density_of_outlier(kind, o, predicted, c)
+    outside = density_of_outlier(measurement, o, predicted, c)
     if fault in (IS_REPEATING, IS_STAYING):
         weigh_repeat(m, fault == IS_STAYING, c, update)
         return
@@ -223,7 +223,7 @@ def _weigh(
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
     alone = not stands_still(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
-        update.evidence, update.outcome = density_of_scatter(measurement.kind, o.innovation, c), _GATED
+        update.evidence, update.outcome = density_of_scatter(measurement, o, predicted, c), _GATED
         return R, False, alone
     density = density_of_one(L, o.innovation)
     if not coarse:
