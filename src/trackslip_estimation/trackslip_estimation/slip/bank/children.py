@@ -46,7 +46,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
-from trackslip_estimation.slip.models.swing import may_swing
+from trackslip_estimation.slip.models.swing import is_moved_by_swing, may_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.own_errors import is_correlated, number_of
 from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, TRACKS, VELOCITY
@@ -162,9 +162,15 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
     if measurement.kind == POSE and outside_range(before, c) > 0.0:
         return True
     if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
-        moves = before.motion.motion != _STANDING
-        return bool((is_repeated(update, c) and moves) or branch.cusum.max() > c.bank.cusum_limit)
+        repeats = is_repeated(update, c) and _moves(before, measurement.source, c)
+        return bool(repeats or branch.cusum.max() > c.bank.cusum_limit)
     return False
+
+
+@compiled
+def _moves(before: State, source: int, c: Config) -> bool:
+    """Whether a source moves, so that its fixes do not repeat themselves."""
+    return bool(before.motion.motion != _STANDING or is_moved_by_swing(before, source, c))
 
 
 @compiled
@@ -244,7 +250,7 @@ def _have_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
     """Children in which something happened just before a fix."""
     before, update = window.states[p, k - 1], update_of(window, p, k)
     source = window.measurements[k].source
-    if is_trusted(before.fault[source], POSE) and before.motion.motion != _STANDING:
+    if is_trusted(before.fault[source], POSE) and _moves(before, source, c):
         if is_repeated(update, c):
             child_now(window, p, k, REPEATS, source, 0.0, c)
         if contradicts and may_repeat(update, c) and tracks_are_known(before):

@@ -110,6 +110,12 @@ def may_swing(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
+def is_moved_by_swing(state: State, source: int, c: Config) -> bool:
+    """Whether a source sits above, and the upper structure swings."""
+    return bool(c.above[source] == 1 and abs(state.mean[SWING_RATE]) > _SWINGS)
+
+
+@compiled
 def _swings(rate: float) -> float:
     """Whether it does, beyond what noise shows: from 0 to 1."""
     share: float = rate**4 / (rate**4 + _SWINGS**4)
