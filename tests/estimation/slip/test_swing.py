@@ -32,6 +32,12 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 
 FloatArray = NDArray[np.float64]
 WITH, WITHOUT = {"vehicle": "pc05_cab"}, {"vehicle": "pc05_cab", "swing_sources": [""]}
+AS_RECEIVER = {
+    "sources.box_pose.fault_rate": 3.3e-3,
+    "sources.box_pose.jump_rate": 3.3e-4,
+    "sources.box_pose.standing_share": 0.0,
+    "sources.box_pose.yaw_offset_stddev": 0.02,
+}
 ANTENNA = {**WITH, "pose_sources": ["gnss_pose"]}
 
 
@@ -184,6 +190,22 @@ def test_a_swing_while_it_drives_is_seen_by_the_encoder() -> None:
     found = errors(estimates(truth.measurements, of_cab()), truth)
     assert np.abs(found[:, 4]).max() < 0.15
     assert np.abs(found[-60:, 3]).max() < 0.02
+
+
+def test_fixes_that_freeze_while_the_cab_swings_at_a_stand_do_not_stop_it() -> None:
+    """No encoder shows the angle; the tracks stand, so that fixes may repeat themselves."""
+    recording = record(
+        [*dig(), Part(4.0), Part(6.0, swing_to=1.5), Part(6.0, swing_to=0.0)], Cab(encoder=False)
+    )
+    measurements, frozen = list(recording.measurements), None
+    for k, m in enumerate(measurements):
+        if isinstance(m, PoseFix) and 16.0 <= m.stamp_ns * 1e-9 - 1.0 < 30.0:
+            frozen = m.pose if frozen is None else frozen
+            measurements[k] = replace(m, pose=frozen)
+    found = errors(estimates(measurements, load_slip_parameters(WITHOUT, AS_RECEIVER)), recording)
+    assert np.hypot(found[:, 1], found[:, 2]).max() < 0.05
+    assert np.abs(found[:, 4]).max() < 0.15
+    assert np.abs(found[:, 3]).max() < 0.1
 
 
 def test_the_order_of_arrival_does_not_matter() -> None:

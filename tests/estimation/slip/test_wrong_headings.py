@@ -163,6 +163,14 @@ def test_a_first_fix_that_is_an_outlier_is_left_though_headings_agree_meanwhile(
     assert largest_error(truth, shifted(measurements, {0: (-5.0, 1.0)}), ALONE, 5.0) < 0.1
 
 
+def test_a_first_fix_that_is_wrong_in_place_and_heading_is_left_as_a_whole() -> None:
+    truth, measurements = seen(lambda t, heading: 0.5 if t < 0.4 else 0.0, IN_POSES, 0)
+    found = errors_of([(truth, shifted(measurements, {0: (-5.0, 1.0)}))], IN_POSES)
+    assert found.place < 0.1
+    assert found.heading < 0.02
+    assert found.nees < 6.0
+
+
 def test_outliers_in_a_row_whose_headings_are_right_do_not_move_the_machine() -> None:
     truth, measurements = seen(lambda t, heading: 0.0, IN_POSES, 0)
     spoilt = shifted(measurements, {120: (1.0, 5.0), 121: (-2.0, -7.0), 122: (0.7, 0.3)})

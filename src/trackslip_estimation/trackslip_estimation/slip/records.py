@@ -165,6 +165,7 @@ class State(Record):
     heard_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of its last measurement; of poses never
     offsets: Annotated[Table[Offset], MOST_RECEIVERS]  # of sources of poses
     rests_on: int  # source of the one fix that the place rests on; −1: others agreed with it
+    heading_rests: bool  # on that fix, too
     way: Annotated[FloatArray, 2]  # by which the place went as it was predicted, since the start, m
     stands: Annotated[Table[Stand], MOST_SOURCES]
     streaks: Annotated[Table[Streak], MOST_SOURCES]  # measurements in a row that speak for other ground

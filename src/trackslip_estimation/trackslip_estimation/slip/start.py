@@ -112,12 +112,12 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     if measurement.kind != POSE:
         state.fixed_ns = NEVER_NS
     state.ran = state.down = state.way[:] = 0.0
-    state.is_sector, state.rests_on = False, -1
+    state.is_sector, state.rests_on, state.heading_rests = False, -1, False
     state.fault_ns[:] = stamp_ns
     state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, c.bank.initial_outlier_share, 0.0
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_fix[measurement.source] = measurement.value[:2]
-        state.rests_on = measurement.source
+        state.rests_on, state.heading_rests = measurement.source, has_heading(measurement)
     for k in range(MOST_SOURCES):
         state.consistent_ns[k], state.heard_ns[k] = stamp_ns, NEVER_NS
         state.refused_ns[k], state.last_ns[k], state.stands[k].count = 0, stamp_ns, 0

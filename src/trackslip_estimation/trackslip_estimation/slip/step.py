@@ -229,6 +229,6 @@ def place(state: State, manual: MeasurementRecord) -> None:
         for j in range(SIZE):
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
-    state.is_sector, state.fault[:] = False, IS_SOUND
+    state.is_sector, state.heading_rests, state.fault[:] = False, False, IS_SOUND
     for k in range(len(state.stands)):
         state.stands[k].count = 0

@@ -248,7 +248,7 @@ def _weigh(
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
         if measurement.kind == POSE:
-            state.rests_on = -1
+            state.rests_on, state.heading_rests = -1, False
     return R, True, alone
 
 

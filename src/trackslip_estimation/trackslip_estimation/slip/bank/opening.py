@@ -100,7 +100,7 @@ def sector(part: int) -> tuple[float, float]:
 @compiled
 def open_states(state: State, e: EventRecord, c: Config) -> int:
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits."""
-    x, P, source, was = state.mean[: c.size], state.covariance[:], e.source, state.fault[e.source]
+    P, source, was = state.covariance[:], e.source, state.fault[e.source]
     _assume(state, e)
     if e.event in (OFFSET, WANDERS):
         return _begin_offset(state, e, c)
@@ -109,7 +109,7 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
     if e.event in (SOUND, FOLDED):
         return _end_fault(state, e, was, c)
     if e.event == MOVED:
-        return _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
+        return _move(state, e, c)
     if e.event == TURNED:
         return _turn(state, e, c)
     if e.event == SWUNG:
@@ -152,6 +152,17 @@ def _assume(state: State, e: EventRecord) -> None:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, fault
         if e.event == STRAYS and e.part == LOST:
             state.fault[source] = IS_MISCOUNTING
+
+
+@compiled
+def _move(state: State, e: EventRecord, c: Config) -> int:
+    """The place is another one, and so is a heading that rests on the same fix."""
+    x = state.mean
+    renewed = _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
+    if state.heading_rests:
+        renewed |= _replace(state, YAW, x[YAW], ANY_HEADING**2, c)
+        state.heading_rests = False
+    return renewed
 
 
 @compiled
