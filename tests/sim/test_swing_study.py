@@ -253,7 +253,7 @@ def test_the_study_swings_the_upper_structure_of_its_vehicle(
     assert main([*COMMAND, *options, *files]) == 0
     (row,) = json.loads((tmp_path / "rows.json").read_text(encoding="utf-8"))
     assert (row["truth"], row["scenario"]) == (SHEAR, "dig_cycles")
-    assert 0.0 < row["swing_bound"] < STDDEV
+    assert 0.0 < row["swing_bound"] < 0.02  # rad, by which the encoder's offset errs a priori
     shown = capsys.readouterr().out
     assert shown.startswith("vehicle: pc05_cab\n")
     assert "swing mrad" in shown
