@@ -98,9 +98,7 @@ class Config(Record):
     bank: BankParameters
     receivers: ReceiverParameters
     ground: GroundParameters
-    log_rates: Annotated[
-        FloatArray, (len(Event), MOST_SOURCES)
-    ]  # ln of rates of events, 1/s; −∞: it has none
+    log_rates: Annotated[FloatArray, (len(Event), MOST_SOURCES)]  # ln of 1/s; −∞: not a rate
     poses: int  # how many sources of poses there are
     offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or velocities; −1: none
     yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all its headings are off by; −1: none

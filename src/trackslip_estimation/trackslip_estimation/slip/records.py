@@ -226,15 +226,18 @@ HISTORY = 16  # events that a branch remembers
 
 
 class EventRecord(Record):
-    """Of a branch: before, or after, the step to which measurement it opened states."""
+    """Of a branch: before, or after, the step to which measurement it opened states.
+
+    ``part``: of the circle, or ``MEASURED``: where the source measured the angle ``value``, rad; or ``LOST``.
+    ``value`` of a skid, of fixes that are off or wander, and of a machine that was moved is the standard
+    deviation, m; of a slip and a bias that changed a while ago how long, s: an offset of the source took it
+    for its own.
+    """
 
     event: int  # of ``events.Event``
     source: int  # whose measurement it explains
-    part: int  # of the circle, or ``MEASURED``: where the source measured the angle ``value``; or ``LOST``
-    value: (
-        float  # that angle, rad; of a skid, of fixes that are off or wander, and of a machine that was moved
-    )
-    # the standard deviation, m; of a slip and a bias that changed a while ago how long, s
+    part: int
+    value: float
     decided_ns: int  # stamp of the measurement that it explains
     stamp_ns: int  # of the measurement of the step, with kind and source
     kind: int
