@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.drawn_machine import GNSS
 from fixtures.filter_steps import config_of
 from fixtures.swinging_cab import CAB, ENCODER, FIX, GYRO, Cab, Part, Recording, dig, record
 from numpy.typing import NDArray
@@ -32,12 +33,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 
 FloatArray = NDArray[np.float64]
 WITH, WITHOUT = {"vehicle": "pc05_cab"}, {"vehicle": "pc05_cab", "swing_sources": [""]}
-AS_RECEIVER = {
-    "sources.box_pose.fault_rate": 3.3e-3,
-    "sources.box_pose.jump_rate": 3.3e-4,
-    "sources.box_pose.standing_share": 0.0,
-    "sources.box_pose.yaw_offset_stddev": 0.02,
-}
+TWO_ANTENNAS = {**GNSS, "sources.box_pose.yaw_offset_stddev": 0.02}
 ANTENNA = {**WITH, "pose_sources": ["gnss_pose"]}
 
 
@@ -202,7 +198,7 @@ def test_fixes_that_freeze_while_the_cab_swings_at_a_stand_do_not_stop_it() -> N
         if isinstance(m, PoseFix) and 16.0 <= m.stamp_ns * 1e-9 - 1.0 < 30.0:
             frozen = m.pose if frozen is None else frozen
             measurements[k] = replace(m, pose=frozen)
-    found = errors(estimates(measurements, load_slip_parameters(WITHOUT, AS_RECEIVER)), recording)
+    found = errors(estimates(measurements, load_slip_parameters(WITHOUT, TWO_ANTENNAS)), recording)
     assert np.hypot(found[:, 1], found[:, 2]).max() < 0.05
     assert np.abs(found[:, 4]).max() < 0.15
     assert np.abs(found[:, 3]).max() < 0.1

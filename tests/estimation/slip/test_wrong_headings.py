@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from fixtures.drawn_machine import Machine, Recording, drive, parameters
+from fixtures.drawn_machine import GNSS, Machine, Recording, drive, parameters
+from fixtures.pose_errors import PoseErrors, pose_errors
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -68,8 +69,7 @@ def seen(
 
 
 def with_headings(source: str) -> SlipEstimatorParameters:
-    receiver = {"standing_share": 0.0, "yaw_offset_stddev": 0.02, "fault_rate": 3.3e-3, "jump_rate": 3.3e-4}
-    values: dict[str, object] = {f"sources.box_pose.{name}": value for name, value in receiver.items()}
+    values: dict[str, object] = {**GNSS, "sources.box_pose.yaw_offset_stddev": 0.02}
     values["sources.box_pose.use_heading"] = source == IN_POSES
     values["heading_sources"] = [ALONE] if source == ALONE else []
     return parameters(**values)
@@ -83,20 +83,18 @@ class Errors(NamedTuple):
     nees: float  # of the pose, 3 if consistent
 
 
+def found_of(recorded: Recording, measurements: Sequence[Measurement], source: str) -> PoseErrors:
+    steps = SlipEstimator(with_headings(source)).process_all(measurements)
+    return pose_errors((e for _, e in steps), recorded.t, recorded.poses)
+
+
 def errors_of(drives: Sequence[tuple[Recording, list[Measurement]]], source: str) -> Errors:
-    squares, nees, headings = [], [], []
-    for truth, measurements in drives:
-        steps = SlipEstimator(with_headings(source)).process_all(measurements)
-        found = [e for _, e in steps if e is not None and e.stamp_ns > 21 * S]
-        t = np.array([e.stamp_ns for e in found]) / S - 1.0
-        off = np.array([e.pose for e in found])
-        off -= np.column_stack([np.interp(t, truth.t, column) for column in truth.poses.T])
-        off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
-        P = np.array([e.pose_covariance for e in found])
-        squares.append(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))
-        nees.append(np.mean(np.einsum("ni,ni->n", off, np.linalg.solve(P, off[:, :, None])[:, :, 0])))
-        headings.append(np.mean(off[:, 2] ** 2))
-    return Errors(math.sqrt(np.mean(squares)), math.sqrt(np.mean(headings)), float(np.mean(nees)))
+    found = [found_of(recorded, measurements, source).between(20.0) for recorded, measurements in drives]
+    return Errors(
+        math.sqrt(np.mean([np.mean(e.distances**2) for e in found])),
+        math.sqrt(np.mean([np.mean(e.off[:, 2] ** 2) for e in found])),
+        float(np.mean([np.mean(e.nees(3)) for e in found])),
+    )
 
 
 @pytest.mark.parametrize("source", [ALONE, IN_POSES])
@@ -126,15 +124,9 @@ def test_places_are_weighed_on_while_the_headings_beside_them_are_off(turned: fl
         for k, m in enumerate(measurements):
             if isinstance(m, PoseFix) and 61 * S <= m.stamp_ns < 69 * S:
                 measurements[k] = replace(m, pose=m.pose + np.array((0.8, 0.6, 0.0)))
-        found = [e for _, e in SlipEstimator(with_headings(IN_POSES)).process_all(measurements) if e]
-        t = np.array([e.stamp_ns for e in found]) / S - 1.0
-        off = np.array([e.pose[:2] for e in found])
-        off -= np.column_stack([np.interp(t, truth.t, truth.poses[:, axis]) for axis in range(2)])
-        P = np.array([e.pose_covariance[:2, :2] for e in found])
-        during = (t > 60.0) & (t < 75.0)
-        squares.append(np.mean(np.sum(off[during] ** 2, axis=1)))
-        of_each = np.einsum("ni,ni->n", off, np.linalg.solve(P, off[:, :, None])[:, :, 0])
-        nees.append(np.mean(of_each[during]))
+        found = found_of(truth, measurements, IN_POSES).between(60.0, 75.0)
+        squares.append(np.mean(found.distances**2))
+        nees.append(np.mean(found.nees(2)))
     assert math.sqrt(np.mean(squares)) < 0.2
     assert np.mean(nees) < 5.0  # 2 if consistent
 
@@ -151,11 +143,7 @@ def shifted(measurements: Sequence[Measurement], by: Mapping[int, tuple[float, f
 
 def largest_error(truth: Recording, measurements: Sequence[Measurement], source: str, since: float) -> float:
     """Of the place ``since`` s after the start, m."""
-    found = [e for _, e in SlipEstimator(with_headings(source)).process_all(measurements) if e]
-    t = np.array([e.stamp_ns for e in found]) / S - 1.0
-    off = np.array([e.pose[:2] for e in found])
-    off -= np.column_stack([np.interp(t, truth.t, truth.poses[:, axis]) for axis in range(2)])
-    return float(np.hypot(*off[t > since].T).max())
+    return float(found_of(truth, measurements, source).between(since).distances.max())
 
 
 def test_a_first_fix_that_is_an_outlier_is_left_though_headings_agree_meanwhile() -> None:

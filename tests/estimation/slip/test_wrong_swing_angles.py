@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from fixtures.drawn_machine import GNSS
+from fixtures.pose_errors import pose_errors
 from fixtures.swinging_cab import ENCODER, Cab, Part, Recording, dig, record
 
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -29,11 +31,9 @@ FAULTS: Mapping[str, Shown] = {
 }
 
 
-def of_receiver(**values: object) -> SlipEstimatorParameters:
+def of_receiver() -> SlipEstimatorParameters:
     """Of a cab with an encoder, a gyro, and a receiver of precise places and headings."""
-    receiver = {"fault_rate": 3.3e-3, "jump_rate": 3.3e-4, "standing_share": 0.0}
-    source = {f"sources.box_pose.{name}": value for name, value in receiver.items()}
-    return load_slip_parameters({"vehicle": "pc05_cab"}, source | values)
+    return load_slip_parameters({"vehicle": "pc05_cab"}, GNSS)
 
 
 def spoilt(recording: Recording, shown: Shown) -> list[Measurement]:
@@ -59,19 +59,13 @@ class Errors(NamedTuple):
 
 def errors_of(recording: Recording, measurements: Sequence[Measurement]) -> Errors:
     steps = SlipEstimator(of_receiver()).process_all(measurements)
-    found = [e for _, e in steps if e is not None and e.stamp_ns > 21 * S]
-    t = np.array([e.stamp_ns for e in found]) / S - 1.0
-    off = np.array([e.pose for e in found])
-    off -= np.column_stack([np.interp(t, recording.t, column) for column in recording.poses.T])
-    off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
-    P = np.array([e.pose_covariance for e in found])
-    place = np.einsum("ni,ni->n", off[:, :2], np.linalg.solve(P[:, :2, :2], off[:, :2, None])[:, :, 0])
-    squares = np.mean(off**2, axis=0)
+    found = pose_errors((e for _, e in steps), recording.t, recording.poses).between(20.0)
+    headings = found.off[:, 2] ** 2
     return Errors(
-        math.sqrt(squares[0] + squares[1]),
-        math.sqrt(squares[2]),
-        float(np.mean(place)),
-        float(np.mean(off[:, 2] ** 2 / P[:, 2, 2])),
+        math.sqrt(np.mean(found.distances**2)),
+        math.sqrt(np.mean(headings)),
+        float(np.mean(found.nees(2))),
+        float(np.mean(headings / found.covariances[:, 2, 2])),
     )
 
 

@@ -35,7 +35,7 @@ class SourceFault(IntEnum):
     IGNORED = 4  # for one measurement
     STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
     STAYS = 6  # where it was, and jitters on
-    HEADING_OFF = 7  # its headings are off, not its places
+    HEADING_OFF = 7  # its headings, or swing angles, are off, not its places
     HEADING_WANDERS = 8  # the same, by something else at any time
     MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
 
@@ -56,7 +56,7 @@ class SourceFault(IntEnum):
 
 @compiled
 def is_heading_off(fault: int) -> bool:
-    """Whether a source is assumed to show headings that are off."""
+    """Whether a source is assumed to show headings, or swing angles, that are off."""
     return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
 
 

@@ -77,7 +77,7 @@ FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 _LOG_TURN = math.log(2.0 * math.pi)
-_ALIKE = 1.0  # s, for which a compass or an encoder errs alike
+_ANGLE_ERROR_TIME = 1.0  # s, for which an error of a compass or an encoder lasts
 
 
 @inlined
@@ -106,7 +106,7 @@ def use_weighed(
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
     if kind in (HEADING, ON_SWING):
-        uncounted = 1.0 - min(elapsed / _ALIKE, 1.0)
+        uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
         update.evidence -= uncounted * max(_log_density(update) - outside, 0.0)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _whiten(state, o.innovation, predicted + R, update)

@@ -183,8 +183,8 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
         return False
     since_ns, period_ns = before.fault_ns[source], c.events.fault_time * 1e9
     for other in range(MOST_SOURCES):
-        alike = c.yaw_offsets[other] >= 0 and c.of_swing[other] == c.of_swing[source]
-        shows = number_of(other, c) >= 0 if is_place else alike
+        same_angle = c.yaw_offsets[other] >= 0 and c.of_swing[other] == c.of_swing[source]
+        shows = number_of(other, c) >= 0 if is_place else same_angle
         if other != source and shows and before.consistent_ns[other] > since_ns:
             return False  # it shows no jump
     first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
