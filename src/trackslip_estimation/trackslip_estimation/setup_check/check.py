@@ -8,7 +8,7 @@ radius, lever arms, offsets.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,9 +28,11 @@ from trackslip_estimation.setup_check.finding import (
 )
 from trackslip_estimation.setup_check.fit import Lever, scales
 from trackslip_estimation.setup_check.grid import WINDOW, make_grid, window_sums
+from trackslip_estimation.setup_check.gyro_scale import judge_scale
 from trackslip_estimation.setup_check.heading import unit_log
-from trackslip_estimation.setup_check.log import Compass, Fixes, Log
+from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
 from trackslip_estimation.setup_check.path import thinned
+from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, scale_of, turns_of
 
 _UNIT_GAIN = 8.0  # ln likelihood of headings of another unit
@@ -78,9 +80,12 @@ def _check(log: Log, found: _Found) -> list[str]:
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         found.add([], [_STILL])
         return []
-    drive = Drive.of(log, None, *_primary(log))
+    drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
+    found.add([] if quantity is None else [quantity])
+    log, drive = replace(log, tracks=drive.log.tracks), drive.with_gyro(None)
     rough = speeds.rough_scale(drive)
-    unit = speeds.unit_of(rough)
+    units = speeds.units_of(log.tracks)
+    unit = speeds.unit_of(rough, units)
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
     state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
     drive = state.drive if state.is_scaled or state.is_contradicted else _in_radians(state.drive, found)
@@ -119,9 +124,14 @@ def _primary(log: Log) -> tuple[Fixes | None, Compass | None]:
     return fixes, next(iter([*own, *used, *usable]), None)
 
 
+def _first_gyro(log: Log) -> Gyro | None:
+    """That has readings."""
+    return next((one for one in log.gyros if len(one.t) >= 10), None)
+
+
 def _inertial(drive: Drive, log: Log, found: _Found, *, is_unit_known: bool) -> inertial.Inertial:
     """By the first gyro of the log that has readings."""
-    gyro = next((one for one in log.gyros if len(one.t) >= 10), None)
+    gyro = _first_gyro(log)
     if gyro is None:
         return inertial.Inertial(drive)
     state = inertial.examine(drive, gyro, is_unit_known=is_unit_known)
@@ -157,13 +167,15 @@ def _continuous(drive: Drive, unit: float, found: _Found) -> None:
     late = _judge_delays(lates, lever, drive.fixes, found)
     if late is not None:
         drive = clocks.undelayed(drive, late)
+    scale = judge_scale(drive)
+    found.add([] if scale is None else [scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
         found.add([], [Undetermined("rolling radius and unit of the speeds", needed)])
         return
-    if not _judge_distance(drive, drive.fixes, unit, found):  # an arm is in the unit of the fixes
-        return
-    if drive.gyro is not None and late is None:
+    if not found.has("speed_unit") and not _judge_distance(drive, drive.fixes, unit, found):
+        return  # an arm is in the unit of the fixes
+    if drive.gyro is not None and late is None and scale is None:
         found.add(*places.judge_lever(lever, drive.fixes, drive.machine))
     if lever is not None and max(lever.stddevs) < 0.3:
         found.measured += _arms(lever, drive.fixes)
@@ -207,7 +219,7 @@ def _judge_distance(drive: Drive, fixes: Fixes, unit: float, found: _Found) -> b
     best = max((one for one in all_scales if one is not None), key=speeds.worth, default=None)
     is_known = drive.gyro is not None and fit.logs.max() > LEAST_LOG and not found.has("gyro_unit")
     turned = float(fit.efficiencies[int(np.argmax(fit.logs))]) / unit if is_known else float("nan")
-    causes, open_ones = speeds.judge(best, drive.machine, unit, drive.distance_by_fixes, turned)
+    causes, open_ones = speeds.judge(best, drive.log, unit, drive.distance_by_fixes, turned)
     found.add(causes, open_ones)
     return not any(one.is_wrong for one in open_ones)
 

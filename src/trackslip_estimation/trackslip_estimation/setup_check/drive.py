@@ -66,8 +66,9 @@ class Drive:
 
     @cached_property
     def x(self) -> FloatArray:
-        """(w, 2) distances of the tracks in windows over the tread, rad."""
-        return window_sums(self.grid, self.grid.tracks) / self.machine.tread
+        """(w, 2) distances of the tracks in windows over the tread, rad; nan where they were not recorded."""
+        tracks = np.where(self.grid.is_driven[:, np.newaxis], self.grid.tracks, np.nan)
+        return window_sums(self.grid, tracks) / self.machine.tread
 
     @cached_property
     def turn(self) -> FloatArray:

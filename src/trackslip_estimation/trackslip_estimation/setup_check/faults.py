@@ -96,7 +96,7 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     tracks = log.tracks
     lost = np.zeros(len(tracks.t), np.bool_)
     for side, name in enumerate(("left", "right")):
-        lost |= _note(found, "sprockets", f"{name} speed", tracks.speeds[:, side])
+        lost |= _note(found, "sprockets", f"{name} speed", tracks.speeds[:, side], _after_gap(tracks.t))
     if lost.any():
         kept = ~lost
         none = np.full((int(kept.sum()), 2), np.nan)
@@ -106,7 +106,7 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     for gyro in log.gyros:
         lost = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
-            lost |= _note(found, gyro.name, f"rate about {name}", gyro.rates[:, axis])
+            lost |= _note(found, gyro.name, f"rate about {name}", gyro.rates[:, axis], _after_gap(gyro.t))
         kept = ~lost
         gyros.append(
             replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept])
@@ -118,9 +118,17 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), found
 
 
-def _note(found: list[Missing], source: str, column: str, values: FloatArray) -> BoolArray:
+def _after_gap(t: FloatArray) -> BoolArray:
+    """(n,) readings before which one is missing: an increment is twice as large there."""
+    intervals = np.diff(t, prepend=t[:1])
+    return np.asarray(intervals > 1.5 * np.median(intervals))
+
+
+def _note(
+    found: list[Missing], source: str, column: str, values: FloatArray, after_gap: BoolArray
+) -> BoolArray:
     missing = missing_in(values)
-    if missing is None:
+    if missing is None or after_gap[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
     found.append(Missing(source, column, value, int(where.sum()), float(where.mean())))

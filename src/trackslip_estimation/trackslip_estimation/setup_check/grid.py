@@ -75,7 +75,7 @@ def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
 def angles_of(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> FloatArray:
     """(n, 2) continuous angles: positions (n, 2) where all are numbers, else the integral of the speeds."""
     if len(t) and np.isfinite(positions).all():
-        return np.asarray(positions - positions[0])
+        return positions
     return integral(t, speeds)
 
 

@@ -96,7 +96,8 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
             open_ones.append(Undetermined(what, needed, is_wrong=True))
         else:
             what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
-            open_ones.append(Undetermined(what, "turn left and right by 90° once each, with fixes"))
+            needed = "turn left and right by 90° once each, with fixes"
+            open_ones.append(Undetermined(what, needed, is_wrong=True))
         return Inertial(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
     swings = gyro.is_above and drive.log.swing is None
     if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(drive):

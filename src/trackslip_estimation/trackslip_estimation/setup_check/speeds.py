@@ -9,14 +9,16 @@ only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 hold
 log too.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Scales
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Machine
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Log, Machine, Tracks
 
-UNITS = {  # speed by the tracks over what it should be
+_UNITS = {
     "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
     "rad/s, declared rpm": 2.0 * np.pi / 60.0,
     "rev/s, declared rad/s": 1.0 / (2.0 * np.pi),
@@ -70,11 +72,16 @@ def rough_scale(drive: Drive) -> float:
     return float(np.percentile(way[fast] / own[fast], 70))
 
 
-def unit_of(rho: float) -> float:
-    """Factor that a rough ρ asks for; 1 where slip or a radius may explain it."""
+def units_of(tracks: Tracks) -> Mapping[str, float]:
+    """Speed by the tracks over what it should be, by what is wrong."""
+    return {**_UNITS, "increments, declared speeds": float(np.median(np.diff(tracks.t)))}
+
+
+def unit_of(rho: float, units: Mapping[str, float]) -> float:
+    """Factor of ``units`` that a rough ρ asks for; 1 where slip or a radius may explain it."""
     if not np.isfinite(rho) or 0.3 <= rho <= 1.75:
         return 1.0
-    return float(min(UNITS.values(), key=lambda f: abs(np.log(rho * f))))
+    return float(min(units.values(), key=lambda f: abs(np.log(rho * f))))
 
 
 def slip_log(rho: float) -> float:
@@ -135,7 +142,7 @@ class Ratios:
 
 
 def judge(
-    found: Scales | None, machine: Machine, factor: float, distance: float, turned: float
+    found: Scales | None, log: Log, factor: float, distance: float, turned: float
 ) -> tuple[list[Cause], list[Undetermined]]:
     """``factor``: of the unit, undone in ``found`` already; ``distance``: by the fixes, m.
 
@@ -144,14 +151,14 @@ def judge(
     if found is None or len(found.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
         needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         return [], [Undetermined("unit of the speeds and rolling radius", needed)]
-    ratios = Ratios(found)
+    ratios, machine, units = Ratios(found), log.machine, units_of(log.tracks)
     whole = ratios.best / factor  # of what was recorded
-    names = {name: slip_log(whole * f) for name, f in UNITS.items()}
+    names = {name: slip_log(whole * f) for name, f in units.items()}
     best = max(names, key=lambda name: names[name])
     gain = names[best] - max(slip_log(whole), -60.0) - 1.0
     if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # no ground of the drive is a better one
         middle = ratios.middle / factor
-        gain = max(gain, slip_log(middle * UNITS[best]) - slip_log(middle) - 1.0)
+        gain = max(gain, slip_log(middle * units[best]) - slip_log(middle) - 1.0)
     gear = _gear(ratios, factor) if ratios.is_straight else None
     if gear is not None:
         return [gear], []
@@ -161,7 +168,7 @@ def judge(
     if is_radius and _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
         return [_radius(ratios, machine, factor)], []
     if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
-        value = UNITS[best]
+        value = units[best]
         by_speeds = names[best] + _turn_log(turned * value)
         if by_speeds < slip_log(whole / _FEET) + _turn_log(turned) + LEAST_LOG:
             what = f"fixes go {whole:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
@@ -177,7 +184,8 @@ def judge(
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     if middle - ratios.spread / factor > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
-        return [], [Undetermined(what, "drive 20 m straight in each gear")]
+        is_wrong = middle - ratios.spread / factor > _GEAR[1]  # of any gear, and of any arm in turns
+        return [], [Undetermined(what, "drive 20 m straight in each gear", is_wrong=is_wrong)]
     ahead = int((ratios.values / factor > _GEAR[0]).sum())
     if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
         what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"
