@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds
+from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds, unmoved
 from trackslip_estimation.setup_check.common_clock import with_common_clock
 from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
@@ -82,13 +82,18 @@ def _check(log: Log, found: _Found) -> list[str]:
         return []
     drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
     found.add([] if quantity is None else [quantity])
-    log, drive = replace(log, tracks=drive.log.tracks), drive.with_gyro(None)
+    log = replace(log, tracks=drive.log.tracks)
+    log, drive = log if drive.gyro is None else log.with_gyro(drive.gyro), drive.with_gyro(None)
+    causes, open_ones = unmoved.judge_fixes(drive)
+    found.add(causes, open_ones)
+    drive = drive.without_fixes() if causes else drive
     rough = speeds.rough_scale(drive)
     units = speeds.units_of(log.tracks)
     unit = speeds.unit_of(rough, units)
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
     state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
     drive = state.drive if state.is_scaled or state.is_contradicted else _in_radians(state.drive, found)
+    found.add([], unmoved.judge_turns(drive))
     sided = sides.Sides(None) if state.is_contradicted else sides.examine(drive, unit)
     if any(cause.cause == "frame" for cause in sided.causes):  # far away in their unit only
         found.causes = [cause for cause in found.causes if cause.cause != "datum"]
@@ -167,7 +172,7 @@ def _continuous(drive: Drive, unit: float, found: _Found) -> None:
     late = _judge_delays(lates, lever, drive.fixes, found)
     if late is not None:
         drive = clocks.undelayed(drive, late)
-    scale = judge_scale(drive)
+    scale = None if found.has("gyro_unit") else judge_scale(drive)
     found.add([] if scale is None else [scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
@@ -177,6 +182,7 @@ def _continuous(drive: Drive, unit: float, found: _Found) -> None:
         return  # an arm is in the unit of the fixes
     if drive.gyro is not None and late is None and scale is None:
         found.add(*places.judge_lever(lever, drive.fixes, drive.machine))
+    found.add([], places.judge_direction(drive))
     if lever is not None and max(lever.stddevs) < 0.3:
         found.measured += _arms(lever, drive.fixes)
     if drive.compass is not None:

@@ -15,8 +15,8 @@ from trackslip_estimation.setup_check.log import FloatArray
 from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, mixture, turns_of
 
-_SCALES = np.geomspace(0.5, 2.0, 29)
-_RIGHT = np.log(1.1)  # by which the logarithm of the scale of a sound gyro differs from 0 at the most
+_SCALES = np.geomspace(0.4, 2.5, 19)
+_RIGHT = np.log(1.11)  # by which the logarithm of the scale of a sound gyro differs from 0 at the most
 _SPACING = 0.5  # s of fixes
 
 

@@ -10,7 +10,8 @@ from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
-from trackslip_estimation.setup_check.heading import mean_direction, place_at, wrapped
+from trackslip_estimation.setup_check.grid import WINDOW
+from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrapped
 from trackslip_estimation.setup_check.log import BoolArray, Compass, Fixes, Machine, group_of
 from trackslip_estimation.setup_check.path import Path, thinned
 from trackslip_estimation.setup_check.signs import HEADING
@@ -27,6 +28,7 @@ _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
 _LEAST_COURSES = 5
 _MOST_PIECES = 0.8  # share of them
 _HALF_TURN = 0.3  # rad from it
+_SOON = 30.0  # s between pieces, in which no gyro drifts by that
 _FRONT = "or front and rear exchanged: tracks swapped, and both counting backwards"
 _AHEAD = "drive 10 m ahead: both tracks must count up"
 _FAR = 5e3  # m from the origin of the map, beyond any site
@@ -143,13 +145,36 @@ def _judge_reverse(
         leave = leave if compass.of_poses else f"leave {compass.name} out of slip_estimator.heading_sources"
         remedy = f"Take the heading of two antennas on the undercarriage, or {leave}"
         return [Cause(HEADING, compass.name, evidence, odds_of(2.0 * len(back)), remedy)], []
-    if not len(back):
-        what = (
-            f"machine that goes backwards by {compass.name} in {turned} of {len(ahead)} straight pieces, "
-            "while the tracks count forward: encoders without a direction, or a heading of a cab that swung"
-        )
-        return [], [Undetermined(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)]
-    return [], []
+    return [], [] if len(back) else [_without_direction(compass.name, turned, len(ahead))]
+
+
+def _without_direction(by: str, turned: int, pieces: int) -> Undetermined:
+    what = (
+        f"machine that goes backwards by {by} in {turned} of {pieces} straight pieces, while the tracks "
+        "count forward: encoders without a direction, or a heading of a cab that swung"
+    )
+    return Undetermined(what, "drive 10 m in reverse with the cab ahead", is_wrong=True)
+
+
+def judge_direction(drive: Drive) -> list[Undetermined]:
+    """Tracks that only count forward, against courses and the turns of the gyro, where there are no headings.
+
+    From one straight piece to the next the course turns as the gyro does, or by half a turn more.
+    """
+    if drive.gyro is None or drive.fixes is None or drive.compass is not None:
+        return []
+    edges = drive.grid.edges
+    turned = Compass(drive.gyro.name, edges, np.concatenate(([0.0], np.cumsum(drive.gyro_turn))))
+    steps = straight_courses(drive.grid, drive.gyro_turn, drive.fixes, turned)
+    if len(steps.courses) < _LEAST_COURSES or (drive.x.sum(axis=1)[steps.windows] < 0.0).any():
+        return []
+    more = np.abs(wrapped(np.diff(steps.courses - steps.headings)))
+    turns_round = (more > np.pi - _HALF_TURN) & (np.diff(steps.windows) * WINDOW < _SOON)
+    is_opposite = np.concatenate(([0], np.cumsum(turns_round))) % 2 == 1
+    fewer = min(int(is_opposite.sum()), int((~is_opposite).sum()))
+    if fewer < _LEAST_COURSES or turns_round.sum() < 2:
+        return []
+    return [_without_direction(f"{drive.fixes.name} and {drive.gyro.name}", fewer, len(is_opposite))]
 
 
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the columns of the sprockets are: positions, speeds or increments, whatever they are declared.
+"""What columns of sprockets and gyro are: positions, speeds or increments, whatever they are declared.
 
-Right is what makes the tracks move when the fixes do, and turn when the gyro does; units and signs of all
-sensors are free. n windows of which a share R² is explained weigh −n/2 ln(1 − R²).
+Right is what makes the tracks move when the fixes do, and turn when gyro and headings do; units and signs of
+all sensors are free. n windows of which a share R² is explained weigh −n/2 ln(1 − R²).
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ import numpy as np
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, integral
-from trackslip_estimation.setup_check.log import FloatArray, Tracks
+from trackslip_estimation.setup_check.log import FloatArray, Log, Tracks
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import scale_of
 
@@ -27,57 +27,82 @@ _LEAST_WINDOWS = 8
 class _Reading(NamedTuple):
     """A way to read the columns, and what to do if it is the right one."""
 
+    cause: str
     what: str
-    angles: Callable[[Tracks], FloatArray]  # (n, 2) of the sprockets, rad
+    change: Callable[[Log], Log]
     remedy: str
+
+
+def _tracks(angles: Callable[[Tracks], FloatArray]) -> Callable[[Log], Log]:
+    """``angles`` (n, 2) of the sprockets, rad."""
+
+    def change(log: Log) -> Log:
+        t, found = log.tracks.t, angles(log.tracks)
+        return replace(log, tracks=Tracks(t, np.gradient(found, t, axis=0), found))
+
+    return change
+
+
+def _gyro_of_angles(log: Log) -> Log:
+    gyros = (replace(g, rates=np.gradient(np.unwrap(g.rates, axis=0), g.t, axis=0)) for g in log.gyros)
+    return replace(log, gyros=tuple(gyros))
 
 
 _READINGS = (
     _Reading(
+        "speed_unit",
         "speeds, declared positions",
-        lambda tracks: integral(tracks.t, tracks.angles),
+        _tracks(lambda tracks: integral(tracks.t, tracks.angles)),
         "Call the columns left_velocity and right_velocity in the mapping",
     ),
     _Reading(
+        "speed_unit",
         "increments, declared positions",
-        lambda tracks: np.cumsum(tracks.angles, axis=0),
+        _tracks(lambda tracks: np.cumsum(tracks.angles, axis=0)),
         "State 'increments: true' at left_position and right_position in the mapping",
     ),
     _Reading(
+        "speed_unit",
         "positions, declared speeds",
-        lambda tracks: tracks.speeds,
+        _tracks(lambda tracks: tracks.speeds),
         "Call the columns left_position and right_position in the mapping",
+    ),
+    _Reading(
+        "gyro_unit",
+        "angles, declared rates",
+        _gyro_of_angles,
+        "Name the column of the yaw rate, not of the yaw angle, at angular_velocity_z in the mapping",
     ),
 )
 
 
 class _Found(NamedTuple):
-    """How well a drive explains fixes and gyro."""
+    """How well sensors of a drive explain each other, pair by pair."""
 
     weight: float  # ln likelihood over that of no relation
-    explained: float  # largest R² of one of them
+    shares: FloatArray  # (4,) R²
 
 
 def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
     """The drive with the columns read rightly, and the mistake, if they were declared something else."""
-    declared, best = _explained(drive), (drive, _Found(0.0, 0.0), _READINGS[0])
+    declared, best = _explained(drive), (drive, _Found(0.0, np.zeros(4)), _READINGS[0])
     for reading in _READINGS:
-        own = drive.log.tracks
-        angles = reading.angles(own)
-        tracks = Tracks(own.t, np.gradient(angles, own.t, axis=0), angles)
-        other = Drive(replace(drive.log, tracks=tracks))
+        other = Drive(reading.change(drive.log))
         found = _explained(other)
         gain = found.weight - best[1].weight
         if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # but for the distance
             best = other, found, reading
-    log_ratio = best[1].weight - declared.weight - PRIOR
-    if log_ratio < PRIOR or best[1].explained < _LEAST_EXPLAINED:
+    changed, found, reading = best
+    pair = int(np.argmax(found.shares - declared.shares))  # that it makes agree
+    log_ratio = found.weight - declared.weight - PRIOR
+    if log_ratio < PRIOR or found.shares[pair] < _LEAST_EXPLAINED:
         return drive, None
+    source = "sprockets" if reading.cause == "speed_unit" or drive.gyro is None else drive.gyro.name
     evidence = (
-        f"as {best[2].what}, they explain {best[1].explained:.0%} of what gyro or fixes show of the motion, "
-        f"as declared {declared.explained:.0%}"
+        f"as {reading.what}, they explain {found.shares[pair]:.0%} of what another sensor shows of the "
+        f"motion, as declared {declared.shares[pair]:.0%}"
     )
-    return best[0], Cause("speed_unit", "sprockets", evidence, odds_of(log_ratio), best[2].remedy)
+    return changed, Cause(reading.cause, source, evidence, odds_of(log_ratio), reading.remedy)
 
 
 def _misfit(drive: Drive) -> float:
@@ -89,17 +114,24 @@ def _misfit(drive: Drive) -> float:
 
 def _explained(drive: Drive) -> _Found:
     ways = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))  # with the same sign, or the other
-    parts = [_of(drive.fix_ways, ways[:, :1]), _of(drive.fix_ways, ways[:, 1:]), _of(drive.turn, drive.x)]
-    by_fixes = max(parts[:2])
-    return _Found(by_fixes.weight + parts[2].weight, max(by_fixes.explained, parts[2].explained))
+    pairs = (
+        max(explained_share(drive.fix_ways, ways[:, k : k + 1]) for k in (0, 1)),
+        explained_share(drive.turn, drive.x),
+        explained_share(drive.heading_turn, drive.x),
+        explained_share(drive.heading_turn, drive.turn[:, np.newaxis]),
+    )
+    weight = sum(-count / 2.0 * float(np.log1p(-share)) for share, count in pairs)
+    return _Found(weight, np.array([share for share, _ in pairs]))
 
 
-def _of(shown: FloatArray, x: FloatArray) -> _Found:
-    """Of what a sensor shows in windows (w,), by a linear relation to x (w, k)."""
+def explained_share(shown: FloatArray, x: FloatArray) -> tuple[float, int]:
+    """R² of what a sensor shows in windows (w,) by a linear relation to x (w, k), and of how many."""
     usable = np.isfinite(shown) & np.isfinite(x).all(axis=1)
-    if usable.sum() < _LEAST_WINDOWS:
-        return _Found(0.0, 0.0)
+    count = int(usable.sum())
+    if count < _LEAST_WINDOWS:
+        return 0.0, 0
     y, columns = shown[usable] - shown[usable].mean(), x[usable] - x[usable].mean(axis=0)
     rest = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
-    share = min(1.0 - float(rest @ rest) / max(float(y @ y), 1e-12), _MOST_EXPLAINED)
-    return _Found(-len(y) / 2.0 * float(np.log1p(-max(share, 0.0))), max(share, 0.0))
+    of_y = float(y @ y)
+    share = 1.0 - float(rest @ rest) / of_y if of_y > 1e-12 else 0.0
+    return min(max(share, 0.0), _MOST_EXPLAINED), count

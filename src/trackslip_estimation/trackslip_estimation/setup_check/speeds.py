@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from trackslip_estimation.setup_check.drive import Drive
-from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Scales
 from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Log, Machine, Tracks
 
@@ -182,10 +182,17 @@ def judge(
             f"unit), or vehicle.kinematics.rolling_radius: {machine.radius / value:.4g}"
         )
         return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
+    gain = -max(slip_log(whole), -60.0) - PRIOR
+    if gain > LEAST_LOG and ratios.is_straight and not 1.0 < whole < _GEAR[1]:
+        evidence = f"fixes go {whole:.3g} times as far as the tracks: no slip, and no usual unit, does that"
+        remedy = (
+            f"State the gear (roles file: ratio, counts_per_turn), or scale: {whole:.3g} at left_velocity "
+            "and right_velocity in the mapping"
+        )
+        return [Cause("speed_unit", "sprockets", evidence, odds_of(gain), remedy)], []
     if middle - ratios.spread / factor > _RADIUS_RANGE[0]:
         what = f"machine that goes {middle:.2f} times as far as its tracks: gear, unit or rolling radius"
-        is_wrong = middle - ratios.spread / factor > _GEAR[1]  # of any gear, and of any arm in turns
-        return [], [Undetermined(what, "drive 20 m straight in each gear", is_wrong=is_wrong)]
+        return [], [Undetermined(what, "drive 20 m straight in each gear")]
     ahead = int((ratios.values / factor > _GEAR[0]).sum())
     if ahead >= max(_LEAST_AHEAD, 0.1 * len(ratios.values)):
         what = f"machine that goes {_GEAR[0]:g} times as far as its tracks, or more, in {ahead} pieces"

@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sources that do not show the motion: fixes that stay, a gyro or headings that turn as nothing else does."""
+
+import numpy as np
+
+from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
+from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.log import Fixes
+from trackslip_estimation.setup_check.quantities import explained_share
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
+
+_LEAST_WAY = 10.0  # m, by the tracks
+_QUIETEST = 5e-3  # m, by which fixes of any receiver differ within minutes
+_STILL = 1e-4  # of the way: no path is so narrow
+_LEAST_PLACES = 10
+_REPEATED = 0.5  # share of the way
+_FOLLOWS, _FOLLOWS_NOT = 0.8, 0.2  # R²
+_LEAST_WINDOWS = 20
+
+
+def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
+    """Fixes that are at one place while the tracks go."""
+    fixes = drive.fixes
+    if fixes is None or len(fixes.t) < _LEAST_PLACES:
+        return [], []
+    way = np.nansum(np.abs(drive.grid.tracks).max(axis=1), initial=0.0)
+    repeated = _way_repeated(drive, fixes)
+    extent = float(np.ptp(fixes.places, axis=0).max())
+    name = fixes.name
+    if way < _LEAST_WAY:
+        return [], []
+    if repeated > max(_REPEATED * way, _LEAST_WAY):
+        what = (
+            f"{name} repeats its places while the tracks go {repeated:.0f} m: a receiver that is frozen, or "
+            "another column"
+        )
+        needed = "look at the places as they come, while the machine drives"
+        return [], [Undetermined(what, needed, is_wrong=True)]
+    if extent > min(_QUIETEST, _STILL * way):
+        return [], []
+    evidence = (
+        f"its places differ by {extent:.2g} m while the tracks go {way:.0f} m: no receiver is so quiet, so "
+        "they are in another unit"
+    )
+    remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
+    return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
+
+
+def _way_repeated(drive: Drive, fixes: Fixes) -> float:
+    """By the tracks while fixes were bit for bit the one before, m."""
+    ways = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
+    steps = np.diff(np.interp(fixes.t, drive.grid.edges, ways))
+    return float(steps[(np.diff(fixes.places, axis=0) == 0.0).all(axis=1)].sum())
+
+
+def judge_turns(drive: Drive) -> list[Undetermined]:
+    """A gyro, or headings that are used, which turn as the tracks and each other do not."""
+    left, right = drive.x.T
+    if turns_of(USUAL_EFFICIENCY * (right - left)) < LEAST_TURNS:
+        return []
+    by_gyro, gyro_windows = explained_share(drive.turn, drive.x)
+    by_heading, heading_windows = explained_share(drive.heading_turn, drive.x)
+    both, _ = explained_share(drive.heading_turn, drive.turn[:, np.newaxis])
+    gyro, compass, found = drive.gyro, drive.compass, []
+    if gyro is None or gyro_windows < _LEAST_WINDOWS or (gyro.is_above and drive.log.swing is None):
+        return []
+    if max(by_gyro, both) < _FOLLOWS_NOT:
+        found.append(f"turns of {gyro.name} that neither tracks nor headings show")
+    is_shown = compass is not None and compass.is_used and heading_windows >= _LEAST_WINDOWS
+    if compass is not None and is_shown and max(by_heading, both) < _FOLLOWS_NOT and by_gyro > _FOLLOWS:
+        found.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
+    needed = "look at its column as it comes, while the machine turns left and right by 90°"
+    return [Undetermined(what, needed, is_wrong=True) for what in found]
