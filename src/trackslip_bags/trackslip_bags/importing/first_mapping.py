@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A first mapping for one CSV log, from the names of its columns; a user reads and corrects it."""
 
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -31,31 +32,58 @@ class _Kind(NamedTuple):
 
     topic: str  # empty: the time
     field: str
-    names: str  # a regular expression
+    is_name: Callable[[str], object]
     quantities: tuple[str, ...]
     usual: str  # unit where the name has none
 
 
-def _side(side: str) -> str:
+_COUNTS = {"tick", "ticks", "count", "counts", "pulse", "pulses", "enc", "encoder"}
+_POSITIONS = _COUNTS | {"pos", "position", "angle"}
+_INCREMENTS = {"delta", "d", "inc", "increment", "increments"}
+_PARTS = {"wheel", "track", "sprocket", "motor"}
+_COUNTS_PER_TURN = 1000
+
+
+def _speed(side: str) -> Callable[[str], object]:
     moving = "(?:speed|vel|velocity|track|wheel|sprocket|v|w|omega)?"
-    return f"{moving}_?(?:{side}|{side[0]})_?{moving}"
+    return re.compile(f"{moving}_?(?:{side}|{side[0]})_?{moving}").fullmatch
+
+
+def _position(side: str) -> Callable[[str], bool]:
+    def is_name(stem: str) -> bool:
+        words = set(stem.split("_"))
+        others = words - {side, side[0]}
+        return bool(others < words and others & _POSITIONS and others <= _POSITIONS | _PARTS | _INCREMENTS)
+
+    return is_name
+
+
+def _named(names: str) -> Callable[[str], object]:
+    return re.compile(names).fullmatch
 
 
 _KINDS = (
-    _Kind("", "time", r"t|time|stamp|timestamp|seconds?|secs?", ("time",), "s"),
-    _Kind("sprockets", "left_velocity", _side("left"), ("speed", "angular rate"), "m/s"),
-    _Kind("sprockets", "right_velocity", _side("right"), ("speed", "angular rate"), "m/s"),
+    _Kind("", "time", _named(r"t|time|stamp|timestamp|seconds?|secs?"), ("time",), "s"),
+    _Kind("sprockets", "left_velocity", _speed("left"), ("speed", "angular rate"), "m/s"),
+    _Kind("sprockets", "right_velocity", _speed("right"), ("speed", "angular rate"), "m/s"),
+    _Kind("sprockets", "left_position", _position("left"), ("angle",), "rad"),
+    _Kind("sprockets", "right_position", _position("right"), ("angle",), "rad"),
     _Kind(
         "imu/data_raw",
         "angular_velocity_z",
-        r"(?:gyro|g|w|omega|rate|angular_velocity)_?z|yaw_?rate|turn_?rate",
+        _named(r"(?:gyro|g|w|omega|rate|angular_velocity)_?z|yaw_?rate|turn_?rate"),
         ("angular rate",),
         "rad/s",
     ),
-    _Kind("gnss_pose", "latitude", r"lat|latitude", ("angle",), "deg"),
-    _Kind("gnss_pose", "longitude", r"lon|lng|long|longitude", ("angle",), "deg"),
+    _Kind("gnss_pose", "latitude", _named(r"lat|latitude"), ("angle",), "deg"),
+    _Kind("gnss_pose", "longitude", _named(r"lon|lng|long|longitude"), ("angle",), "deg"),
+    _Kind("gnss_pose", "x", _named(r"x|e|east|easting|(?:gnss|gps|pos|position)_x"), ("length",), "m"),
+    _Kind("gnss_pose", "y", _named(r"y|n|north|northing|(?:gnss|gps|pos|position)_y"), ("length",), "m"),
 )
-_NEEDED = ("time", "left_velocity", "right_velocity")
+_PAIRS = (  # of which a log has both or none; the first one counts
+    (("left_velocity", "right_velocity"), ("left_position", "right_position")),
+    (("latitude", "longitude"), ("x", "y")),
+)
 
 
 @dataclass(frozen=True)
@@ -69,7 +97,7 @@ class FirstMapping:
 
 
 def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> FirstMapping:
-    """Of a CSV log with times, speeds of both sides, and if it has them yaw rate, latitude and longitude.
+    """Of a CSV log with times, speeds or positions of both sides, and if it has them yaw rate and places.
 
     ``parameters``: of the slip estimator, dotted, over those that follow from the columns.
 
@@ -77,9 +105,12 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         InputError: it is no table, or has no column that looks like one of these.
     """
     names = _names(log)
-    columns = {kind: _column(kind, names) for kind in _KINDS}
-    fields = {kind: found for kind, found in columns.items() if found is not None}
-    lacking = [name for name in _NEEDED if name not in {kind.field for kind in fields}]
+    fields = _one_of_each_pair({kind: found for kind in _KINDS if (found := _column(kind, names))})
+    lacking = [
+        " or ".join(names)
+        for names in (("time",), ("left_velocity", "left_position"), ("right_velocity", "right_position"))
+        if not set(names) & {kind.field for kind in fields}
+    ]
     if lacking:
         raise InputError(
             f"{log}: no column looks like {', '.join(lacking)} among {', '.join(names)}; "
@@ -87,21 +118,24 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         )
     topics: dict[str, dict[str, Any]] = {}
     tree: dict[str, Any] = {"vehicle": vehicle}
-    for kind, (name, unit, _) in fields.items():
-        (topics.setdefault(kind.topic, {}) if kind.topic else tree)[kind.field] = _Flow(
-            column=name, unit=unit
-        )
-    guessed = [f"unit of {name}: {unit}" for name, unit, is_stated in fields.values() if not is_stated]
-    if "latitude" in topics.get("gnss_pose", {}):
+    for kind, found in fields.items():
+        (topics.setdefault(kind.topic, {}) if kind.topic else tree)[kind.field] = found.entry
+    guessed = [f"unit of {one.name}: {one.unit}" for one in fields.values() if not one.is_stated]
+    guessed += [
+        f"counts of {one.name}: {_COUNTS_PER_TURN} a turn ('scale', and encoder_resolution in rad)"
+        for one in fields.values()
+        if one.is_counted
+    ]
+    if "gnss_pose" in topics:
         stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
         topics["gnss_pose"]["stddev"] = _Flow(x=stddev, y=stddev)
         guessed.append(f"standard deviation of positions: {stddev:g} m")
-    tree |= {"topics": topics, "parameters": {**_sources(topics), **parameters}}
+    tree |= {"topics": topics, "parameters": {**_sources(topics, fields), **parameters}}
     head = f"# What is what in {log.name}, by trackslip import. Correct it; docs/import.md has every key.\n"
-    used = {name for name, _, _ in fields.values()}
+    used = {one.name for one in fields.values()}
     return FirstMapping(
         text=head + yaml.dump(tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True),
-        found={kind.field: f"{name}, {unit}" for kind, (name, unit, _) in fields.items()},
+        found={kind.field: f"{one.name}, {one.unit}" for kind, one in fields.items()},
         guessed=tuple(guessed),
         unused=tuple(name for name in names if name not in used),
     )
@@ -118,19 +152,51 @@ def _names(log: Path) -> list[str]:
     return [name for name in find_head(log, lines, Dialect(), ()).names if name]
 
 
-def _column(kind: _Kind, names: list[str]) -> tuple[str, str, bool] | None:
-    """Name, unit, and whether the name states it, of the first column of a kind."""
+class _Found(NamedTuple):
+    """A column of a kind."""
+
+    name: str
+    unit: str
+    is_stated: bool  # the unit, by the name
+    is_counted: bool
+    has_increments: bool
+
+    @property
+    def entry(self) -> "_Flow":
+        """Of the mapping."""
+        scale = {"scale": 1.0 / _COUNTS_PER_TURN} if self.is_counted else {}
+        increments = {"increments": True} if self.has_increments else {}
+        return _Flow(column=self.name, unit=self.unit, **scale, **increments)
+
+
+def _column(kind: _Kind, names: list[str]) -> _Found | None:
+    """The first column of a kind."""
     for name in names:
         for stem, unit in _readings(name):
             is_of_kind = not unit or any(unit in UNITS[quantity] for quantity in kind.quantities)
-            if is_of_kind and re.fullmatch(kind.names, stem):
-                return name, unit or kind.usual, bool(unit)
+            if not is_of_kind or not kind.is_name(stem):
+                continue
+            is_position, words = kind.field.endswith("_position"), set(stem.split("_"))
+            if is_position and not unit and words & _COUNTS:
+                return _Found(name, "rev", True, True, bool(words & _INCREMENTS))
+            return _Found(
+                name, unit or kind.usual, bool(unit), False, is_position and bool(words & _INCREMENTS)
+            )
     return None
+
+
+def _one_of_each_pair(fields: Mapping[_Kind, _Found]) -> dict[_Kind, _Found]:
+    """Without half a pair, and without what another pair says already."""
+    found, left_out = {kind.field for kind in fields}, set()
+    for pairs in _PAIRS:
+        whole = next((pair for pair in pairs if set(pair) <= found), ())
+        left_out |= {name for pair in pairs for name in pair if name not in whole}
+    return {kind: one for kind, one in fields.items() if kind.field not in left_out}
 
 
 def _readings(name: str) -> Iterator[tuple[str, str]]:
     """A name without its unit, and the unit; then the whole name, which states none."""
-    words = re.sub(r"[\W_]+", "_", name.lower()).strip("_")
+    words = re.sub(r"[\W_]+", "_", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
     if in_brackets := re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", name):
         stem = re.sub(r"[\W_]+", "_", name[: in_brackets.start()].lower()).strip("_")
         yield stem, _SPELT.get(in_brackets[1].lower(), in_brackets[1])
@@ -141,9 +207,11 @@ def _readings(name: str) -> Iterator[tuple[str, str]]:
     yield words, ""
 
 
-def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
+def _sources(topics: Mapping[str, Any], fields: Mapping[_Kind, _Found]) -> dict[str, Any]:
     """Parameters that follow from which topics there are."""
-    found: dict[str, Any] = {"encoder_resolution": 0.0}  # speeds, not counts
+    is_counted = any(one.is_counted for one in fields.values())
+    resolution = round(math.tau / _COUNTS_PER_TURN, 6) if is_counted else 0.0
+    found: dict[str, Any] = {"encoder_resolution": resolution}
     if "gnss_pose" in topics:
         found |= {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
     else:
