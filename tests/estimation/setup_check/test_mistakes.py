@@ -365,6 +365,15 @@ def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period
     assert "source_delay" not in names_of(log)
 
 
+@pytest.mark.parametrize("name", ["diameter for radius", "increments as positions", "lever arm ahead"])
+def test_a_mistake_is_named_though_fixes_state_far_more_noise_than_they_have(name: str) -> None:
+    """3 m is what a first mapping guesses."""
+    (fixes,) = drive().fixes
+    log = drive().with_fixes(replace(fixes, stddevs=np.full(len(fixes.t), 3.0)))
+    assert check(log).causes == ()
+    assert MISTAKES[name].cause in names_of(MISTAKES[name].inject(log))
+
+
 def test_a_course_over_ground_is_no_heading() -> None:
     """It turns round in reverse; as yaw of a receiver with one antenna."""
     log = drive()

@@ -31,7 +31,7 @@ from trackslip_estimation.setup_check.grid import WINDOW, make_grid, window_sums
 from trackslip_estimation.setup_check.gyro_scale import judge_scale
 from trackslip_estimation.setup_check.heading import unit_log
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
-from trackslip_estimation.setup_check.path import thinned
+from trackslip_estimation.setup_check.path import thinned, without_excess
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, scale_of, turns_of
 
@@ -77,6 +77,7 @@ def _check(log: Log, found: _Found) -> list[str]:
         log, causes = with_common_clock(log)
         found.add(causes)
     found.add(places.judge_places(log.fixes))
+    log = replace(log, fixes=tuple(without_excess(one) for one in log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         found.add([], [_STILL])
         return []

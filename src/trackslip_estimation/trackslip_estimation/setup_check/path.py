@@ -30,6 +30,7 @@ MOST_LOG = 4.0  # of one segment
 _LEAST_FIXES = 5
 _MOST_FIXES = 16.0  # that count in a segment
 _SLIP_SHARE = 0.03  # of the extent of a segment: what slips leave of any path
+_LEAST_STEPS = 30
 _SPACING = 1.0  # s between fixes whose errors differ
 _LONGEST_OUTAGE = 5.0  # s without fixes within a segment
 _TELLING = 0.5  # ln likelihood that a segment could add, below which it is left out
@@ -84,6 +85,19 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
             last = when
     index = np.array(kept, dtype=np.int64)
     return replace(fixes, t=fixes.t[index], places=fixes.places[index], stddevs=fixes.stddevs[index])
+
+
+def without_excess(fixes: Fixes) -> Fixes:
+    """With the noise that fixes a second apart show, where they state more; a tenth of that at the least.
+
+    What they state may be a guess, or an error that lasts, which is in all of a turn and a straight alike.
+    """
+    thin = thinned(fixes, _SPACING)
+    steps = np.diff(thin.places, axis=0)[np.diff(thin.t) < 1.5 * _SPACING]
+    if len(steps) < _LEAST_STEPS:
+        return fixes
+    shown = 1.4826 * float(np.median(np.abs(np.diff(steps, axis=0)))) / float(np.sqrt(6.0))
+    return replace(fixes, stddevs=np.minimum(fixes.stddevs, np.maximum(shown, 0.1 * fixes.stddevs)))
 
 
 def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> IntArray:

@@ -82,8 +82,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
     """Into the working directory, under the name of the log."""
-    if not logs[0].exists():
-        raise InputError(f"log '{logs[0]}' not found; accepted: logs or their directory, or a bag")
+    lost = next((log for log in logs if not log.exists()), None)
+    if lost is not None:
+        raise InputError(
+            f"log '{lost}' not found; accepted: logs or their directory, or a bag; a bag to create is --output"
+        )
     if len(logs) > 1 or not logs[0].is_file():
         raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
     (log,) = logs
