@@ -104,10 +104,10 @@ def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path, bag: Path, r
 
 
 def test_a_log_that_is_not_there_is_named(refuse: Refuse) -> None:
-    assert (
-        refuse("import", "log.csv")
-        == "log 'log.csv' not found; accepted: logs or their directory, or a bag\n"
-    )
+    for logs, lost in ((["log.csv"], "log.csv"), ([__file__, "out"], "out")):
+        error = refuse("import", *logs)
+        assert f"log '{lost}' not found" in error
+        assert "--output" in error
 
 
 @pytest.mark.parametrize("arguments", [[], ["drive"], ["replay"], ["import"]])

@@ -149,10 +149,10 @@ def judge(
     ``turned``: turn by the gyro over turn by the tracks as recorded, which tells feet from speeds; or nan.
     """
     if found is None or len(found.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
-        needed, ahead = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes", factor < 1.0
-        roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if ahead else ""
+        needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
+        roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
-        return [], [Undetermined(what, needed, is_wrong=ahead)]  # slip does not do that
+        return [], [Undetermined(what, needed, is_wrong=factor < 1.0)]  # slip does not do that
     ratios, machine, units = Ratios(found), log.machine, units_of(log.tracks)
     whole = ratios.best / factor  # of what was recorded
     names = {name: slip_log(whole * f) for name, f in units.items()}

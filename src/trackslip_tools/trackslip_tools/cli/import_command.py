@@ -85,7 +85,7 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
     lost = next((log for log in logs if not log.exists()), None)
     if lost is not None:
         raise InputError(
-            f"log '{lost}' not found; accepted: logs or their directory, or a bag; a bag to create is --output"
+            f"log '{lost}' not found; accepted: logs or their directory, or a bag; --output is the new one"
         )
     if len(logs) > 1 or not logs[0].is_file():
         raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
