@@ -37,6 +37,7 @@ def made(folder: Path, names: str) -> FirstMapping:
             {"left_position": "leftTicks, rev", "angular_velocity_z": "gyroZ, rad/s"},
             3,
         ),
+        ("t_s,meas_left_vel_mps,meas_right_vel_mps,cmd_left_vel", {SIDES[0]: "meas_left_vel_mps, m/s"}, 0),
         ("t_s,enc_l,enc_r", {"right_position": "enc_r, rev"}, 2),
         ("t_s,left_wheel_angle_deg,right_wheel_angle_deg", {"left_position": "left_wheel_angle_deg, deg"}, 0),
         ("t_s,v_left_mps,v_right_mps,left_ticks,right_ticks", {"left_velocity": "v_left_mps, m/s"}, 0),

@@ -45,8 +45,8 @@ _COUNTS_PER_TURN = 1000
 
 
 def _speed(side: str) -> Callable[[str], object]:
-    moving = "(?:speed|vel|velocity|track|wheel|sprocket|v|w|omega)?"
-    return re.compile(f"{moving}_?(?:{side}|{side[0]})_?{moving}").fullmatch
+    word = "(?:speed|vel|velocity|track|wheel|sprocket|motor|measured|meas|v|w|omega)"
+    return re.compile(f"(?:{word}_?)*(?:{side}|{side[0]})(?:_?{word})*").fullmatch
 
 
 def _position(side: str) -> Callable[[str], bool]:
@@ -77,8 +77,16 @@ _KINDS = (
     ),
     _Kind("gnss_pose", "latitude", _named(r"lat|latitude"), ("angle",), "deg"),
     _Kind("gnss_pose", "longitude", _named(r"lon|lng|long|longitude"), ("angle",), "deg"),
-    _Kind("gnss_pose", "x", _named(r"x|e|east|easting|(?:gnss|gps|pos|position)_x"), ("length",), "m"),
-    _Kind("gnss_pose", "y", _named(r"y|n|north|northing|(?:gnss|gps|pos|position)_y"), ("length",), "m"),
+    _Kind(
+        "gnss_pose", "x", _named(r"x|e|east|easting|(?:gnss|gps|(?:\w+_)?pos(?:ition)?)_x"), ("length",), "m"
+    ),
+    _Kind(
+        "gnss_pose",
+        "y",
+        _named(r"y|n|north|northing|(?:gnss|gps|(?:\w+_)?pos(?:ition)?)_y"),
+        ("length",),
+        "m",
+    ),
 )
 _PAIRS = (  # of which a log has both or none; the first one counts
     (("left_velocity", "right_velocity"), ("left_position", "right_position")),

@@ -87,17 +87,16 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
     scale, share = scale_of(drive.turn, drive.x, WINDOW), turned_share(drive.turn, drive.x)
     if scale > EFFICIENCY[1] or share > _MOST_TURN:
         times = f"{max(np.nan_to_num(scale), share):.3g} times as much as"
-        by_heading = _scale_of_heading(drive)
-        if is_unit_known and by_heading is not None and abs(np.log(by_heading)) < _UNIT_ERROR:
-            what = f"machine that turns {times} its tracks, by gyro and heading: the tread is too large"
+        also = _agrees_with(drive, scale) if is_unit_known else ""
+        if also:
+            what = f"machine that turns {times} its tracks, by gyro and {also}: the tread is too large"
             needed = (
                 "measure vehicle.kinematics.tread (m): outer edge of one track to inner edge of the other"
             )
-            open_ones.append(Undetermined(what, needed, is_wrong=True))
         else:
             what = f"gyro that turns {times} the tracks: unit of the gyro, or of the speeds, or the tread"
             needed = "turn left and right by 90° once each, with fixes"
-            open_ones.append(Undetermined(what, needed, is_wrong=True))
+        open_ones.append(Undetermined(what, needed, is_wrong=True))
         return Inertial(drive.with_gyro(None), causes, tuple(open_ones), is_contradicted=not is_unit_known)
     swings = gyro.is_above and drive.log.swing is None
     if unit_cause is None and not swings and frozen_share(gyro) < _MOSTLY and _is_known(drive):
@@ -106,6 +105,15 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
     has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
     down = gravity is not None and gravity[2] < -0.8 and has_rates
     return Inertial(drive, causes, tuple(open_ones), unit_cause is not None, down)
+
+
+def _agrees_with(drive: Drive, scale: float) -> str:
+    """What shows that a gyro is right which turns ``scale`` times as much as the tracks; '': nothing."""
+    by_heading = _scale_of_heading(drive)
+    if by_heading is not None:
+        return "heading" if abs(np.log(by_heading)) < _UNIT_ERROR else ""
+    by_path = _witness(drive, scale / _CENTRE) if scale > 0.0 else None
+    return "path of the fixes" if by_path is not None and by_path < -_LEAST_GAIN else ""
 
 
 def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
