@@ -104,7 +104,7 @@ def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path, bag: Path, r
 
 
 def test_a_log_that_is_not_there_is_named(refuse: Refuse) -> None:
-    for logs, lost in ((["log.csv"], "log.csv"), ([__file__, "out"], "out")):
+    for logs, lost in ((["log.csv"], "log.csv"), ([__file__, "no_such_bag"], "no_such_bag")):
         error = refuse("import", *logs)
         assert f"log '{lost}' not found" in error
         assert "--output" in error
