@@ -300,6 +300,22 @@ def test_sprockets_that_lose_every_other_count_leave_the_place_to_fixes(fastest:
     assert happened == [Event.STRAYS, Event.SOUND]
 
 
+@pytest.mark.parametrize("share", [0.45, 0.5])
+def test_counts_that_are_lost_beside_fixes_with_headings_are_no_wandering_receiver(share: float) -> None:
+    """A slip explained the first of them, and counts that are lost had then to be as rare as both."""
+    machine = Machine(seed=9, fix_rate=5, heading_noise=0.01, track_error=0.1, gyro_noise=0.002)
+    recording = drive(machine)
+    lost = [
+        replace(m, left_speed=share * m.left_speed, right_speed=share * m.right_speed)
+        if isinstance(m, Sprockets) and 20 * S <= m.stamp_ns - S < 40 * S
+        else m
+        for m in recording.measurements
+    ]
+    error, nees, _ = errors(lost, recording, parameters(**GNSS, **{"sources.box_pose.use_heading": True}))
+    assert np.sqrt(np.mean(error**2)) < 0.06
+    assert np.mean(nees > 13.8) < 0.02
+
+
 def test_while_counts_are_lost_slips_are_none_of_the_ground() -> None:
     recording = drive(Machine(duration=30.0, fix_noise=0.03, fix_stated=0.03))
     estimator = SlipEstimator(parameters(**GNSS))

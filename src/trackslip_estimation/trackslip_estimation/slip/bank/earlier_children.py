@@ -28,6 +28,7 @@ from trackslip_estimation.slip.events import (
 )
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
+from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, number_of
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
@@ -114,7 +115,8 @@ def _heading_is_open(before: State) -> bool:
 def _have_stray_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Children in which sprockets, gyros or an odometry have not shown the motion.
 
-    While the heading is unknown nothing tells them from it.
+    While the heading is unknown nothing tells them from it. A slip that is nearer to −1 than to one of tracks
+    is that of lost counts, which take the place of the event that the branch has paid for.
     """
     before = window.states[p, k - 1]
     if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
@@ -124,7 +126,10 @@ def _have_stray_children(window: Window, p: int, k: int, penalty: float, c: Conf
             child_since(window, p, k, STRAYS, unit, 0, -penalty, c)
         elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # another kind of the same
             add_child(window, p, k, STRAYS, unit, 0, True, 0.0, c)
-    if before.fault[TRACKS] == IS_SOUND:
+    if before.fault[TRACKS] == IS_SOUND and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
+        instead = c.log_rates[STRAYS, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
+        add_child(window, p, k, STRAYS, TRACKS, LOST, True, instead, c)
+    elif before.fault[TRACKS] == IS_SOUND:
         child_since(window, p, k, STRAYS, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_SOUND:
         child_since(window, p, k, BIASED, GYROS, 0, -penalty, c)
