@@ -10,8 +10,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     OFFSET           the offset of a source's places: two states         just before it
                      the offset of its velocities: two states            just before it, or since the last
                                                                          consistent measurement
-    WANDERS          the offset of its places, which begins at zero, or  since the last consistent measurement
-                     at that of a receiver that is off, and wanders
+    WANDERS          the offset of its places, which begins at zero and  since the last consistent measurement
+                     wanders
     SETTLES          nothing; the offset that wandered stays as it is    just before it
     HEADING_OFF      the offset of its headings or swing angles          just before it
     HEADING_WANDERS  the same, which goes on to change                   just before it, or since the last

@@ -34,13 +34,11 @@ from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, n
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_MISCOUNTING,
-    IS_OFFSET,
     IS_REPEATING,
     IS_SOUND,
     IS_STAYING,
     is_trusted,
     may_repeat,
-    wanders,
 )
 from trackslip_estimation.slip.window import Window
 
@@ -71,8 +69,7 @@ def have_earlier_children(
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
     if is_place and drove and tracks_are_known(before) and may_repeat(update, c):
         child_since(window, p, k, STAYS, source, 0, 0.0, c)
-    goes_off = is_place or (before.fault[source] == IS_OFFSET and not wanders(before, source, c))
-    if goes_off and m.kind == POSE and update.coarse == 0 and not errs_by_place(source, c):
+    if is_place and update.coarse == 0 and not errs_by_place(source, c):
         child_since(window, p, k, WANDERS, source, 0, 0.0, c)
     _have_wrong_sources(window, p, k, penalty, c)
     if has_velocity_errors(c):

@@ -104,7 +104,7 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
     P, source, was = state.covariance[:], e.source, state.fault[e.source]
     _assume(state, e)
     if e.event in (OFFSET, WANDERS, SETTLES):
-        return _begin_offset(state, e, was, c)
+        return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
     if e.event in (SOUND, FOLDED):
@@ -167,17 +167,14 @@ def _move(state: State, e: EventRecord, c: Config) -> int:
 
 
 @compiled
-def _begin_offset(state: State, e: EventRecord, was: int, c: Config) -> int:
-    """The offset of a source's places or velocities; one that wanders begins at zero, or where it is.
-
-    One that settles stays where it is.
-    """
+def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
+    """The offset of a source's places or velocities; one that wanders begins at zero."""
     own, number, opened = c.offsets[e.source], number_of(e.source, c), e.value**2
     if own < 0:
         return 0
     if number >= 0:
         state.offsets[number].variance = opened if e.event == WANDERS else 0.0
-        if e.event == SETTLES or (e.event == WANDERS and was == IS_OFFSET):
+        if e.event == SETTLES:  # where it is
             return 0
     variance = 0.0 if e.event == WANDERS else opened
     return _replace(state, own, 0.0, variance, c) | _replace(state, own + 1, 0.0, variance, c)
