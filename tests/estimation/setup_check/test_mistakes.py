@@ -71,6 +71,25 @@ def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
     assert [cause.cause for cause in causes] == expected
 
 
+STEERING = ((4.0, 0.0, 0.0), *6 * ((8.0, 0.7, 0.25), (8.0, 0.7, -0.25)))
+
+
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_clay_on_which_tracks_differ_and_do_not_turn_the_machine_is_no_mistake(has_heading: bool) -> None:
+    """By a gyro that is biased one sprocket seemed to count half of the other."""
+    log = make_drive(programme=STEERING, efficiency=0.6, has_heading=has_heading)
+    (gyro,), (fixes,) = log.gyros, log.fixes
+    still = 0.005 * gyro.rates + 0.002
+    ahead = np.interp(fixes.t, log.tracks.t, 0.33 * log.tracks.angles.mean(axis=1))
+    straight = replace(fixes, places=np.column_stack((ahead, 0.0 * ahead)))
+    compasses = tuple(replace(one, headings=0.0 * one.headings) for one in log.compasses)
+    found = check(
+        replace(log.with_gyro(replace(gyro, rates=still)).with_fixes(straight), compasses=compasses)
+    )
+    assert found.causes == ()
+    assert found.open_questions == ()
+
+
 def test_an_outage_of_fixes_is_no_mistake() -> None:
     assert check(without_fixes(make_drive(2), 40.0, 100.0)).causes == ()
 
@@ -372,6 +391,18 @@ def test_a_mistake_is_named_though_fixes_state_far_more_noise_than_they_have(nam
     log = drive().with_fixes(replace(fixes, stddevs=np.full(len(fixes.t), 3.0)))
     assert check(log).causes == ()
     assert MISTAKES[name].cause in names_of(MISTAKES[name].inject(log))
+
+
+@pytest.mark.parametrize("period", [1.0, 3.0])  # s
+def test_fixes_that_a_log_holds_until_the_next_one_are_not_called_frozen(period: float) -> None:
+    log = make_drive(fix_rate=1.0 / period, has_heading=False)
+    (fixes,) = log.fixes
+    t = np.arange(fixes.t[0], fixes.t[-1], 0.05)
+    last = np.searchsorted(fixes.t, t, side="right") - 1
+    held = replace(fixes, t=t, places=fixes.places[last], stddevs=fixes.stddevs[last])
+    found = check(log.with_fixes(held))
+    assert not any("repeats" in question.what for question in found.undetermined)
+    assert {cause.cause for cause in found.causes} <= {"source_delay"}
 
 
 def test_a_course_over_ground_is_no_heading() -> None:

@@ -31,7 +31,7 @@ from trackslip_estimation.setup_check.grid import WINDOW, make_grid, window_sums
 from trackslip_estimation.setup_check.gyro_scale import judge_scale
 from trackslip_estimation.setup_check.heading import unit_log
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log
-from trackslip_estimation.setup_check.path import thinned, without_excess
+from trackslip_estimation.setup_check.path import thinned, with_shown_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, scale_of, turns_of
 
@@ -77,20 +77,13 @@ def _check(log: Log, found: _Found) -> list[str]:
         log, causes = with_common_clock(log)
         found.add(causes)
     found.add(places.judge_places(log.fixes))
-    log = replace(log, fixes=tuple(without_excess(one) for one in log.fixes))
+    log = replace(log, fixes=tuple(with_shown_noise(one) for one in log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         found.add([], [_STILL])
         return []
-    drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
-    found.add([] if quantity is None else [quantity])
-    log = replace(log, tracks=drive.log.tracks)
-    log, drive = log if drive.gyro is None else log.with_gyro(drive.gyro), drive.with_gyro(None)
-    causes, open_ones = unmoved.judge_fixes(drive)
-    found.add(causes, open_ones)
-    drive = drive.without_fixes() if causes else drive
+    log, drive = _read_rightly(log, found)
     rough = speeds.rough_scale(drive)
-    units = speeds.units_of(log.tracks)
-    unit = speeds.unit_of(rough, units)
+    unit = speeds.unit_of(rough, speeds.units_of(log.tracks))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
     state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
     drive = state.drive if state.is_scaled or state.is_contradicted else _in_radians(state.drive, found)
@@ -107,6 +100,17 @@ def _check(log: Log, found: _Found) -> list[str]:
     if directions.is_decided:
         _continuous(undone, unit, found)
     return facts_of(log, undone)
+
+
+def _read_rightly(log: Log, found: _Found) -> tuple[Log, Drive]:
+    """The log with columns read as what they are, and a drive of it without a gyro, or fixes that stay."""
+    drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
+    found.add([] if quantity is None else [quantity])
+    log = replace(log, tracks=drive.log.tracks)
+    log = log if drive.gyro is None else log.with_gyro(drive.gyro)
+    causes, open_ones = unmoved.judge_fixes(drive)
+    found.add(causes, open_ones)
+    return log, Drive.of(log, None, None if causes else drive.fixes, drive.compass)
 
 
 def _missing_cause(one: Missing) -> Cause:

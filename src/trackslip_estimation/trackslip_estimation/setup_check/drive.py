@@ -11,7 +11,7 @@ from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, windo
 from trackslip_estimation.setup_check.heading import Courses, heading_at, steps_of, straight_courses
 from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine
 from trackslip_estimation.setup_check.path import Path, dead_reckoning
-from trackslip_estimation.setup_check.turning import TurnFit, fit_turns
+from trackslip_estimation.setup_check.turning import TurnFit, bias_of, fit_turns
 
 USUAL_EFFICIENCY = 0.7  # κ where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
@@ -74,6 +74,12 @@ class Drive:
     def turn(self) -> FloatArray:
         """(w,) of the gyro, with its bias, rad."""
         return window_sums(self.grid, self.grid.turns[:, 2])
+
+    @cached_property
+    def unbiased_turn(self) -> FloatArray:
+        """(w,) of the gyro, less its usual turn while the tracks stand, or in all, rad."""
+        known = np.isfinite(self.turn) & np.isfinite(self.x).all(axis=1)
+        return self.turn - bias_of(self.turn[known], self.x[known], WINDOW) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:

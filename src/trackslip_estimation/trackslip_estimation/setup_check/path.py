@@ -30,7 +30,7 @@ MOST_LOG = 4.0  # of one segment
 _LEAST_FIXES = 5
 _MOST_FIXES = 16.0  # that count in a segment
 _SLIP_SHARE = 0.03  # of the extent of a segment: what slips leave of any path
-_LEAST_STEPS = 30
+_LEAST_STEPS = 30  # from fix to fix, which show their noise
 _SPACING = 1.0  # s between fixes whose errors differ
 _LONGEST_OUTAGE = 5.0  # s without fixes within a segment
 _TELLING = 0.5  # ln likelihood that a segment could add, below which it is left out
@@ -87,7 +87,7 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
     return replace(fixes, t=fixes.t[index], places=fixes.places[index], stddevs=fixes.stddevs[index])
 
 
-def without_excess(fixes: Fixes) -> Fixes:
+def with_shown_noise(fixes: Fixes) -> Fixes:
     """With the noise that fixes a second apart show, where they state more; a tenth of that at the least.
 
     What they state may be a guess, or an error that lasts, which is in all of a turn and a straight alike.

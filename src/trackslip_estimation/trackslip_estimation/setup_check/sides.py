@@ -96,7 +96,7 @@ def _sides(drive: Drive, unit: float) -> Sides:
 def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Windows in which the machine goes: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad."""
     tracks, way = np.abs(drive.x) * drive.machine.tread * unit, drive.fix_ways
-    turn = drive.heading_turn if drive.gyro is None else drive.turn
+    turn = drive.heading_turn if drive.gyro is None else drive.unbiased_turn
     goes = np.isfinite(way) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1) & (np.abs(turn) < _TURNS)
     if drive.fixes is not None and goes.any():
         goes &= way > max(0.3 * float(np.percentile(way[goes], 95)), 3.0 * drive.fixes.noise)

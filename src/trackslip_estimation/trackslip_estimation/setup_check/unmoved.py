@@ -15,8 +15,10 @@ _QUIETEST = 5e-3  # m, by which fixes of any receiver differ within minutes
 _STILL = 1e-4  # of the way: no path is so narrow
 _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the way
+_LONGEST_HOLD = 5.0  # s, for which a log may hold the last fix
 _FOLLOWS, _FOLLOWS_NOT = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
+_TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
 
 
 def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
@@ -24,10 +26,8 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     fixes = drive.fixes
     if fixes is None or len(fixes.t) < _LEAST_PLACES:
         return [], []
-    way = np.nansum(np.abs(drive.grid.tracks).max(axis=1), initial=0.0)
-    repeated = _way_repeated(drive, fixes)
-    extent = float(np.ptp(fixes.places, axis=0).max())
-    name = fixes.name
+    name, repeated = fixes.name, _way_repeated(drive, fixes)
+    way = float(np.nansum(np.abs(drive.grid.tracks).max(axis=1)))
     if way < _LEAST_WAY:
         return [], []
     if repeated > max(_REPEATED * way, _LEAST_WAY):
@@ -37,6 +37,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
         )
         needed = "look at the places as they come, while the machine drives"
         return [], [Undetermined(what, needed, is_wrong=True)]
+    extent = float(np.ptp(fixes.places, axis=0).max())
     if extent > min(_QUIETEST, _STILL * way):
         return [], []
     evidence = (
@@ -48,16 +49,23 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
 
 
 def _way_repeated(drive: Drive, fixes: Fixes) -> float:
-    """By the tracks while fixes were bit for bit the one before, m."""
+    """By the tracks while fixes were bit for bit the same, for longer than a logger holds them, m."""
     ways = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
-    steps = np.diff(np.interp(fixes.t, drive.grid.edges, ways))
-    return float(steps[(np.diff(fixes.places, axis=0) == 0.0).all(axis=1)].sum())
+    first = np.flatnonzero((np.diff(fixes.places, axis=0, prepend=np.nan) != 0.0).any(axis=1))
+    ends = fixes.t[np.append(first[1:], len(fixes.t)) - 1]
+    held = ends - fixes.t[first] > _LONGEST_HOLD
+    begin, end = (np.interp(t[held], drive.grid.edges, ways) for t in (fixes.t[first], ends))
+    return float(np.sum(end - begin))
 
 
 def judge_turns(drive: Drive) -> list[Undetermined]:
-    """A gyro, or headings that are used, which turn as the tracks and each other do not."""
-    left, right = drive.x.T
-    if turns_of(USUAL_EFFICIENCY * (right - left)) < LEAST_TURNS:
+    """A gyro, or headings that are used, which turn as the tracks and each other do not.
+
+    Of a machine that hardly turns nothing is said: on clay and slopes tracks differ for long, and it goes on.
+    """
+    by_tracks = turns_of(USUAL_EFFICIENCY * (drive.x[:, 1] - drive.x[:, 0]))
+    turning = np.abs(drive.unbiased_turn) > _TURNING
+    if by_tracks < LEAST_TURNS or turning.sum() < _LEAST_TURNING:
         return []
     by_gyro, gyro_windows = explained_share(drive.turn, drive.x)
     by_heading, heading_windows = explained_share(drive.heading_turn, drive.x)
