@@ -12,7 +12,6 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                                                                          consistent measurement
     WANDERS          the offset of its places, which begins at zero and  since the last consistent measurement
                      wanders
-    SETTLES          nothing; the offset that wandered stays as it is    just before it
     HEADING_OFF      the offset of its headings or swing angles          just before it
     HEADING_WANDERS  the same, which goes on to change                   just before it, or since the last
                                                                          consistent measurement
@@ -75,7 +74,6 @@ class Event(IntEnum):
     STAYS = 17
     HEADING_OFF = 18
     HEADING_WANDERS = 19
-    SETTLES = 20
 
 
 (
@@ -99,7 +97,6 @@ class Event(IntEnum):
     STAYS,
     HEADING_OFF,
     HEADING_WANDERS,
-    SETTLES,
 ) = map(int, Event)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
@@ -116,9 +113,6 @@ class EventParameters(Parameters):
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
-    settle_share: float = parameter(
-        "rate at which what wanders stays where it is, over that at which it ends", gt=0.0
-    )
     wander: float = parameter("standard deviation of fixes that wander off, at the most", unit="m", gt=0.0)
     wander_speed: float = parameter("speed of fixes that wander, from one to the next", unit="m/s", gt=0.0)
     heading_walk: float = parameter("random walk of headings that are off", unit="rad/√s", ge=0.0)
@@ -155,7 +149,6 @@ def event_rates(
         Event.REPEATS: fault_rate * e.repeat_share,
         Event.STAYS: fault_rate * e.repeat_share * repeat_jitter,
         Event.WANDERS: fault_rate * e.wander_share,
-        Event.SETTLES: e.settle_share / e.fault_time,
         Event.SCATTERS: fault_rate * e.scatter_share,
         Event.SOUND: 1.0 / e.fault_time,
         Event.MOVED: jump_rate,

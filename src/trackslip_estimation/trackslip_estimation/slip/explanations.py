@@ -90,14 +90,13 @@ class Sources(NamedTuple):
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
-_OFFSETS = (Event.OFFSET, Event.SETTLES, Event.HEADING_OFF, Event.HEADING_WANDERS)
+_OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.STRAYS)
 _STRAYS = "{source} and motion disagree"
 _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
     Event.OFFSET: "{source} is off",
-    Event.SETTLES: "{source} is off",
     Event.HEADING_OFF: "angles of {source} are off",
     Event.HEADING_WANDERS: "angles of {source} wander",
     Event.WANDERS: "{source} wanders",

@@ -35,7 +35,6 @@ from trackslip_estimation.slip.events import (
     OUTLIER,
     REPEATS,
     SCATTERS,
-    SETTLES,
     SKIDDED,
     SLIPPED,
     SOUND,
@@ -237,8 +236,6 @@ def _end_faults(window: Window, p: int, k: int, contradicts: bool, c: Config) ->
     source, fault = m.source, before.fault[m.source]
     if fault != IS_SOUND and (contradicts or wanders(before, source, c)):
         child_now(window, p, k, SOUND, source, 0.0, c)
-    if fault == IS_OFFSET and number_of(source, c) >= 0 and wanders(before, source, c):
-        child_now(window, p, k, SETTLES, source, 0.0, c)
     if _may_fold(window, p, k, c):  # as a jump it would not have paid for its duration
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]

@@ -28,7 +28,6 @@ from trackslip_estimation.slip.events import (
     OUTLIER,
     REPEATS,
     SCATTERS,
-    SETTLES,
     SKIDDED,
     SLID,
     SLIPPED,
@@ -86,7 +85,7 @@ _PLACE = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
 _FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # by event, what is assumed of its source from then on
 _FAULTS[[SOUND, FOLDED]] = IS_SOUND
-_FAULTS[[OFFSET, WANDERS, SETTLES]] = IS_OFFSET
+_FAULTS[[OFFSET, WANDERS]] = IS_OFFSET
 _FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
 _FAULTS[HEADING_OFF], _FAULTS[HEADING_WANDERS] = IS_HEADING_OFF, IS_HEADING_WANDERING
 _FAULTS[STRAYS] = IS_STRAYING
@@ -103,7 +102,7 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits."""
     P, source, was = state.covariance[:], e.source, state.fault[e.source]
     _assume(state, e)
-    if e.event in (OFFSET, WANDERS, SETTLES):
+    if e.event in (OFFSET, WANDERS):
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
@@ -174,8 +173,6 @@ def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
         return 0
     if number >= 0:
         state.offsets[number].variance = opened if e.event == WANDERS else 0.0
-        if e.event == SETTLES:  # where it is
-            return 0
     variance = 0.0 if e.event == WANDERS else opened
     return _replace(state, own, 0.0, variance, c) | _replace(state, own + 1, 0.0, variance, c)
 

@@ -14,7 +14,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
-from trackslip_estimation.slip.source_faults import IS_OFFSET, IS_SOUND, is_heading_off, wanders
+from trackslip_estimation.slip.source_faults import IS_OFFSET, IS_SOUND, is_heading_off
 from trackslip_estimation.slip.window import MOST_BRANCHES, Window
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _are_alike(a: State, b: State, c: Config) -> bool:
     total, n = 0.0, 0
     for k in range(MOST_SOURCES):
         ratio = a.adaptation.fix_factors[k] / b.adaptation.fix_factors[k]
-        if a.fault[k] != b.fault[k] or wanders(a, k, c) != wanders(b, k, c) or ratio > 2.0 or ratio < 0.5:
+        if a.fault[k] != b.fault[k] or ratio > 2.0 or ratio < 0.5:
             return False
         if a.fault[k] == IS_OFFSET:
             for i in range(c.offsets[k], c.offsets[k] + 2):
