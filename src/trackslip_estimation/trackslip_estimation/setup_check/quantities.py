@@ -99,8 +99,8 @@ def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
         return drive, None
     source = "sprockets" if reading.cause == "speed_unit" or drive.gyro is None else drive.gyro.name
     evidence = (
-        f"as {reading.what}, they explain {found.shares[pair]:.0%} of what another sensor shows of the "
-        f"motion, as declared {declared.shares[pair]:.0%}"
+        f"the columns are {reading.what}: so they explain {found.shares[pair]:.0%} of what another sensor "
+        f"shows of the motion, as declared {declared.shares[pair]:.0%}"
     )
     return changed, Cause(reading.cause, source, evidence, odds_of(log_ratio), reading.remedy)
 
