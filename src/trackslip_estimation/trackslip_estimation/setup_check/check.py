@@ -83,7 +83,7 @@ def _check(log: Log, found: _Found) -> list[str]:
         return []
     log, drive = _read_rightly(log, found)
     rough = speeds.rough_scale(drive)
-    unit = speeds.unit_of(rough, speeds.units_of(log.tracks))
+    unit = speeds.unit_of(rough, speeds.units_of(log))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
     state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
     drive = state.drive if state.is_scaled or state.is_contradicted else _in_radians(state.drive, found)

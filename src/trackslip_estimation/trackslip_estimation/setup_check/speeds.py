@@ -16,7 +16,7 @@ import numpy as np
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Scales
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Log, Machine, Tracks
+from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Log, Machine
 
 _UNITS = {
     "rpm, declared rad/s": 60.0 / (2.0 * np.pi),
@@ -72,9 +72,14 @@ def rough_scale(drive: Drive) -> float:
     return float(np.percentile(way[fast] / own[fast], 70))
 
 
-def units_of(tracks: Tracks) -> Mapping[str, float]:
+def units_of(log: Log) -> Mapping[str, float]:
     """Speed by the tracks over what it should be, by what is wrong."""
-    return {**_UNITS, "increments, declared speeds": float(np.median(np.diff(tracks.t)))}
+    return {
+        **_UNITS,
+        "rad/s, declared m/s": 1.0 / log.machine.radius,
+        "m/s, declared rad/s": log.machine.radius,
+        "increments, declared speeds": float(np.median(np.diff(log.tracks.t))),
+    }
 
 
 def unit_of(rho: float, units: Mapping[str, float]) -> float:
@@ -153,7 +158,7 @@ def judge(
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
         return [], [Undetermined(what, needed, is_wrong=factor < 1.0)]  # slip does not do that
-    ratios, machine, units = Ratios(found), log.machine, units_of(log.tracks)
+    ratios, machine, units = Ratios(found), log.machine, units_of(log)
     whole = ratios.best / factor  # of what was recorded
     names = {name: slip_log(whole * f) for name, f in units.items()}
     best = max(names, key=lambda name: names[name])
