@@ -3,7 +3,6 @@
 """The setup check on made-up drives: it names each injected mistake, no other, and none on healthy drives."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
-from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES
+from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES, change_headings, change_rates
 from fixtures.setup_variants import VARIANTS, piece
 
 from trackslip_estimation.setup_check.check import check
@@ -428,16 +427,8 @@ def frozen_fixes(log: Log) -> Log:
     return log.with_fixes(replace(fixes, places=np.where(later, fixes.places[-1], fixes.places)))
 
 
-def other_headings(change: Callable[[FloatArray], FloatArray]) -> Callable[[Log], Log]:
-    return lambda log: replace(
-        log, compasses=tuple(replace(c, headings=change(c.headings), is_used=True) for c in log.compasses)
-    )
-
-
-def shocks_of_gyro(log: Log) -> Log:
-    """Angular accelerations in place of rates."""
-    (gyro,) = log.gyros
-    return log.with_gyro(replace(gyro, rates=np.gradient(gyro.rates, gyro.t, axis=0)))
+def accelerations(rates: FloatArray) -> FloatArray:
+    return np.gradient(rates, 0.02, axis=0)
 
 
 QUESTIONS = {  # the mistake, the sensors, words of the question
@@ -449,10 +440,10 @@ QUESTIONS = {  # the mistake, the sensors, words of the question
         "without a direction",
     ),
     "frozen fixes": (frozen_fixes, {}, "repeats its places"),
-    "frozen headings": (other_headings(lambda h: 0.0 * h), {}, "headings of"),
-    "rates as headings": (other_headings(np.gradient), {}, "headings of"),
-    "accelerations of the gyro": (shocks_of_gyro, {}, "turns of"),
-    "the same without headings ": (shocks_of_gyro, {"has_heading": False}, "turns of"),
+    "frozen headings": (change_headings(lambda h: 0.0 * h), {}, "headings of"),
+    "rates as headings": (change_headings(np.gradient), {}, "headings of"),
+    "accelerations of the gyro": (change_rates(accelerations), {}, "turns of"),
+    "the same without headings ": (change_rates(accelerations), {"has_heading": False}, "turns of"),
 }
 
 

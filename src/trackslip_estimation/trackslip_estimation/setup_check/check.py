@@ -81,7 +81,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         found.add([], [_STILL])
         return []
-    log, drive = _read_rightly(log, found)
+    log, drive = _with_right_quantities(log, found)
     rough = speeds.rough_scale(drive)
     unit = speeds.unit_of(rough, speeds.units_of(log))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
@@ -102,7 +102,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     return facts_of(log, undone)
 
 
-def _read_rightly(log: Log, found: _Found) -> tuple[Log, Drive]:
+def _with_right_quantities(log: Log, found: _Found) -> tuple[Log, Drive]:
     """The log with columns read as what they are, and a drive of it without a gyro, or fixes that stay."""
     drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
     found.add([] if quantity is None else [quantity])
