@@ -84,7 +84,7 @@ class _Found(NamedTuple):
 
 
 def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
-    """The drive with its columns as the right quantity, and the mistake, if they were declared something else."""
+    """The drive with its columns as the right quantity, and the mistake, if they were declared another."""
     declared, best = _explained(drive), (drive, _Found(0.0, np.zeros(4)), _READINGS[0])
     for reading in _READINGS:
         other = Drive(reading.change(drive.log))
