@@ -41,7 +41,7 @@ _COUNTS = {"tick", "ticks", "count", "counts", "pulse", "pulses", "enc", "encode
 _POSITIONS = _COUNTS | {"pos", "position", "angle"}
 _INCREMENTS = {"delta", "d", "inc", "increment", "increments"}
 _PARTS = {"wheel", "track", "sprocket", "motor"}
-_COUNTS_PER_TURN = 1000
+_COUNTS_PER_TURN = 1000  # guessed, and said to be
 
 
 def _speed(side: str) -> Callable[[str], object]:
@@ -115,9 +115,9 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
     names = _names(log)
     fields = _one_of_each_pair({kind: found for kind in _KINDS if (found := _column(kind, names))})
     lacking = [
-        " or ".join(names)
-        for names in (("time",), ("left_velocity", "left_position"), ("right_velocity", "right_position"))
-        if not set(names) & {kind.field for kind in fields}
+        " or ".join(either)
+        for either in (("time",), ("left_velocity", "left_position"), ("right_velocity", "right_position"))
+        if not set(either) & {kind.field for kind in fields}
     ]
     if lacking:
         raise InputError(
