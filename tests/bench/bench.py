@@ -16,6 +16,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from fixtures.whole_inputs import read_inputs
+
 import bench_bags
 import bench_filters
 import bench_nodes
@@ -27,7 +29,6 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.whole_inputs import read_inputs
 
 RUNS = 3
 DRIVE = 20.0  # s of the live graph

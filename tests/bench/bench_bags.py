@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from fixtures.whole_inputs import read_inputs
+
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -20,7 +22,6 @@ from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.whole_inputs import read_inputs
 from trackslip_tools.tuning.task import read_task, score_of
 from trackslip_tools.workers import cores, workers
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
+from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
@@ -34,7 +35,6 @@ from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.slip.results import Row
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.whole_inputs import read_inputs
 from trackslip_tools.report.verdict import load_limits
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import changed, read_plan

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make, serialize
@@ -25,7 +26,6 @@ from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.whole_inputs import read_inputs
 
 OFFSET = 1.2  # rad, of the antenna pair
 SEGMENTS = [

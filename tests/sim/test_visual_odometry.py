@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.visual_odometry import LEVER, MOUNTING, TOPIC, with_visual_odometry
+from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
@@ -21,7 +22,6 @@ from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.whole_inputs import read_inputs
 
 SEGMENTS = 12  # of the field trial: 85 s, after the lead-in just more than the silence needs
 SETTINGS = {

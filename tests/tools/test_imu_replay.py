@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import serialize
@@ -18,7 +19,6 @@ from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.whole_inputs import read_inputs
 
 ANGLES = {"mounting_roll": math.pi, "mounting_pitch": 0.2, "mounting_yaw": -0.7}
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.whole_inputs import read_inputs
 from numpy.typing import NDArray
 
 from trackslip_bags import chunks
@@ -29,7 +30,6 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND
 from trackslip_tools.replay.inputs import InputStream
-from trackslip_tools.replay.whole_inputs import read_inputs
 
 P = load_slip_parameters()
 REPORT = "trackslip_msgs/msg/MeasurementReport"

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.whole_inputs import read_inputs
 
 pytestmark = pytest.mark.slow
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.whole_inputs import Inputs, read_inputs
 
 from trackslip_bags import chunks, tables
 from trackslip_bags.input_filters import InputFilters
@@ -14,7 +15,6 @@ from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.replay.run import replay
-from trackslip_tools.replay.whole_inputs import Inputs, read_inputs
 from trackslip_tools.report.details import Details
 
 SERIES = ("truth/odometry", "truth/track_slip")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags import tables
 from trackslip_bags.input_filters import InputFilters
@@ -30,7 +31,6 @@ from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.run import replay
 from trackslip_tools.replay.soil import SoilReplay
 from trackslip_tools.replay.soil_output import soil_messages
-from trackslip_tools.replay.whole_inputs import read_inputs
 from trackslip_tools.tuning.task import read_task
 
 SOURCE = {"slip_sources": ["slip_seed"]}

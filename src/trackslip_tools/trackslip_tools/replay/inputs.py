@@ -8,7 +8,7 @@
         batch.tables["truth/odometry"].rows   # (m,) named columns of message_fields, in log order
     stream.counts, stream.messages, stream.duration_s     # known by then
 
-``to_measurements`` makes the estimator's own records of the rows; ``whole_inputs`` reads a bag at once.
+``to_measurements`` makes the estimator's own records of the rows.
 """
 
 from collections import Counter
