@@ -230,12 +230,14 @@ def test_fixes_in_feet_are_no_unit_of_speeds(*, has_heading: bool) -> None:
     assert "speeds" in question.what
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_a_gyro_of_another_scale_than_the_headings_is_named(factor: float) -> None:
-    log = drive()
+@pytest.mark.parametrize("has_heading", [True, False])
+@pytest.mark.parametrize("factor", [0.2, 0.42, 0.5, 2.0, 2.45, 3.0, 5.0])
+def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_heading: bool) -> None:
+    log = make_drive(has_heading=has_heading)
     (gyro,) = log.gyros
-    causes = check(log.with_gyro(replace(gyro, rates=factor * gyro.rates))).causes
-    assert {cause.cause for cause in causes} == {"gyro_unit"}
+    (cause,) = check(log.with_gyro(replace(gyro, rates=factor * gyro.rates))).causes
+    assert cause.cause == "gyro_unit"
+    assert float(cause.remedy.rpartition("=")[2]) == pytest.approx(factor, rel=0.06)
 
 
 @pytest.mark.parametrize("has_heading", [True, False])

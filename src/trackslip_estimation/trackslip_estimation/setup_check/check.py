@@ -86,7 +86,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     unit = speeds.unit_of(rough, speeds.units_of(log))
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
     state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
-    drive = state.drive if state.is_scaled or state.is_contradicted else _in_radians(state.drive, found)
+    drive = state.drive if state.unit != 1.0 or state.is_contradicted else _in_radians(state.drive, found)
     found.add([], unmoved.judge_turns(drive))
     sided = sides.Sides(None) if state.is_contradicted else sides.examine(drive, unit)
     if any(cause.cause == "frame" for cause in sided.causes):  # far away in their unit only
@@ -98,7 +98,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     found.add(directions.causes, directions.undetermined)
     undone = directions.undone(sided.drive)
     if directions.is_decided:
-        _continuous(undone, unit, found)
+        _continuous(undone, unit, state.unit, found)
     return facts_of(log, undone)
 
 
@@ -170,15 +170,17 @@ def _in_radians(drive: Drive, found: _Found) -> Drive:
     return Drive.of(drive.log, drive.gyro, drive.fixes, None)
 
 
-def _continuous(drive: Drive, unit: float, found: _Found) -> None:
-    """Of a drive with all signs undone."""
+def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> None:
+    """Of a drive with all signs undone, and the units of speeds and gyro."""
     lates = clocks.lates_of(drive)
     lever = _lever(drive, lates)
     late = _judge_delays(lates, lever, drive.fixes, found)
     if late is not None:
         drive = clocks.undelayed(drive, late)
-    scale = None if found.has("gyro_unit") else judge_scale(drive)
-    found.add([] if scale is None else [scale])
+    scale = judge_scale(drive, gyro_unit)
+    if scale is not None:
+        found.causes = [cause for cause in found.causes if cause.cause != scale.cause]  # none is its unit
+        found.add([scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
         found.add([], [Undetermined("rolling radius and unit of the speeds", needed)])

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.grid import angles_of
 from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, FloatArray, Log, Tracks
 
@@ -71,9 +72,8 @@ def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest
 
     ``back``: of a jump, by which what is before and after it differs at most.
     """
-    new = np.concatenate(([True], np.diff(values) != 0.0))
-    first = np.flatnonzero(new)
-    heads, lengths = values[first], np.diff(np.append(first, len(values)))
+    runs = equal_runs(values)
+    heads, lengths = values[runs.first], runs.lengths
     if len(heads) < 3:
         return None
     before, after = np.append(heads[1], heads[:-1]), np.append(heads[1:], heads[-2])
@@ -87,7 +87,7 @@ def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest
     alike = jumps & (size > 0.5 * np.median(size[there]))  # what jumps as far
     if there.sum() < 0.5 * alike.sum():
         return None
-    return _Jumps(top, there[np.cumsum(new) - 1], int(there.sum()))
+    return _Jumps(top, np.repeat(there, lengths), int(there.sum()))
 
 
 def without_missing(log: Log) -> tuple[Log, list[Missing]]:

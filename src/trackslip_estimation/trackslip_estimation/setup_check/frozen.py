@@ -6,6 +6,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
+from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.grid import window_sums
 from trackslip_estimation.setup_check.log import FloatArray, Gyro
@@ -60,14 +61,10 @@ def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
 
 def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
     """Times in which all readings about z are bit for bit the same, s; the longest first, none too short."""
-    z = gyro.rates[:, 2]
-    if not len(z):
-        return []
-    changes = np.flatnonzero(np.diff(z) != 0.0)
-    edges = np.concatenate(([0], changes + 1, [len(z)]))
-    lengths = np.diff(edges)
+    runs = equal_runs(gyro.rates[:, 2])
+    lengths = runs.lengths
     order = [k for k in np.argsort(-lengths, kind="stable")[:_MOST_SPANS] if lengths[k] >= _LEAST_READINGS]
-    return [(float(gyro.t[edges[k]]), float(gyro.t[edges[k + 1] - 1])) for k in order]
+    return [(float(gyro.t[runs.first[k]]), float(gyro.t[runs.last[k]])) for k in order]
 
 
 def frozen_share(gyro: Gyro) -> float:

@@ -66,7 +66,7 @@ class Inertial:
     drive: Drive  # without a gyro where that shows nothing of the turns
     causes: tuple[Cause, ...] = ()
     undetermined: tuple[Undetermined, ...] = ()
-    is_scaled: bool = False  # of another unit, which is undone
+    unit: float = 1.0  # what the gyro shows of 1 rad/s, which is undone
     is_upside_down: bool = False
     is_contradicted: bool = False  # gyro or tracks have another unit, and nothing says which
 
@@ -104,7 +104,7 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
         causes += () if bias_cause is None else (bias_cause,)
     has_rates = bool(np.isfinite(gyro.rates).all(axis=1).mean() > 0.5)
     down = gravity is not None and gravity[2] < -0.8 and has_rates
-    return Inertial(drive, causes, tuple(open_ones), unit_cause is not None, down)
+    return Inertial(drive, causes, tuple(open_ones), factor, down)
 
 
 def _agrees_with(drive: Drive, scale: float) -> str:
@@ -242,15 +242,26 @@ def to_vertical(axis: int, sign: float) -> FloatArray:
     return remedies.rotation(0.0 if sign > 0.0 else np.pi, 0.0, 0.0)
 
 
-def _unit_of(scale: float) -> tuple[str, float]:
-    """The unit that brings a scale nearest to turning efficiencies; '', 1 where it is one already."""
-    if EFFICIENCY[0] <= scale <= EFFICIENCY[1]:
+def _unit_of(scale: float, by_heading: float | None = None) -> tuple[str, float]:
+    """The unit that brings a scale by the tracks to turning efficiencies; '', 1 where it is one already.
+
+    Of several the nearest to the scale by headings, which do not slip, or to a usual efficiency; their scale
+    itself where no unit fits them.
+    """
+    units = {"": 1.0, **UNITS}
+    fitting = {name: one for name, one in units.items() if _is_usual(scale / one)}
+    if by_heading is None and "" in fitting:
         return "", 1.0
-    fitting = {n: f for n, f in UNITS.items() if EFFICIENCY[0] <= scale / f <= EFFICIENCY[1]}
-    if not fitting:
-        return "", 1.0
-    name = min(fitting, key=lambda n: abs(np.log(scale / fitting[n] / _CENTRE)))
-    return name, float(fitting[name])
+    wanted = scale / _CENTRE if by_heading is None else by_heading
+    name, factor = min(fitting.items(), key=lambda item: abs(np.log(wanted / item[1])), default=("", 1.0))
+    is_none = by_heading is not None and abs(np.log(by_heading / factor)) > _UNIT_ERROR
+    if by_heading is not None and is_none and _is_usual(scale / by_heading):
+        return f"a scale of {by_heading:.3g}", by_heading
+    return name, factor
+
+
+def _is_usual(efficiency: float) -> bool:
+    return EFFICIENCY[0] <= efficiency <= EFFICIENCY[1]
 
 
 def _unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, Cause | None, list[Undetermined]]:
@@ -261,12 +272,7 @@ def _unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, Caus
     """
     turn, x = drive.turn, drive.x
     scale = scale_of(turn, x, WINDOW)
-    name, factor = _unit_of(scale) if np.isfinite(scale) else ("", 1.0)
-    by_heading = _scale_of_heading(drive)
-    if by_heading is not None and (factor != 1.0 or _is_scaled(by_heading, scale)):  # headings do not slip
-        name, factor = min(UNITS.items(), key=lambda item: abs(np.log(by_heading / item[1])))
-        if abs(np.log(by_heading / factor)) > _UNIT_ERROR:
-            name, factor = f"a scale of {by_heading:.3g}", by_heading
+    name, factor = _unit_of(scale, _scale_of_heading(drive))
     if factor == 1.0:
         return 1.0, None, []
     gain = float(fit_turns(turn, x, WINDOW, factor).logs.max())
@@ -291,12 +297,6 @@ def _unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, Caus
 def _is_too_fast(turn: FloatArray) -> bool:
     known = np.abs(turn[np.isfinite(turn)])
     return bool(len(known) and np.percentile(known, 95) > _FASTEST * WINDOW)
-
-
-def _is_scaled(by_heading: float, by_tracks: float) -> bool:
-    """Whether headings ask for another scale, and tracks turn by a share that a machine has with it."""
-    other = abs(float(np.log(by_heading))) > _UNIT_ERROR
-    return other and EFFICIENCY[0] < by_tracks / by_heading < EFFICIENCY[1]
 
 
 def _witness(drive: Drive, factor: float) -> float | None:

@@ -18,12 +18,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid
-from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, Fixes, FloatArray
-
-IntArray = NDArray[np.int64]
+from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, Fixes, FloatArray, IntArray
 
 LENGTHS = (5.0, 10.0, 20.0, 40.0, 80.0)  # s, of segments: which of them depends on speeds and noise
 MOST_LOG = 4.0  # of one segment
@@ -154,7 +151,7 @@ class Moments:
 
 def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
     """Likelihoods of the paths, with segments of the length that tells them apart best."""
-    columns = [path.at(fixes.t, fixes.arm) for path in paths]
+    columns = np.array([path.at(fixes.t, fixes.arm) for path in paths])
     best, best_power = Shapes(np.zeros(len(paths)), 0, LENGTHS[0]), 0.0
     for length in LENGTHS:
         parts = segments(paths[0], fixes, length)
@@ -168,17 +165,25 @@ def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
     return best
 
 
-def _of_segments(
-    columns: Sequence[ComplexArray], fixes: Fixes, parts: IntArray
-) -> tuple[FloatArray, FloatArray]:
+def _of_segments(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple[FloatArray, FloatArray]:
     """(p, s) ln likelihoods, at most ``MOST_LOG`` apart; (s,) how far apart the paths alone let them be."""
     moments, z = Moments(parts), fixes.z
     extent = np.sqrt(np.maximum(moments.product(z, z).real, 0.0) / moments.counts)
     noise = np.sqrt(moments.sums((fixes.stddevs**2).astype(np.complex128)).real / moments.counts)
     floor = moments.counts * (2.0 * noise**2 + (_SLIP_SHARE * extent) ** 2 + 1e-6)
-    free = free_counts(fixes, parts)
-    logs = -free * np.log(np.array([moments.rests(column, z) for column in columns]) + floor)
+    free, both = free_counts(fixes, parts), np.vstack((columns, z))
+    rests = np.array([_rests(both[:, first:stop]) for first, stop in parts.tolist()])  # (s, p + 1, p + 1)
+    logs = -free * np.log(rests[:, :-1, -1].T + floor)
     logs = np.maximum(logs - logs.max(axis=0), -MOST_LOG)
-    apart = [moments.rests(a, b) for k, a in enumerate(columns) for b in columns[k + 1 :]]
-    might = np.sum([np.minimum(free * np.log1p(one / floor), MOST_LOG) for one in apart], axis=0)
+    a, b = np.triu_indices(len(columns), 1)
+    might = np.sum(np.minimum(free * np.log1p(rests[:, a, b].T / floor), MOST_LOG), axis=0)
     return logs, np.asarray(might)
+
+
+def _rests(columns: ComplexArray) -> FloatArray:
+    """(p, p) squares that a place and the best multiple of one column (p, n) leave of each other one."""
+    own = columns - columns.mean(axis=1, keepdims=True)
+    products = own.conj() @ own.T
+    squares = np.diag(products).real
+    explained = np.abs(products) ** 2 / np.maximum(squares, 1e-12)[:, np.newaxis]
+    return np.asarray(np.maximum(squares - explained, 0.0))

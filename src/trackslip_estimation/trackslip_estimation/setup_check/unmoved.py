@@ -5,6 +5,7 @@
 import numpy as np
 
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
+from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.log import Fixes
 from trackslip_estimation.setup_check.quantities import explained_share
@@ -51,10 +52,10 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
 def _way_repeated(drive: Drive, fixes: Fixes) -> float:
     """By the tracks while fixes were bit for bit the same, for longer than a logger holds them, m."""
     ways = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
-    first = np.flatnonzero((np.diff(fixes.places, axis=0, prepend=np.nan) != 0.0).any(axis=1))
-    ends = fixes.t[np.append(first[1:], len(fixes.t)) - 1]
-    held = ends - fixes.t[first] > _LONGEST_HOLD
-    begin, end = (np.interp(t[held], drive.grid.edges, ways) for t in (fixes.t[first], ends))
+    runs = equal_runs(fixes.z)
+    first, last = fixes.t[runs.first], fixes.t[runs.last]
+    held = last - first > _LONGEST_HOLD
+    begin, end = (np.interp(t[held], drive.grid.edges, ways) for t in (first, last))
     return float(np.sum(end - begin))
 
 
