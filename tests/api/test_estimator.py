@@ -121,6 +121,19 @@ def test_setup_of_a_frame_is_checked() -> None:
     assert found.causes[0].cause in str(found)
 
 
+def test_counts_of_a_coarse_encoder_need_no_word_of_their_size() -> None:
+    columns, sprockets = drive(), {}
+    for side in ("left", "right"):
+        columns[side] = np.floor(50.0 * np.cumsum(columns[side]) / RATE / (2.0 * np.pi))
+        sprockets[f"{side}_position"] = {"column": side, "unit": "rev", "scale": 1.0 / 50.0}
+    sources = {**SOURCES, "sprockets": sprockets}
+    found = ts.Estimator(vehicle=MACHINE, sources=sources).run(columns)
+    assert "jumped" not in found.text
+    assert found.setup.is_plausible
+    stated = ts.Estimator(vehicle=MACHINE, sources=sources, parameters={"encoder_resolution": 1e-4})
+    assert {cause.cause for cause in stated.run(columns).setup.causes} == {"encoder_resolution"}
+
+
 def test_times_that_go_back_are_refused() -> None:
     columns = drive(3.0)
     columns["t"] = columns["t"][::-1].copy()

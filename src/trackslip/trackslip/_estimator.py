@@ -129,7 +129,7 @@ def _pair(where: str, value: object) -> dict[str, Any]:
 def _implied(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Lists of sources by the roles of the topics; of a pose without a heading, that it has none."""
     lists: dict[str, list[str]] = {name: [] for name in _LISTS.values()}
-    found: dict[str, Any] = {"encoder_resolution": 0.0}  # speeds, not counts
+    found: dict[str, Any] = {}
     for topic, source in topics.items():
         role = str(source.get("role", ROLE_OF_TOPIC.get(topic)))
         if role not in _LISTS or topic == REFERENCE:

@@ -16,7 +16,7 @@ from fixtures.setup_variants import VARIANTS, piece
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import integral
-from trackslip_estimation.setup_check.log import FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.log import Counts, FloatArray, Log, Tracks
 
 LONG_TURNS = ((5.0, 0.0, 0.0), (20.0, 0.6, 0.4), (8.0, 0.8, 0.0), (20.0, 0.5, -0.3), (8.0, -0.7, 0.0))
 HEALTHY = {
@@ -482,3 +482,19 @@ def test_a_lever_arm_of_a_swinging_sensor_is_left_open() -> None:
     (one,) = log.fixes
     result = check(log.with_fixes(replace(one, is_above=True)))
     assert any("lever arm" in one.what and "swings" in one.what for one in result.undetermined)
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [
+        (Counts(0.06, 5e-4), {"encoder_resolution"}),
+        (Counts(0.06, 0.0), {"encoder_resolution"}),
+        (Counts(0.06, 0.05), set()),
+        (Counts(1e-3, 0.0), set()),  # as fine as any speed is measured
+        (Counts(0.0, 5e-4), set()),
+    ],
+)
+def test_a_count_that_is_stated_far_too_small_is_named(counts: Counts, expected: set[str]) -> None:
+    causes = check(replace(drive(), counts=counts)).causes
+    assert {cause.cause for cause in causes} == expected
+    assert all("encoder_resolution=0.06" in cause.remedy for cause in causes)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A first mapping for one CSV log, from the names of its columns; a user reads and corrects it."""
 
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -130,7 +129,7 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         (topics.setdefault(kind.topic, {}) if kind.topic else tree)[kind.field] = found.entry
     guessed = [f"unit of {one.name}: {one.unit}" for one in fields.values() if not one.is_stated]
     guessed += [
-        f"counts of {one.name}: {_COUNTS_PER_TURN} a turn ('scale', and encoder_resolution in rad)"
+        f"counts of {one.name}: {_COUNTS_PER_TURN} a turn ('scale')"
         for one in fields.values()
         if one.is_counted
     ]
@@ -138,7 +137,7 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
         stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
         topics["gnss_pose"]["stddev"] = _Flow(x=stddev, y=stddev)
         guessed.append(f"standard deviation of positions: {stddev:g} m")
-    tree |= {"topics": topics, "parameters": {**_sources(topics, fields), **parameters}}
+    tree |= {"topics": topics, "parameters": {**_sources(topics), **parameters}}
     head = f"# What is what in {log.name}, by trackslip import. Correct it; docs/import.md has every key.\n"
     used = {one.name for one in fields.values()}
     return FirstMapping(
@@ -215,15 +214,12 @@ def _readings(name: str) -> Iterator[tuple[str, str]]:
     yield words, ""
 
 
-def _sources(topics: Mapping[str, Any], fields: Mapping[_Kind, _Found]) -> dict[str, Any]:
+def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters that follow from which topics there are."""
-    is_counted = any(one.is_counted for one in fields.values())
-    resolution = round(math.tau / _COUNTS_PER_TURN, 6) if is_counted else 0.0
-    found: dict[str, Any] = {"encoder_resolution": resolution}
     if "gnss_pose" in topics:
-        found |= {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
+        found = {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
     else:
-        found |= {"pose_sources": [""], "start": "initial_pose"}
+        found = {"pose_sources": [""], "start": "initial_pose"}
     return found | ({} if "imu/data_raw" in topics else {"yaw_rate_sources": [""]})
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from trackslip_bags.importing.bag_log import is_bag, read_bag_log
 from trackslip_bags.importing.can_log import read_can_logs
 from trackslip_bags.importing.csv_log import read_csv_logs
+from trackslip_bags.importing.encoder_counts import encoder_resolution
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import LogKind, kind_of
 from trackslip_bags.importing.mapping import LogMapping
@@ -82,7 +83,7 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
     samples = [one for one in samples if len(one.stamps_ns)]
     with BagWriter(output) as bag:
         begin_ns = min(int(one.log_times_ns.min()) for one in samples)
-        for topic, text in _latched(mapping):
+        for topic, text in _latched(mapping, samples):
             data = serialize(make(PARAMETERS_TYPE, data=text))
             bag.write(absolute(topic), PARAMETERS_TYPE, data, begin_ns)
         for log_time_ns, one, row in _in_log_order(samples):
@@ -197,12 +198,14 @@ def _files(path: Path) -> list[Path]:
     return found
 
 
-def _latched(mapping: LogMapping) -> Iterator[tuple[str, str]]:
+def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
     """What a bag begins with: its vehicle, and what the estimator is told."""
+    resolution = encoder_resolution(samples)
+    found = {} if resolution is None else {"encoder_resolution": resolution}
     if mapping.vehicle is not None:
         yield VEHICLE, vehicle_text(mapping.vehicle)
-    if mapping.parameters:
-        yield PARAMETERS_TOPIC, parameters_text(mapping.parameters, SLIP_NODE)
+    if parameters := {**found, **mapping.parameters}:
+        yield PARAMETERS_TOPIC, parameters_text(parameters, SLIP_NODE)
 
 
 def _from_zero(one: Samples) -> Samples:

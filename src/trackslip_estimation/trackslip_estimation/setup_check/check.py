@@ -14,6 +14,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds, unmoved
 from trackslip_estimation.setup_check.common_clock import with_common_clock
+from trackslip_estimation.setup_check.counts import judge_counts
 from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import Missing, without_missing
@@ -106,6 +107,8 @@ def _with_right_quantities(log: Log, found: _Found) -> tuple[Log, Drive]:
     """The log with columns read as what they are, and a drive of it without a gyro, or fixes that stay."""
     drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
     found.add([] if quantity is None else [quantity])
+    counts = None if found.has("speed_unit") else judge_counts(log.counts)
+    found.add([] if counts is None else [counts])
     log = replace(log, tracks=drive.log.tracks)
     log = log if drive.gyro is None else log.with_gyro(drive.gyro)
     causes, open_ones = unmoved.judge_fixes(drive)

@@ -9,8 +9,18 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_estimation.setup_check.counts import angle_of_count
 from trackslip_estimation.setup_check.grid import angles_of
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine, Tracks
+from trackslip_estimation.setup_check.log import (
+    Compass,
+    Counts,
+    Fixes,
+    FloatArray,
+    Gyro,
+    Log,
+    Machine,
+    Tracks,
+)
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
 
@@ -120,11 +130,12 @@ def _log(
 ) -> Log:
     machine = p.vehicle.kinematics
     gyros, fixes, compasses, swing = [], [], [], None
-    tracks = Tracks(np.empty(0), np.empty((0, 2)), np.empty((0, 2)))
+    tracks, counts = Tracks(np.empty(0), np.empty((0, 2)), np.empty((0, 2))), Counts()
     poses, stated, headings, angles = p.poses(), p.gyros(), p.compasses(), p.angles()
     for (kind, name), (t, values) in ready.items():
         if kind == SPROCKETS:
             tracks = Tracks(t, values[:, :2], angles_of(t, values[:, :2], values[:, 2:4]))
+            counts = Counts(angle_of_count(values[:, 2:4]), p.encoder_resolution)
         elif kind == YAW_RATE and name in stated:
             imu = stated[name]
             rates = values[:, :3].copy()
@@ -148,7 +159,7 @@ def _log(
     if swing is not None:
         compasses = [_of_undercarriage(one, swing) for one in compasses]
     geometry = Machine(machine.rolling_radius, machine.tread, machine.contact_length)
-    return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, left_out)
+    return Log(geometry, tracks, tuple(gyros), tuple(fixes), tuple(compasses), swing, left_out, counts)
 
 
 def _of_undercarriage(compass: Compass, swing: tuple[FloatArray, FloatArray]) -> Compass:

@@ -28,6 +28,13 @@ class Machine(NamedTuple):
     contact_length: float  # m
 
 
+class Counts(NamedTuple):
+    """Angle of a count of the sprockets' encoders, rad; 0: there are none."""
+
+    shown: float = 0.0  # by the positions
+    stated: float = 0.0
+
+
 @dataclass(frozen=True)
 class Tracks:
     """Sprockets."""
@@ -105,6 +112,7 @@ class Log:
     compasses: tuple[Compass, ...] = ()
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
     left_out: dict[str, int] = field(default_factory=dict)  # topic → readings that are no numbers
+    counts: Counts = Counts()
 
     def with_tracks(self, matrix: FloatArray) -> "Log":
         """The same with (2, 2) ``matrix`` applied to left and right."""

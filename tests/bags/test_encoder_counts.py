@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which angle a count of the encoders is, by the positions of a log."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackslip_bags.importing.encoder_counts import encoder_resolution
+from trackslip_bags.importing.samples import Samples
+
+T = np.arange(0.0, 60.0, 0.02)  # s
+ANGLES = 20.0 * np.column_stack((np.sin(T / 7.0), np.sin(T / 9.0)))  # rad, to and fro
+
+
+def sprockets(positions: np.ndarray) -> list[Samples]:
+    """Of a log, with their positions (n, 2), rad."""
+    stamps = (T * 1e9).astype(np.int64)
+    values = {"position": positions, "velocity": np.zeros_like(positions)}
+    return [Samples("sprockets", "sprockets", [""], stamps, stamps, values)]
+
+
+@given(st.integers(8, 40_000))
+def test_counts_of_any_size_are_found(counts: int) -> None:
+    resolution = math.tau / counts
+    found = encoder_resolution(sprockets(np.floor(ANGLES / resolution) * resolution))
+    assert found == pytest.approx(resolution, rel=1e-6)
+
+
+@pytest.mark.parametrize("counts", [24, 360, 1000])
+def test_the_digits_of_a_log_do_not_hide_the_counts(counts: int) -> None:
+    resolution = math.tau / counts
+    found = encoder_resolution(sprockets(np.round(np.floor(ANGLES / resolution) * resolution, 4)))
+    assert found == pytest.approx(resolution, rel=0.01)
+
+
+@pytest.mark.parametrize("change", [lambda a: a, lambda a: a * np.nan, np.zeros_like])
+def test_positions_without_counts_have_none(change: Callable[[np.ndarray], np.ndarray]) -> None:
+    assert encoder_resolution(sprockets(change(ANGLES))) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_coarser_side_counts() -> None:
+    coarse, fine = math.tau / 100, math.tau / 1000
+    angles = np.floor(ANGLES / (coarse, fine)) * (coarse, fine)
+    assert encoder_resolution(sprockets(angles)) == pytest.approx(coarse)
+
+
+def test_a_log_without_sprockets_says_nothing() -> None:
+    assert encoder_resolution([]) is None
