@@ -209,21 +209,3 @@ def test_nis_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     nis = nis[np.isfinite(nis)]
     low, high = chi2.ppf((1e-4, 1.0 - 1e-4), 3 * nis.size) / nis.size
     assert low < nis.mean() < high
-
-
-def test_rounding_to_counts_weakens_the_gyro_only_where_it_is_felt(
-    drive: Callable[..., Any], thesis_run: Run
-) -> None:
-    """A coarser encoder makes the predicted yaw rate less sure, so the same surprise weighs less."""
-    found = drive([(1.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
-    fine, coarse = (
-        [r.nis for r in thesis_run(found, encoder_resolution=size).reports if r.source == "imu/data_raw"]
-        for size in (0.0, 0.05)
-    )
-    assert (np.array(coarse[1:]) < 0.9 * np.array(fine[1:])).mean() > 0.8
-    speeds = drive([(1.0, 2.0, 2.0, 0.0, 0.0, 0.0)], positions=False).measurements
-    same = [
-        [r.nis for r in thesis_run(speeds, encoder_resolution=size).reports if r.source == "imu/data_raw"]
-        for size in (0.0, 0.05)
-    ]
-    assert same[0] == same[1]

@@ -139,19 +139,19 @@ def test_counts_do_not_make_it_flicker(left: float, right: float, expected: Moti
     assert not any(s.changing for s in states)
 
 
-def test_what_rounding_explains_is_no_departure() -> None:
-    state, departures = MotionState(), []
+def test_speeds_are_shown_low_passed_where_rounding_explains_their_changes() -> None:
+    state, intervals = MotionState(), []
     for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
         speeds = Speeds(left, right, DT, differenced=True)
-        state = classify(state, speeds, DT, LIMITS, COUNT)
-        departures.append(state.departure)
-    assert set(departures[100:500]) == {0.0}
-    assert departures[500] == pytest.approx(0.23, abs=COUNT / DT)
-    assert set(departures[-100:]) == {0.0}
+        state = classify(state, speeds, DT, LIMITS)
+        intervals.append(smoothed(speeds, state, LIMITS, COUNT).interval)
+    assert min(intervals[100:500]) > LIMITS.smoothing_time
+    assert intervals[500] == DT
+    assert min(intervals[-100:]) > LIMITS.smoothing_time
 
 
 @pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
-def test_a_gyro_is_compared_with_no_difference_that_rounding_explains(difference: float) -> None:
+def test_no_difference_that_rounding_explains_is_shown(difference: float) -> None:
     """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
     now = Speeds(1.5, 1.5 + difference, DT, differenced=True)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)

@@ -136,15 +136,13 @@ def test_what_is_measured(x: FloatArray, left: float, right: float) -> None:
         np.testing.assert_allclose(off, 0.0, atol=1e-12)
 
 
-def test_rounding_of_positions_adds_to_the_noise_of_the_yaw_rate() -> None:
-    """Two tracks, two counts each, uniform within ±½ count, 10 ms apart."""
-    changing = MotionState(Motion.STRAIGHT, departure=1.0)  # rad/s: the speeds are not low-passed
+def test_rounding_of_positions_is_no_noise_of_the_gyro() -> None:
+    """Else the heading would be that of the tracks, the more so the coarser their encoders are."""
     for differenced in (True, False):
-        given_noise = 1e-4
-        drive = state_of(Gaussian(state(), NOTHING), Speeds(1.0, 1.0, 0.01, differenced), changing)
-        R = observed(drive[0], rate_measured(0.0, given_noise), C).noise
-        rounding = 4.0 * COUNT**2 / 12.0 * (RADIUS / TREAD / 0.01) ** 2
-        assert R[0, 0] == (pytest.approx(given_noise + rounding) if differenced else given_noise)
+        drive = state_of(Gaussian(state(), NOTHING), Speeds(1.0, 1.2, 0.01, differenced), STRAIGHT)
+        found = observed(drive[0], rate_measured(0.0, 1e-4), C)
+        assert found.noise[0, 0] == 1e-4
+        assert found.innovation[0] == pytest.approx(-0.2 * RADIUS / TREAD)
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])

@@ -32,7 +32,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import FloatArray, Record, dtype_of
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square
-from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, track_exposure
+from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, departure, track_exposure
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -147,10 +147,8 @@ def add_track_error_noise(state: State, dt: float, c: Config) -> None:
     a, P = state.adaptation, state.covariance
     U = track_exposure(state, c)
     jumped = max(abs(state.speeds.left - a.left_speed), abs(state.speeds.right - a.right_speed))
+    jumped *= c.rolling_radius if departure(state, c) > 0.0 else 0.0  # the first speeds are no change
     a.left_speed, a.right_speed = state.speeds.left, state.speeds.right
-    if state.motion.departure == 0.0:  # rounding explains it
-        jumped = 0.0
-    jumped *= c.rolling_radius
     lacking = max(U - a.envelope, c.adaptation.changing_weight * jumped * jumped)
     P[SPEED_ERROR, SPEED_ERROR] += c.adaptation.forward**2 * a.track_variance * lacking / 4.0
     P[YAW_RATE_ERROR, YAW_RATE_ERROR] += a.track_variance * lacking / (c.tread * c.tread)

@@ -108,7 +108,7 @@ class MotionState(NamedTuple):
     right: float = 0.0
     left_mean: float = 0.0  # rad/s, low-passed further
     right_mean: float = 0.0
-    departure: float = 0.0  # rad/s, the largest of the present speeds from those; 0 if rounding explains it
+    departure: float = 0.0  # rad/s, the largest of the present speeds from those
 
     @property
     def slips_move(self) -> bool:
@@ -116,21 +116,16 @@ class MotionState(NamedTuple):
         return self.changing or self.motion is not Motion.STRAIGHT
 
 
-def classify(
-    state: MotionState, speeds: Speeds, dt: float, limits: MotionParameters, resolution: float = 0.0
-) -> MotionState:
-    """The state of motion after ``dt`` seconds with these mean sprocket speeds.
-
-    ``resolution`` is the angle of a count, rad.
-    """
+def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParameters) -> MotionState:
+    """The state of motion after ``dt`` seconds with these mean sprocket speeds."""
     motion = _table(MotionRecord, MOTION, state)
-    _classify(motion, _table(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits), resolution)
+    _classify(motion, _table(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits))
     code, changing, *remembered = motion.item(0)
     return MotionState(Motion(code), bool(changing), *remembered)
 
 
 def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters, resolution: float = 0.0) -> Speeds:
-    """What a gyro is compared with: ``steady_speeds``."""
+    """What slips are shown of: ``steady_speeds``; ``resolution`` is the angle of a count, rad."""
     now, before = _table(SpeedsRecord, SPEEDS, speeds), _table(MotionRecord, MOTION, state)
     return Speeds(*_steady_speeds(now, before, limits_record(limits), resolution), speeds.differenced)
 
@@ -149,14 +144,10 @@ def _table(declared: type[RecordT], dtype: np.dtype[np.void], fields: tuple[Any,
 
 @compiled
 def _classify(
-    motion: Table[MotionRecord],
-    speeds: Table[SpeedsRecord],
-    dt: float,
-    limits: Table[LimitsRecord],
-    resolution: float,
+    motion: Table[MotionRecord], speeds: Table[SpeedsRecord], dt: float, limits: Table[LimitsRecord]
 ) -> None:
     """``update_motion`` as called from Python."""
-    update_motion(motion[0], speeds[0], dt, limits[0], resolution)
+    update_motion(motion[0], speeds[0], dt, limits[0])
 
 
 @compiled
@@ -175,9 +166,7 @@ def reset_motion(state: MotionRecord) -> None:
 
 
 @compiled
-def update_motion(
-    state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: LimitsRecord, resolution: float
-) -> None:
+def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: LimitsRecord) -> None:
     """The record ``state`` of ``MOTION``, ``dt`` s later with mean ``speeds``."""
     if dt <= 0.0:
         return
@@ -201,18 +190,14 @@ def update_motion(
     state.changing = smooth > limits.change_ratio * max(mean, limits.standing_speed) * still
     state.motion = _STANDING if not moves else _TURNING if turns else _STRAIGHT
     lately = max(abs(speeds.left - left), abs(speeds.right - right))
-    departure = max(lately, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean))
-    explained = speeds.differenced and speeds.interval > 0.0
-    if explained and departure <= _SIGNIFICANT * rounding(speeds.interval, resolution):
-        departure = 0.0
-    state.departure = departure
+    state.departure = max(lately, abs(speeds.left - state.left_mean), abs(speeds.right - state.right_mean))
 
 
 @compiled
 def steady_speeds(
     speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord, resolution: float
 ) -> tuple[float, float, float]:
-    """Left, right and interval with which a gyro is compared.
+    """Left, right and interval of which twist and slips are shown, and at which derivatives are taken.
 
     No rounding of counts passes for a turn, or a change of speed: low-passed, where rounding explains how the
     speeds depart from their mean; alike, where it explains their difference.
@@ -220,11 +205,19 @@ def steady_speeds(
     left, right, interval = speeds.left, speeds.right, speeds.interval
     if not speeds.differenced or interval <= 0.0:
         return left, right, interval
-    if motion.departure == 0.0 and interval < limits.smoothing_time:
+    if is_rounding(speeds, motion.departure, resolution) and interval < limits.smoothing_time:
         left, right, interval = motion.left, motion.right, math.sqrt(2.0) * limits.smoothing_time
     if abs(right - left) <= math.sqrt(2.0) * _SIGNIFICANT * rounding(interval, resolution):
         left = right = (left + right) / 2.0
     return left, right, interval
+
+
+@compiled
+def is_rounding(speeds: SpeedsRecord, departure: float, resolution: float) -> bool:
+    """Whether the rounding of counts explains how far speeds are from others, rad/s."""
+    if not speeds.differenced or speeds.interval <= 0.0:
+        return False
+    return bool(departure <= _SIGNIFICANT * rounding(speeds.interval, resolution))
 
 
 @compiled

@@ -169,6 +169,8 @@ class State(Record):
     way: Annotated[FloatArray, 2]  # by which the place went as it was predicted, since the start, m
     stands: Annotated[Table[Stand], MOST_SOURCES]
     streaks: Annotated[Table[Streak], MOST_SOURCES]  # measurements in a row that speak for other ground
+    read_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the last reading of a gyro
+    read_driven: Annotated[FloatArray, (MOST_SOURCES, 2)]  # ``driven`` then
     adaptation: Adaptation
     attitude: Attitude
     odometry: Annotated[Table[OdometryRecord], MOST_ODOMETRIES]

@@ -89,11 +89,11 @@ def has_angles(sample: SprocketSample, closing: MeasurementRecord) -> bool:
 
 @compiled
 def is_sound(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
-    """Whether the positions of ``closing`` are the continuation of those of ``sample``."""
+    """Whether the positions of ``closing`` are the continuation of those of ``sample``, to a count."""
     if not has_angles(sample, closing):
         return False
     left, right = closing.left_angle - sample.left_angle, closing.right_angle - sample.right_angle
-    furthest = c.max_sprocket_speed * (closing.stamp_ns - sample.stamp_ns) * 1e-9
+    furthest = c.max_sprocket_speed * (closing.stamp_ns - sample.stamp_ns) * 1e-9 + c.encoder_resolution
     return bool(max(abs(left), abs(right)) <= furthest)
 
 

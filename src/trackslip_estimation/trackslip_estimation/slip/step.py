@@ -125,7 +125,7 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
     known_ns, reached_ns = set_speeds(state, closing, stamp_ns, c), state.stamp_ns
     if known_ns > reached_ns:
         dt = (known_ns - reached_ns) * 1e-9
-        update_motion(state.motion, state.speeds, dt, c.motion_limits, c.encoder_resolution)
+        update_motion(state.motion, state.speeds, dt, c.motion_limits)
         propagate(state, dt, c)
         if not state.sample.seen:
             widen_start(state, known_ns, c)
@@ -174,8 +174,10 @@ def limit_heading(state: State) -> None:
 
 @compiled
 def integrate_tracks(state: State, dt: float, c: Config) -> None:
-    """Distance of the tracks, forward or not, after ``dt`` s more."""
+    """Angles of the sprockets, and distance of the tracks, forward or not, after ``dt`` s more."""
     left, right = state.speeds.left, state.speeds.right
+    state.driven[0] += left * dt
+    state.driven[1] += right * dt
     state.ran += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
 
 

@@ -197,7 +197,7 @@ def _motions(
         speeds[0].interval = dt
         speeds[0].left = (angles[k, 0] - angles[k - 1, 0]) / dt
         speeds[0].right = (angles[k, 1] - angles[k - 1, 1]) / dt
-        update_motion(motion[0], speeds[0], dt, limits[0], 0.0)
+        update_motion(motion[0], speeds[0], dt, limits[0])
         found[k] = motion[0].motion
 
 

@@ -54,7 +54,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.shear import lost_variances
-from trackslip_estimation.slip.motion import Motion, MotionState
+from trackslip_estimation.slip.motion import Motion, MotionState, is_rounding
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -94,6 +94,7 @@ CONSTANTS = dtype_of(SpeedConstants)
 _DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
 _CREEP = _SLOWEST / 2.0  # m/s, of a track below that
+_FINE = 2e-3  # m of way: a count below it
 _SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
 
@@ -237,7 +238,7 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
         steady = e.turning * c.rolling_radius * (speeds.right - speeds.left)
     else:
         steady = e.straight * c.rolling_radius * (speeds.left + speeds.right) / 2.0
-    changing = e.changing * c.rolling_radius * motion.departure
+    changing = e.changing * departure(drive, c)
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
     of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
     of_speed, of_rate = lost_variances(drive, c)
@@ -255,9 +256,21 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
 def track_exposure(drive: State, c: Config) -> float:
     """U."""
     left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
-    departure = c.rolling_radius * drive.motion.departure
-    U: float = left * left + right * right + c.adaptation.changing_weight * departure * departure
+    U: float = left * left + right * right + c.adaptation.changing_weight * departure(drive, c) ** 2
     return U
+
+
+@compiled
+def departure(drive: State, c: Config) -> float:
+    """How far the tracks' speeds are from their recent mean, m/s.
+
+    The rounding of fine counts is less than what speeds err by, and none; that of coarse ones is more.
+    """
+    found = drive.motion.departure
+    is_fine = c.rolling_radius * c.encoder_resolution < _FINE
+    if is_fine and is_rounding(drive.speeds, found, c.encoder_resolution):
+        return 0.0
+    return float(c.rolling_radius * found)
 
 
 @compiled

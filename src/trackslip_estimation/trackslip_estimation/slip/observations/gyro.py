@@ -4,7 +4,7 @@
 
     z     yaw rate that it shows, of the upper structure where it sits there      rad/s
     h     (1 + s_g) (ω + σ̇) + b_g; b_g of a further gyro is a state of its own
-    R     what the gyro states, and what the rounding of the counts moves h by    (rad/s)²
+    R     what the gyro states                                                    (rad/s)²
     d²    ν²/S, and what it would be with the largest noise that may be: its least_nis
 
 Inside its gate a reading is used in full; with less weight where only the largest noise that may be explains
@@ -16,8 +16,10 @@ slip. If several in a row do, and agree with each other, the ground has changed,
 turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
 tracks, is never used: a gyro upside down shows that.
 
-A gyro is compared with steady speeds of the sprockets: their rounding would be in its innovation and in its
-Jacobian both, and bias what is learned of turning.
+Sprockets of counted positions: a gyro is compared with their mean speeds since its last reading, as far as
+rounding explains how the newest ones differ. So the rounding that one comparison sees is taken back by the
+next; as noise of the gyro it would leave the heading to the tracks. The Jacobian is taken at steady speeds:
+the same rounding in both would bias what is learned of turning.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ from trackslip_estimation.slip.models.dispatch import couple, has_velocity_error
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import may_swing
-from trackslip_estimation.slip.motion import Motion, rounding, steady_speeds
+from trackslip_estimation.slip.motion import Motion, is_rounding, steady_speeds
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:
@@ -67,12 +69,26 @@ def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> 
 
 
 @compiled
+def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[float, float]:
+    """Of the sprockets, rad/s: their mean since the gyro's last reading, or the newest beyond rounding."""
+    speeds, since_ns = state.speeds, state.read_ns[source]
+    if not speeds.differenced or not 0 < stamp_ns - since_ns <= c.sprocket_timeout_ns:
+        return speeds.left, speeds.right
+    T, driven = (stamp_ns - since_ns) * 1e-9, state.read_driven[source]
+    left, right = (state.driven[0] - driven[0]) / T, (state.driven[1] - driven[1]) / T
+    if is_rounding(speeds, max(abs(left - speeds.left), abs(right - speeds.right)), c.encoder_resolution):
+        return left, right
+    return speeds.left, speeds.right
+
+
+@compiled
 def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of a yaw rate, with the states that it leaves alone."""
     source, x = measurement.source, state.mean[: c.size]
-    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    left, right = _speeds_since(state, source, measurement.stamp_ns, c)
     bias, scale, rate = bias_of(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
-    H = twist_jacobian(x, left, right, c)[2:]
+    steady = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    H = twist_jacobian(x, steady[0], steady[1], c)[2:]
     for k in range(x.size):
         H[0, k] *= scale
     if c.above[source] == 1:
@@ -81,11 +97,6 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     H[0, bias], H[0, GYRO_SCALE] = 1.0, rate
     nu = measurement.value[0] / c.rate_scale[source] - scale * rate - x[bias]
     R = stated_variance(measurement, state, c)
-    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
-        e = rounding(interval, c.encoder_resolution)
-        by_left = scale * (twist(x, left + e, right, c)[2] - twist(x, left - e, right, c)[2])
-        by_right = scale * (twist(x, left, right + e, c)[2] - twist(x, left, right - e, c)[2])
-        R += (by_left * by_left + by_right * by_right) / 4.0
     known = _known(left, right, bias, c)
     return Observation(np.array((nu,)), H, np.array(((R,),)), 0, known, H[:0])
 
@@ -110,7 +121,8 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
     source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
     o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
-    left, right, _ = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    left, right = _speeds_since(state, source, measurement.stamp_ns, c)
+    state.read_ns[source], state.read_driven[source] = measurement.stamp_ns, state.driven
     limit, innovation = c.gate_limits[1], o.innovation[0]
     update.dof, update.gate = 1, limit_of(state, measurement, 1, c)
     shown, of_shown = _rate_shown(state, measurement, o.noise[0, 0], c)

@@ -46,7 +46,7 @@ from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.dispatch import body_jacobian, body_twist, has_velocity_errors
 from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW_RATE_ERROR
-from trackslip_estimation.slip.motion import Motion, rounding
+from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observations.increments import increment, variances_stated
 from trackslip_estimation.slip.source_faults import IS_STRAYING
 from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
@@ -95,8 +95,6 @@ def integrate_motion(state: State, dt: float, c: Config) -> None:
         x[SPEED_ERROR] *= share
         x[YAW_RATE_ERROR] *= share
     v_x, v_y, rate = body_twist(x, left, right, state, c)
-    state.driven[0] += left * dt
-    state.driven[1] += right * dt
     state.moved[0] += v_x * dt
     state.moved[1] += v_y * dt
     state.moved[2] += rate * dt
@@ -156,7 +154,6 @@ def _use(
     ahead, turned, open_ = _unseen_errors(state, before, drive, c)
     h, H = _expected(state, before, drive, source, ahead, turned, c)
     D = np.diag(open_)
-    _add_count_rounding(state, drive, c, D)
     innovation = z - h
     if has_velocity_errors(c) and not state.coasting:
         of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
@@ -323,18 +320,6 @@ def by_track_error(state: State, drive: Drive, c: Config) -> FloatArray:
     U = speed.track_exposure(state, c)
     ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
     return np.array((ahead, _sideways(drive, c), of_mean * U / c.tread**2))
-
-
-@compiled
-def _add_count_rounding(state: State, drive: Drive, c: Config, D: FloatArray) -> None:
-    """What the rounding of the counts adds to the expected means."""
-    if not state.speeds.differenced or c.encoder_resolution == 0.0:
-        return
-    e, x = rounding(drive.T, c.encoder_resolution), state.mean[:]
-    for on_left, on_right in ((e, 0.0), (0.0, e)):
-        more = np.array(body_twist(x, drive.left + on_left, drive.right + on_right, state, c))
-        less = np.array(body_twist(x, drive.left - on_left, drive.right - on_right, state, c))
-        D += np.outer(more - less, more - less) / 4.0
 
 
 @compiled

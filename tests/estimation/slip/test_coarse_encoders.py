@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Encoders of few counts: proximity switches at the teeth of a sprocket, or hall sensors in its motor."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fixtures.drawn_machine import FIX, GYRO, RATE, Machine, Recording, drive, parameters
+
+from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.models.turning import EFFICIENCY
+
+S = 1_000_000_000
+END = 120.0  # s
+COUNTS = (16, 100, 1000)  # a turn of the sprocket
+KINEMATICS = parameters().vehicle.kinematics
+
+
+def counted(recording: Recording, resolution: float) -> list[Measurement]:
+    """With positions in whole counts of ``resolution`` rad, and speeds that are their differences."""
+    before, angles, found = np.zeros(2), np.zeros(2), []
+    for m in recording.measurements:
+        if isinstance(m, Sprockets):
+            angles = angles + np.array((m.left_speed, m.right_speed)) / RATE
+            now = resolution * np.floor(angles / resolution + (0.2, 0.7))
+            left, right = (now - before) * RATE
+            before = now
+            m = replace(m, left_speed=left, right_speed=right, positions=(now[0], now[1]))
+        found.append(m)
+    return found
+
+
+def run(
+    counts: int, *, seed: int = 0, has_gyro: bool = True, fixes_until: float = END
+) -> tuple[float, float, float, int]:
+    """RMSE of place, m, and heading, rad, mean NEES of the pose, and how many samples jumped."""
+    recording = drive(Machine(duration=END, seed=seed))
+    resolution = math.tau / counts
+    shown = [
+        m
+        for m in counted(recording, resolution)
+        if (has_gyro or m.source != GYRO)
+        and not (isinstance(m, PoseFix) and fixes_until < m.stamp_ns / S - 1.0 < END)
+    ]
+    reports = list(SlipEstimator(parameters(encoder_resolution=resolution)).process_all(shown))
+    estimates = [e for _, e in reports if e is not None]
+    times = np.array([e.stamp_ns / S - 1.0 for e in estimates])
+    true = np.column_stack([np.interp(times, recording.t, recording.poses[:, k]) for k in range(3)])
+    off = np.array([e.pose for e in estimates]) - true
+    off[:, 2] = (off[:, 2] + math.pi) % math.tau - math.pi
+    P = np.array([e.pose_covariance for e in estimates])
+    nees = np.einsum("ki,kij,kj->k", off, np.linalg.inv(P), off)[times > 2.0].mean()
+    place, heading = np.sqrt(np.mean(off[:, :2] ** 2) * 2.0), np.sqrt(np.mean(off[:, 2] ** 2))
+    jumped = sum(report.outcome == Outcome.JUMPED for report, _ in reports)
+    return float(place), float(heading), float(nees), jumped
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+def test_no_count_is_a_jump(counts: int) -> None:
+    """One count between two samples at 20 Hz was faster than any sprocket turns: nothing was known of it."""
+    assert run(counts)[3] == 0
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+def test_a_gyro_keeps_the_heading_beside_a_coarse_encoder(counts: int) -> None:
+    """Rounding counted as an error of the gyro: the heading was that of the tracks, with certainty."""
+    fine, coarse = (np.mean([run(n, seed=seed)[:3] for seed in range(4)], axis=0) for n in (100_000, counts))
+    half_a_count = KINEMATICS.rolling_radius * math.pi / counts
+    assert coarse[0] < 1.5 * fine[0] + half_a_count
+    assert coarse[1] < 1.5 * fine[1] + half_a_count / KINEMATICS.tread + 0.01
+    assert coarse[2] < 5.0
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+def test_fixes_alone_place_a_machine_of_coarse_encoders(counts: int) -> None:
+    place, _, nees, _ = run(counts, has_gyro=False)
+    assert place < 0.08
+    assert nees < 5.0
+
+
+@pytest.mark.parametrize("counts", COUNTS)
+def test_coarse_counts_add_up_to_the_way_without_fixes(counts: int) -> None:
+    place, _, nees, _ = run(counts, fixes_until=80.0)
+    assert place < 0.5
+    assert nees < 5.0
+
+
+@pytest.mark.parametrize("counts", [100, 1000, 12_288])
+def test_rounding_on_a_straight_is_no_turn_of_less_efficiency(counts: int) -> None:
+    """All that the tracks differ by is rounding; κ drifted from 0.55 to 0.45."""
+    p = parameters(encoder_resolution=math.tau / counts)
+    estimator, random = SlipEstimator(p), np.random.default_rng(1)
+    shown: list[Measurement] = []
+    for k in range(6000):
+        t, stamp_ns = k / 100.0, S + k * 10_000_000
+        left, right = np.floor(1.4 * t / math.tau * counts + np.array((0.2, 0.7))) * math.tau / counts
+        shown.append(Sprockets("sprockets", stamp_ns, 1.4, 1.4, positions=(left, right)))
+        if k % 8 == 0:
+            shown.append(YawRate(GYRO, stamp_ns, 0.005 * random.standard_normal(), 2.5e-5))
+        if k % 50 == 0:
+            place = np.array((KINEMATICS.rolling_radius * 1.4 * t, 0.0, 0.0)) + 0.02 * random.standard_normal(
+                3
+            )
+            shown.append(PoseFix(FIX, stamp_ns, place, np.diag((4e-4, 4e-4, 100.0))))
+    for _ in estimator.process_all(shown):
+        pass
+    found = estimator.window.best[estimator.window.count - 1]
+    stddev = math.sqrt(found["covariance"][EFFICIENCY, EFFICIENCY])
+    assert found["mean"][EFFICIENCY] == pytest.approx(p.turning.initial_efficiency, abs=stddev)
+    assert stddev > 0.5 * p.turning.initial_efficiency_stddev
