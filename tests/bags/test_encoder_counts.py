@@ -38,7 +38,10 @@ def test_the_digits_of_a_log_do_not_hide_the_counts(counts: int) -> None:
     assert found == pytest.approx(resolution, rel=0.01)
 
 
-@pytest.mark.parametrize("change", [lambda a: a, lambda a: a * np.nan, np.zeros_like])
+@pytest.mark.parametrize(
+    "change",
+    [lambda a: a, lambda a: a * np.nan, np.zeros_like, lambda a: np.cumsum(np.sign(a), axis=0) * 0.04],
+)
 def test_positions_without_counts_have_none(change: Callable[[np.ndarray], np.ndarray]) -> None:
     assert encoder_resolution(sprockets(change(ANGLES))) == pytest.approx(0.0, abs=1e-4)
 
@@ -49,5 +52,5 @@ def test_the_coarser_side_counts() -> None:
     assert encoder_resolution(sprockets(angles)) == pytest.approx(coarse)
 
 
-def test_a_log_without_sprockets_says_nothing() -> None:
-    assert encoder_resolution([]) is None
+def test_a_log_without_sprockets_has_no_counts() -> None:
+    assert encoder_resolution([]) == 0.0

@@ -130,10 +130,11 @@ def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
         assert bag_parameters(bag) == {"encoder_resolution": 0.0}
 
 
-def test_without_parameters_a_bag_states_the_angle_of_a_count_alone(tmp_path: Path) -> None:
+def test_no_parameters_no_message(tmp_path: Path) -> None:
     with open_bag(import_text(tmp_path, mapping=changed(parameters=None))) as bag:
-        assert bag_parameters(bag) == {"encoder_resolution": 0.0}
+        assert bag_parameters(bag) == {}
         assert bag_vehicle(bag) is None
+        assert f"/{PARAMETERS_TOPIC}" not in bag.topics
 
 
 def test_positions_accelerations_and_hydraulics(tmp_path: Path) -> None:

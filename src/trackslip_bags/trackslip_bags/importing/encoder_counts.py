@@ -8,7 +8,7 @@ from trackslip_bags.importing.samples import Samples
 from trackslip_estimation.setup_check.counts import angle_of_count
 
 
-def encoder_resolution(samples: Sequence[Samples]) -> float | None:
-    """Rad; 0 of speeds, and of positions without counts; None without sprockets."""
-    positions = next((one.values["position"] for one in samples if one.role == "sprockets"), None)
-    return None if positions is None else angle_of_count(positions)
+def encoder_resolution(samples: Sequence[Samples]) -> float:
+    """Rad; 0 without sprockets, of speeds, and of positions without counts."""
+    positions = [one.values["position"] for one in samples if one.role == "sprockets"]
+    return angle_of_count(positions[0]) if positions else 0.0

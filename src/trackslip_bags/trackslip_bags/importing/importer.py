@@ -201,7 +201,7 @@ def _files(path: Path) -> list[Path]:
 def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
     """What a bag begins with: its vehicle, and what the estimator is told."""
     resolution = encoder_resolution(samples)
-    found = {} if resolution is None else {"encoder_resolution": resolution}
+    found = {"encoder_resolution": resolution} if resolution else {}
     if mapping.vehicle is not None:
         yield VEHICLE, vehicle_text(mapping.vehicle)
     if parameters := {**found, **mapping.parameters}:

@@ -12,6 +12,7 @@ _NOTHING = 1e-9  # of the largest change: the rounding of numbers
 _WHOLE, _SHARE = 0.15, 0.95  # of a count, by which most changes may miss a whole number of them
 _MOST = 5.5  # counts in a change, beyond which the digits of a log may hide them
 _LEAST_CHANGES = 5
+_ROUNDED = 0.1  # share of readings whose change is another than that before
 _COARSE = 5e-3  # rad: a finer count hides in the noise of any speed
 _TOO_SMALL = 5.0  # times
 
@@ -22,17 +23,23 @@ def angle_of_count(positions: FloatArray) -> float:
 
 
 def _least_change(positions: FloatArray) -> float:
-    """Of positions (n,), if the other small ones are multiples of it; else 0."""
+    """Of positions (n,), if other small ones are multiples of it; else 0.
+
+    Speeds that are even make whole multiples too: counts come and go from one reading to the next.
+    """
     changes = np.abs(np.diff(positions[np.isfinite(positions)]))
-    changes = changes[changes > _NOTHING * changes.max(initial=0.0)]
-    if not len(changes):
+    moves = changes > _NOTHING * changes.max(initial=0.0)
+    if not moves.any():
         return 0.0
-    least = float(changes.min())
-    small = changes[changes < _MOST * least]
-    counts = np.round(small / least)
-    is_whole = np.abs(small / least - counts) < _WHOLE
-    is_counted = len(small) >= _LEAST_CHANGES and is_whole.mean() > _SHARE
-    return float(np.median(small / counts)) if is_counted else 0.0
+    multiples = changes / changes[moves].min()
+    counts, small = np.round(multiples), multiples < _MOST
+    shown = moves & small
+    is_whole = np.abs(multiples - counts)[shown] < _WHOLE
+    next_to = small[1:] & small[:-1] & (moves[1:] | moves[:-1])
+    is_rounded = (counts[1:] != counts[:-1])[next_to]
+    if len(is_whole) < _LEAST_CHANGES or not is_whole.mean() > _SHARE or not is_rounded.mean() > _ROUNDED:
+        return 0.0
+    return float(np.median(changes[shown] / counts[shown]))
 
 
 def judge_counts(counts: Counts) -> Cause | None:

@@ -19,6 +19,7 @@ _LEAST_SHARE = 0.002  # of all
 _LONGEST_RUN = 3  # readings of the same value in a row
 _RETURN = 0.3  # of a jump, by which the readings before and after it differ at most
 _QUANTA = 5.0  # times the least changes of readings
+_COUNTS = 2.5  # to and fro in a row, and half of one that stamps make
 _LARGE = 0.3  # of the size of large readings, below which a jump may be motion or noise
 _TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
@@ -45,15 +46,18 @@ class _Jumps(NamedTuple):
     visits: int  # runs of such readings
 
 
-def missing_in(values: FloatArray) -> tuple[float, BoolArray] | None:
-    """The value of (n,) to which readings jump and from which they return at once, and where."""
+def missing_in(values: FloatArray, count: float = 0.0) -> tuple[float, BoolArray] | None:
+    """The value of (n,) to which readings jump and from which they return at once, and where.
+
+    ``count``: what one of an encoder makes of a reading; a jump is farther.
+    """
     change = np.abs(np.diff(values))
     change = change[change > 0.0]
     if len(values) < _LEAST_READINGS or not len(change):
         return None
     step = float(np.percentile(change, 5))  # of a quantised signal its quantum
     level = float(np.percentile(np.abs(values[values != 0.0]), 95))
-    found = _jumps(values, max(_QUANTA * step, _LARGE * level), _RETURN, _LONGEST_RUN)
+    found = _jumps(values, max(_QUANTA * step, _LARGE * level, _COUNTS * count), _RETURN, _LONGEST_RUN)
     if found is None or found.where.sum() < _LEAST_SHARE * len(values):
         return None
     least = _LEAST_BEYOND if _is_beyond(values, found) else _LEAST_MISSING
@@ -95,8 +99,10 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     found: list[Missing] = []
     tracks = log.tracks
     lost = np.zeros(len(tracks.t), np.bool_)
+    count = log.counts.shown / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
-        lost |= _note(found, "sprockets", f"{name} speed", tracks.speeds[:, side], _after_gap(tracks.t))
+        speeds, gaps = tracks.speeds[:, side], _after_gap(tracks.t)
+        lost |= _note(found, "sprockets", f"{name} speed", speeds, gaps, count)
     if lost.any():
         kept = ~lost
         none = np.full((int(kept.sum()), 2), np.nan)
@@ -125,9 +131,14 @@ def _after_gap(t: FloatArray) -> BoolArray:
 
 
 def _note(
-    found: list[Missing], source: str, column: str, values: FloatArray, after_gap: BoolArray
+    found: list[Missing],
+    source: str,
+    column: str,
+    values: FloatArray,
+    after_gap: BoolArray,
+    count: float = 0.0,
 ) -> BoolArray:
-    missing = missing_in(values)
+    missing = missing_in(values, count)
     if missing is None or after_gap[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
