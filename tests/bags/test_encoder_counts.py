@@ -52,5 +52,14 @@ def test_the_coarser_side_counts() -> None:
     assert encoder_resolution(sprockets(angles)) == pytest.approx(coarse)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("length", [0, 1, 2, 5, 40])
+def test_few_positions_have_no_counts(length: int) -> None:
+    positions = np.cumsum(np.tile((7.0, 1.0), (2, length)).T, axis=0)[:length]  # no two small ones in a row
+    values = {"position": positions, "velocity": positions}
+    stamps = np.arange(length)
+    assert encoder_resolution([Samples("sprockets", "sprockets", [""], stamps, stamps, values)]) == 0.0
+
+
 def test_a_log_without_sprockets_has_no_counts() -> None:
     assert encoder_resolution([]) == 0.0

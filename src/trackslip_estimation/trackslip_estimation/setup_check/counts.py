@@ -36,10 +36,10 @@ def _least_change(positions: FloatArray) -> float:
     shown = moves & small
     is_whole = np.abs(multiples - counts)[shown] < _WHOLE
     next_to = small[1:] & small[:-1] & (moves[1:] | moves[:-1])
-    is_rounded = (counts[1:] != counts[:-1])[next_to]
-    if len(is_whole) < _LEAST_CHANGES or not is_whole.mean() > _SHARE or not is_rounded.mean() > _ROUNDED:
-        return 0.0
-    return float(np.median(changes[shown] / counts[shown]))
+    rounded = np.count_nonzero((counts[1:] != counts[:-1])[next_to])
+    are_counts = np.count_nonzero(is_whole) > _SHARE * len(is_whole) and rounded > _ROUNDED * next_to.sum()
+    is_known = len(is_whole) >= _LEAST_CHANGES and are_counts
+    return float(np.median(changes[shown] / counts[shown])) if is_known else 0.0
 
 
 def judge_counts(counts: Counts) -> Cause | None:

@@ -197,7 +197,7 @@ def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: 
 def steady_speeds(
     speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord, resolution: float
 ) -> tuple[float, float, float]:
-    """Left, right and interval of which twist and slips are shown, and at which derivatives are taken.
+    """Left, right and interval of which twist and slips are shown and observed, and a gyro's derivative is.
 
     No rounding of counts passes for a turn, or a change of speed: low-passed, where rounding explains how the
     speeds depart from their mean; alike, where it explains their difference.
