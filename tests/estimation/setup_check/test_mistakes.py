@@ -14,9 +14,11 @@ from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES, change_headings, change
 from fixtures.setup_variants import VARIANTS, piece
 
 from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Counts, FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.places import slides
 
 LONG_TURNS = ((5.0, 0.0, 0.0), (20.0, 0.6, 0.4), (8.0, 0.8, 0.0), (20.0, 0.5, -0.3), (8.0, -0.7, 0.0))
 HEALTHY = {
@@ -498,3 +500,13 @@ def test_a_count_that_is_stated_far_too_small_is_named(counts: Counts, expected:
     causes = check(replace(drive(), counts=counts)).causes
     assert {cause.cause for cause in causes} == expected
     assert all("encoder_resolution=0.06" in cause.remedy for cause in causes)
+
+
+@pytest.mark.parametrize(("slide", "expected"), [(1.4, True), (0.3, True), (0.0, False)])
+def test_a_machine_that_goes_across_its_heading_whichever_way_its_tracks_run_slides(
+    slide: float, *, expected: bool
+) -> None:
+    """On a side slope of clay it had a wrong radius, and a wrong heading, with certainty."""
+    log = make_drive(programme=STRAIGHT, slide=slide)
+    found = slides(Drive.of(log, log.gyros[0], log.fixes[0], log.compasses[0]))
+    assert found is expected

@@ -39,6 +39,10 @@ from trackslip_estimation.setup_check.turning import LEAST_TURNS, scale_of, turn
 _UNIT_GAIN = 8.0  # ln likelihood of headings of another unit
 _SEGMENTS = (2.5, 5.0, 10.0, 20.0, 40.0)  # s
 _STILL = Undetermined("everything: the tracks hardly move", "drive 10 m straight, and turn by 90° each way")
+_SLIDES = Undetermined(
+    "rolling radius, unit of the speeds, and headings, of a machine that slides across its heading",
+    "drive 10 m straight on level ground",
+)
 
 
 @dataclass
@@ -187,6 +191,9 @@ def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> N
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
         found.add([], [Undetermined("rolling radius and unit of the speeds", needed)])
+        return
+    if places.slides(drive):
+        found.add([], [_SLIDES])
         return
     if not found.has("speed_unit") and not _judge_distance(drive, drive.fixes, unit, found):
         return  # an arm is in the unit of the fixes

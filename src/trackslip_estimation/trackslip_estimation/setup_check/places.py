@@ -80,6 +80,18 @@ def judge_lever(
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
+def slides(drive: Drive) -> bool:
+    """Whether the machine goes across its heading, to the same side whichever way its tracks run."""
+    steps = drive.courses
+    is_reverse = drive.x.sum(axis=1)[steps.windows] < 0.0
+    if min(is_reverse.sum(), (~is_reverse).sum()) < _LEAST_COURSES:
+        return False
+    across = np.exp(1j * (steps.courses - steps.headings))
+    by_tracks = np.where(is_reverse, -across, across)
+    goes = abs(across.mean()) > max(abs(by_tracks.mean()), _MOST_PIECES)
+    return bool(goes and abs(across.mean().imag) > abs(across.mean().real))
+
+
 def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Undetermined], Measured | None]:
     """Of headings against courses; also what it is, where there are courses."""
     steps = drive.courses
