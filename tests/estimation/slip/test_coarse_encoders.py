@@ -101,9 +101,8 @@ def test_rounding_on_a_straight_is_no_turn_of_less_efficiency(counts: int) -> No
         if k % 8 == 0:
             shown.append(YawRate(GYRO, stamp_ns, 0.005 * random.standard_normal(), 2.5e-5))
         if k % 50 == 0:
-            place = np.array((KINEMATICS.rolling_radius * 1.4 * t, 0.0, 0.0)) + 0.02 * random.standard_normal(
-                3
-            )
+            place = 0.02 * random.standard_normal(3)
+            place[0] += KINEMATICS.rolling_radius * 1.4 * t
             shown.append(PoseFix(FIX, stamp_ns, place, np.diag((4e-4, 4e-4, 100.0))))
     for _ in estimator.process_all(shown):
         pass
