@@ -70,7 +70,7 @@ def steady(drives: NDArray[np.void], p: SlipEstimatorParameters) -> FloatArray:
     for drive in drives:
         motion, changing, *rest = drive["motion"].item()
         state = MotionState(Motion(motion), changing, *rest)
-        found.append(smoothed(Speeds(*drive["speeds"].item()), state, p.motion, p.encoder_resolution)[:2])
+        found.append(smoothed(Speeds(*drive["speeds"].item()), state, p.motion)[:2])
     return np.array(found)
 
 

@@ -3,6 +3,7 @@
 """Encoders of few counts: proximity switches at the teeth of a sprocket, or hall sensors in its motor."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,15 @@ import pytest
 from fixtures.drawn_machine import FIX, GYRO, RATE, Machine, Recording, drive, parameters
 
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
+from trackslip_estimation.slip.measurements import (
+    Measurement,
+    OdometryPose,
+    Outcome,
+    PoseFix,
+    Sprockets,
+    VelocityFix,
+    YawRate,
+)
 from trackslip_estimation.slip.models.turning import EFFICIENCY
 
 S = 1_000_000_000
@@ -33,19 +42,53 @@ def counted(recording: Recording, resolution: float) -> list[Measurement]:
     return found
 
 
+def _odometry(recording: Recording) -> tuple[list[Measurement], dict[str, object]]:
+    poses, noise = recording.poses[::2], np.random.default_rng(70)
+    places = np.cumsum(noise.normal(0.0, 1e-3, (len(poses), 2)), axis=0) + poses[:, :2]
+    turns = np.column_stack((np.zeros((len(poses), 2)), np.sin(poses[:, 2] / 2.0), np.cos(poses[:, 2] / 2.0)))
+    stamps = (S + np.round(recording.t[::2] * S)).astype(np.int64)
+    found: list[Measurement] = [
+        OdometryPose("camera", int(at), np.append(place, 0.0), turn, 1, np.zeros((2, 3)))
+        for at, place, turn in zip(stamps, places, turns, strict=True)
+    ]
+    return found, {"odometry_sources": ["camera"], "sources.camera.covariance": "declared"}
+
+
+def _radar(recording: Recording) -> tuple[list[Measurement], dict[str, object]]:
+    velocities = np.gradient(recording.poses[:, :2], recording.t, axis=0)[::2]
+    yaw, noise = recording.poses[::2, 2], np.random.default_rng(70)
+    ahead = (
+        np.cos(yaw) * velocities[:, 0] + np.sin(yaw) * velocities[:, 1] + noise.normal(0.0, 0.03, len(yaw))
+    )
+    stamps = (S + np.round(recording.t[::2] * S)).astype(np.int64)
+    R = np.diag((0.03**2, 1e6))
+    found: list[Measurement] = [
+        VelocityFix("radar", int(at), np.array((v, 0.0)), R) for at, v in zip(stamps, ahead, strict=True)
+    ]
+    return found, {"velocity_sources": ["radar"], "sources.radar.axes": "body"}
+
+
+BESIDE: Mapping[str, Callable[[Recording], tuple[list[Measurement], dict[str, object]]]] = {
+    "odometry": _odometry,
+    "radar": _radar,
+}
+
+
 def run(
-    counts: int, *, seed: int = 0, has_gyro: bool = True, fixes_until: float = END
+    counts: int, *, seed: int = 0, has_gyro: bool = True, fixes_until: float = END, beside: str = ""
 ) -> tuple[float, float, float, int]:
-    """RMSE of place, m, and heading, rad, mean NEES of the pose, and how many samples jumped."""
+    """RMSE of place, m, and heading, rad, mean NEES of the pose, and how many measurements were refused."""
     recording = drive(Machine(duration=END, seed=seed))
     resolution = math.tau / counts
+    more, chosen = BESIDE[beside](recording) if beside else ([], {})
     shown = [
         m
-        for m in counted(recording, resolution)
+        for m in sorted([*counted(recording, resolution), *more], key=lambda m: m.stamp_ns)
         if (has_gyro or m.source != GYRO)
         and not (isinstance(m, PoseFix) and fixes_until < m.stamp_ns / S - 1.0 < END)
     ]
-    reports = list(SlipEstimator(parameters(encoder_resolution=resolution)).process_all(shown))
+    p = parameters(encoder_resolution=resolution, **chosen)
+    reports = list(SlipEstimator(p).process_all(shown))
     estimates = [e for _, e in reports if e is not None]
     times = np.array([e.stamp_ns / S - 1.0 for e in estimates])
     true = np.column_stack([np.interp(times, recording.t, recording.poses[:, k]) for k in range(3)])
@@ -54,8 +97,8 @@ def run(
     P = np.array([e.pose_covariance for e in estimates])
     nees = np.einsum("ki,kij,kj->k", off, np.linalg.inv(P), off)[times > 2.0].mean()
     place, heading = np.sqrt(np.mean(off[:, :2] ** 2) * 2.0), np.sqrt(np.mean(off[:, 2] ** 2))
-    jumped = sum(report.outcome == Outcome.JUMPED for report, _ in reports)
-    return float(place), float(heading), float(nees), jumped
+    refused = sum(report.outcome in (Outcome.JUMPED, Outcome.GATED) for report, _ in reports)
+    return float(place), float(heading), float(nees), refused
 
 
 @pytest.mark.parametrize("counts", COUNTS)
@@ -86,6 +129,22 @@ def test_coarse_counts_add_up_to_the_way_without_fixes(counts: int) -> None:
     place, _, nees, _ = run(counts, fixes_until=80.0)
     assert place < 0.5
     assert nees < 5.0
+
+
+@pytest.mark.parametrize("beside", BESIDE)
+@pytest.mark.parametrize("counts", [16, 100])
+def test_what_shows_the_way_agrees_with_a_gyro_beside_coarse_encoders(counts: int, beside: str) -> None:
+    """The gyro was refused beside odometry; and what either showed cost more than it brought."""
+    half_a_count = KINEMATICS.rolling_radius * math.pi / counts
+    for until in (END, 60.0):
+        alone, both = (
+            np.mean([run(counts, seed=k, fixes_until=until, beside=b) for k in range(3)], axis=0)
+            for b in ("", beside)
+        )
+        assert both[0] < 1.5 * alone[0] + half_a_count
+        assert both[1] < 1.1 * alone[1] + 0.003
+        assert both[2] < 5.0
+        assert both[3] == 0
 
 
 @pytest.mark.parametrize("counts", [100, 1000, 12_288])

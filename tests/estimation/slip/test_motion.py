@@ -20,6 +20,7 @@ LIMITS = MotionParameters(
 )
 DT = 0.01
 COUNT = 2.0 * math.pi / (3 * 4096)  # rad
+COUNTED = (COUNT / DT) ** 2 / 6.0  # (rad/s)², variance of a speed by two rounded counts
 
 
 def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = None) -> list[MotionState]:
@@ -33,7 +34,7 @@ def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = Non
 
 
 def measured(left: float, right: float) -> Speeds:
-    return Speeds(left, right, 0.0, differenced=False)
+    return Speeds(left, right, 0.0)
 
 
 def held(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
@@ -140,26 +141,28 @@ def test_counts_do_not_make_it_flicker(left: float, right: float, expected: Moti
 
 
 def test_speeds_are_shown_low_passed_where_rounding_explains_their_changes() -> None:
-    state, intervals = MotionState(), []
+    state, found = MotionState(), []
     for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
-        speeds = Speeds(left, right, DT, differenced=True)
+        speeds = Speeds(left, right, DT, COUNTED)
         state = classify(state, speeds, DT, LIMITS)
-        intervals.append(smoothed(speeds, state, LIMITS, COUNT).interval)
-    assert min(intervals[100:500]) > LIMITS.smoothing_time
-    assert intervals[500] == DT
-    assert min(intervals[-100:]) > LIMITS.smoothing_time
+        found.append(smoothed(speeds, state, LIMITS))
+    variances = np.array([one.variance for one in found])
+    assert variances[100:500].max() < COUNTED / 100.0
+    assert found[500] == (*counted(1.6, 1.2, DT)[0], DT, COUNTED)
+    assert variances[-100:].max() < COUNTED / 100.0
 
 
 @pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
 def test_no_difference_that_rounding_explains_is_shown(difference: float) -> None:
     """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
-    now = Speeds(1.5, 1.5 + difference, DT, differenced=True)
+    now = Speeds(1.5, 1.5 + difference, DT, COUNTED)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
-    left, right, interval, _ = smoothed(now, changing, LIMITS, COUNT)
+    left, right, _, variance = smoothed(now, changing, LIMITS)
     assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
     assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
-    assert interval == DT
-    assert smoothed(now._replace(differenced=False), changing, LIMITS, COUNT)[:2] == now[:2]
+    assert variance == COUNTED
+    measured_ = now._replace(variance=0.0)
+    assert smoothed(measured_, changing, LIMITS) == measured_
 
 
 def test_shaking_on_the_spot_is_standing() -> None:

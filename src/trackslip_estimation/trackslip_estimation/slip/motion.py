@@ -23,7 +23,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import Record, RecordT, Table, dtype_of, make_table
 
-_SIGNIFICANT = 2.5  # standard deviations of rounding
+_SIGNIFICANT = 2.5  # standard deviations of a speed
 
 
 class Motion(IntEnum):
@@ -41,7 +41,7 @@ class SpeedsRecord(Record):
     left: float
     right: float
     interval: float
-    differenced: bool
+    variance: float
 
 
 SPEEDS = dtype_of(SpeedsRecord)
@@ -96,7 +96,7 @@ class Speeds(NamedTuple):
     left: float  # rad/s
     right: float  # rad/s
     interval: float  # s between the two samples; 0 where there was but one
-    differenced: bool  # from positions, which were rounded to counts; else measured as speeds
+    variance: float = 0.0  # of each, by the rounding of counts, (rad/s)²
 
 
 class MotionState(NamedTuple):
@@ -124,10 +124,11 @@ def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParame
     return MotionState(Motion(code), bool(changing), *remembered)
 
 
-def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters, resolution: float = 0.0) -> Speeds:
-    """What slips are shown of: ``steady_speeds``; ``resolution`` is the angle of a count, rad."""
+def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
+    """What slips are shown of: ``steady_speeds``."""
     now, before = _table(SpeedsRecord, SPEEDS, speeds), _table(MotionRecord, MOTION, state)
-    return Speeds(*_steady_speeds(now, before, limits_record(limits), resolution), speeds.differenced)
+    left, right, variance = _steady_speeds(now, before, limits_record(limits))
+    return Speeds(left, right, speeds.interval, variance)
 
 
 def limits_record(limits: MotionParameters) -> Table[LimitsRecord]:
@@ -152,10 +153,10 @@ def _classify(
 
 @compiled
 def _steady_speeds(
-    speeds: Table[SpeedsRecord], motion: Table[MotionRecord], limits: Table[LimitsRecord], resolution: float
+    speeds: Table[SpeedsRecord], motion: Table[MotionRecord], limits: Table[LimitsRecord]
 ) -> tuple[float, float, float]:
     """``steady_speeds`` as called from Python."""
-    return steady_speeds(speeds[0], motion[0], limits[0], resolution)
+    return steady_speeds(speeds[0], motion[0], limits[0])
 
 
 @compiled
@@ -194,33 +195,27 @@ def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: 
 
 
 @compiled
+def is_rounding(departure: float, speeds: SpeedsRecord) -> bool:
+    """Whether the rounding of counts explains how far ``speeds`` are from others, rad/s."""
+    return bool(departure**2 <= _SIGNIFICANT**2 * speeds.variance)
+
+
+@compiled
 def steady_speeds(
-    speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord, resolution: float
+    speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord
 ) -> tuple[float, float, float]:
-    """Left, right and interval of which twist and slips are shown and observed, and a gyro's derivative is.
+    """Left and right, rad/s, of which twist and slips are shown and observed, and a gyro's derivative is.
 
-    No rounding of counts passes for a turn, or a change of speed: low-passed, where rounding explains how the
-    speeds depart from their mean; alike, where it explains their difference.
+    Also the variance of each by rounding. No rounding of counts passes for a turn, or a change of speed:
+    low-passed, where rounding explains how the speeds depart from their mean; alike, where it explains their
+    difference.
     """
-    left, right, interval = speeds.left, speeds.right, speeds.interval
-    if not speeds.differenced or interval <= 0.0:
-        return left, right, interval
-    if is_rounding(speeds, motion.departure, resolution) and interval < limits.smoothing_time:
-        left, right, interval = motion.left, motion.right, math.sqrt(2.0) * limits.smoothing_time
-    if abs(right - left) <= math.sqrt(2.0) * _SIGNIFICANT * rounding(interval, resolution):
+    left, right, variance = speeds.left, speeds.right, speeds.variance
+    if variance == 0.0:
+        return left, right, variance
+    lasts = math.sqrt(2.0) * limits.smoothing_time
+    if is_rounding(motion.departure, speeds) and speeds.interval < lasts:
+        left, right, variance = motion.left, motion.right, variance * (speeds.interval / lasts) ** 2
+    if (right - left) ** 2 <= 2.0 * _SIGNIFICANT**2 * variance:
         left = right = (left + right) / 2.0
-    return left, right, interval
-
-
-@compiled
-def is_rounding(speeds: SpeedsRecord, departure: float, resolution: float) -> bool:
-    """Whether the rounding of counts explains how far speeds are from others, rad/s."""
-    if not speeds.differenced or speeds.interval <= 0.0:
-        return False
-    return bool(departure <= _SIGNIFICANT * rounding(speeds.interval, resolution))
-
-
-@compiled
-def rounding(interval: float, resolution: float) -> float:
-    """Standard deviation of a speed that is differenced from two rounded counts, rad/s."""
-    return resolution / math.sqrt(6.0) / interval
+    return left, right, variance

@@ -21,7 +21,7 @@ from trackslip_estimation.slip.models.dispatch import (
     slips_jacobian,
 )
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
-from trackslip_estimation.slip.motion import Motion, rounding, steady_speeds
+from trackslip_estimation.slip.motion import Motion, steady_speeds
 from trackslip_estimation.slip.records import TRACKS
 from trackslip_estimation.slip.source_faults import IS_MISCOUNTING
 from trackslip_estimation.slip.tilt import fill_tilt
@@ -70,14 +70,14 @@ def _outputs(state: State, left: float, right: float, c: Config) -> FloatArray:
 def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
     """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
     x, P = state.mean[: c.size], state.covariance[:]
-    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
     found = _outputs(state, left, right, c)
     twist_ = (found[0], found[1], found[2])
     J = body_jacobian(x, left, right, state, c)
     twist_covariance = predicted_covariance(P, J)
     slip_covariance = predicted_covariance(P, slips_jacobian(x, twist_, J, (left, right), c))
-    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
-        e = rounding(interval, c.encoder_resolution)
+    if variance > 0.0:
+        e = math.sqrt(variance)
         by_left = (_outputs(state, left + e, right, c) - _outputs(state, left - e, right, c)) / 2.0
         by_right = (_outputs(state, left, right + e, c) - _outputs(state, left, right - e, c)) / 2.0
         for by in (by_left, by_right):

@@ -15,6 +15,7 @@ from trackslip_common.record_types import FloatArray, IntArray, Record, Table, d
 from trackslip_estimation.attitude.records import Attitude
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
 from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS, QUALITIES, FixErrors
+from trackslip_estimation.slip.counts import CountsRecord
 from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,
@@ -76,9 +77,17 @@ class SprocketSample(Record):
     right_angle: float
     known: bool  # whether the interval that it closed shows speeds
     speeds: SpeedsRecord  # of that interval
+    counts: CountsRecord
 
 
 SAMPLE = dtype_of(SprocketSample)
+
+
+class Reading(Record):
+    """The last of a source."""
+
+    stamp_ns: int  # never: there was none
+    driven: Annotated[FloatArray, 2]  # of the state then
 
 
 class Streak(Record):
@@ -116,13 +125,11 @@ class OdometryRecord(Record):
 
     known: bool
     coasting: bool  # whether the sprockets were silent
-    stamp_ns: int
     frame: int
     place: Annotated[FloatArray, 3]
     turn: Annotated[FloatArray, 4]
     noise: Annotated[FloatArray, (3, 3)]
-    driven: Annotated[FloatArray, 2]  # of the state then
-    moved: Annotated[FloatArray, 3]  # as well
+    moved: Annotated[FloatArray, 3]  # of the state then
     errors: Annotated[FloatArray, 2]  # variances of the velocity errors then, (m/s)², (rad/s)²
     slip_weight: float  # of what increments of late say that i₀ is off by, 1/variance
     slip_sum: float  # that times its weight
@@ -169,8 +176,7 @@ class State(Record):
     way: Annotated[FloatArray, 2]  # by which the place went as it was predicted, since the start, m
     stands: Annotated[Table[Stand], MOST_SOURCES]
     streaks: Annotated[Table[Streak], MOST_SOURCES]  # measurements in a row that speak for other ground
-    read_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the last reading of a gyro
-    read_driven: Annotated[FloatArray, (MOST_SOURCES, 2)]  # ``driven`` then
+    readings: Annotated[Table[Reading], MOST_SOURCES]  # of gyros and odometry
     adaptation: Adaptation
     attitude: Attitude
     odometry: Annotated[Table[OdometryRecord], MOST_ODOMETRIES]

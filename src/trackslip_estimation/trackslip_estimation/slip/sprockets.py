@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
+from trackslip_estimation.slip.counts import begin_counts, counted_speeds, follow_counts
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
 from trackslip_estimation.slip.source_faults import IS_STRAYING
 
@@ -68,14 +69,12 @@ def interval_speeds(
     elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
     interval = min(elapsed_ns, c.sprocket_timeout_ns) * 1e-9
     if elapsed_ns <= c.sprocket_timeout_ns and is_sound(sample, closing, c):
-        speeds.left = (closing.left_angle - sample.left_angle) / interval
-        speeds.right = (closing.right_angle - sample.right_angle) / interval
-        speeds.interval, speeds.differenced = interval, True
+        counted_speeds(sample.counts, closing, interval, c, speeds)
         return True
     if max(abs(closing.left_speed), abs(closing.right_speed)) > c.max_sprocket_speed:
         return False
     speeds.left, speeds.right = closing.left_speed, closing.right_speed
-    speeds.interval, speeds.differenced = interval, False
+    speeds.interval, speeds.variance = interval, 0.0
     return True
 
 
@@ -108,7 +107,13 @@ def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool
 def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
     """Makes ``closing`` the last sample of ``state``."""
     sample = state.sample
+    in_time = closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
+    goes_on = sample.seen and in_time and is_sound(sample, closing, c)
     sample.known = interval_speeds(sample, closing, c, sample.speeds)
+    if goes_on:
+        follow_counts(sample.counts, closing, (closing.stamp_ns - sample.stamp_ns) * 1e-9, c)
+    else:
+        begin_counts(sample.counts, closing, c)
     sample.seen, sample.stamp_ns = True, closing.stamp_ns
     sample.left_angle, sample.right_angle = closing.left_angle, closing.right_angle
 
@@ -116,11 +121,10 @@ def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
 @compiled
 def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
     target.left, target.right = source.left, source.right
-    target.interval, target.differenced = source.interval, source.differenced
+    target.interval, target.variance = source.interval, source.variance
 
 
 @compiled
 def stand_still(speeds: SpeedsRecord) -> None:
     """No motion."""
-    speeds.left = speeds.right = speeds.interval = 0.0
-    speeds.differenced = False
+    speeds.left = speeds.right = speeds.interval = speeds.variance = 0.0

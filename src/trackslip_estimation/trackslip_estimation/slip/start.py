@@ -119,6 +119,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
         state.last_fix[measurement.source] = measurement.value[:2]
         state.rests_on, state.heading_rests = measurement.source, has_heading(measurement)
     for k in range(MOST_SOURCES):
-        state.consistent_ns[k], state.heard_ns[k], state.read_ns[k] = stamp_ns, NEVER_NS, NEVER_NS
+        state.consistent_ns[k], state.heard_ns[k] = stamp_ns, NEVER_NS
+        state.readings[k].stamp_ns = NEVER_NS
         state.refused_ns[k], state.last_ns[k], state.stands[k].count = 0, stamp_ns, 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

@@ -35,13 +35,14 @@ from trackslip_estimation.slip.adaptation import (
     shared_error,
 )
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, student_inflation
+from trackslip_estimation.slip.driven import Drive
 from trackslip_estimation.slip.levers import lever, turn_about
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observations.heading import observe_heading
-from trackslip_estimation.slip.observations.odometry import Drive, by_track_error
+from trackslip_estimation.slip.observations.odometry import by_track_error
 from trackslip_estimation.slip.observations.pose import has_offset, observe_pose, stated_noise
 from trackslip_estimation.slip.observations.swing import observe_swing
 from trackslip_estimation.slip.observations.velocity import observe_velocity

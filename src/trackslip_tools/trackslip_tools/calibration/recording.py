@@ -191,7 +191,7 @@ def _motions(
     limits: Table[LimitsRecord],
     found: NDArray[np.int64],
 ) -> None:
-    motion[0].changing = speeds[0].differenced = True
+    motion[0].changing = True
     for k in range(1, len(t)):
         dt = t[k] - t[k - 1]
         speeds[0].interval = dt

@@ -54,7 +54,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.shear import lost_variances
-from trackslip_estimation.slip.motion import Motion, MotionState, is_rounding
+from trackslip_estimation.slip.motion import Motion, MotionState
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -94,7 +94,6 @@ CONSTANTS = dtype_of(SpeedConstants)
 _DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
 _SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
 _CREEP = _SLOWEST / 2.0  # m/s, of a track below that
-_FINE = 2e-3  # m of way: a count below it
 _SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
 
@@ -245,6 +244,8 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     of_speed += (steady**2 + changing**2) * yielding + e.standing**2
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
+    rounding = c.rolling_radius**2 * speeds.variance
+    of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
     goes_on = drive.unheard / LASTS
     return (
         of_speed + goes_on * c.unknown_speed**2,
@@ -262,15 +263,8 @@ def track_exposure(drive: State, c: Config) -> float:
 
 @compiled
 def departure(drive: State, c: Config) -> float:
-    """How far the tracks' speeds are from their recent mean, m/s.
-
-    The rounding of fine counts is less than what speeds err by, and none; that of coarse ones is more.
-    """
-    found = drive.motion.departure
-    is_fine = c.rolling_radius * c.encoder_resolution < _FINE
-    if is_fine and is_rounding(drive.speeds, found, c.encoder_resolution):
-        return 0.0
-    return float(c.rolling_radius * found)
+    """How far the tracks' speeds are from their recent mean, m/s."""
+    return float(c.rolling_radius * drive.motion.departure)
 
 
 @compiled

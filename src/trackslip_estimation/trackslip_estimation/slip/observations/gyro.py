@@ -16,10 +16,10 @@ slip. If several in a row do, and agree with each other, the ground has changed,
 turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
 tracks, is never used: a gyro upside down shows that.
 
-Sprockets of counted positions: a gyro is compared with their mean speeds since its last reading, as far as
-rounding explains how the newest ones differ. So the rounding that one comparison sees is taken back by the
-next; as noise of the gyro it would leave the heading to the tracks. The Jacobian is taken at steady speeds:
-the same rounding in both would bias what is learned of turning.
+A gyro is compared with the mean speeds of the sprockets since its last reading, as far as rounding explains
+how the newest ones differ. So the rounding that one comparison sees is taken back by the next; as noise of
+the gyro it would leave the heading to the tracks. The Jacobian is taken at steady speeds: the same rounding
+in both would bias what is learned of turning.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import copy_square, wrap
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_rate
+from trackslip_estimation.slip.driven import drive_since, remember_reading
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import couple, has_velocity_errors, twist, twist_jacobian
@@ -71,13 +72,11 @@ def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> 
 @compiled
 def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[float, float]:
     """Of the sprockets, rad/s: their mean since the gyro's last reading, or the newest beyond rounding."""
-    speeds, since_ns = state.speeds, state.read_ns[source]
-    if not speeds.differenced or not 0 < stamp_ns - since_ns <= c.sprocket_timeout_ns:
-        return speeds.left, speeds.right
-    T, driven = (stamp_ns - since_ns) * 1e-9, state.read_driven[source]
-    left, right = (state.driven[0] - driven[0]) / T, (state.driven[1] - driven[1]) / T
-    if is_rounding(speeds, max(abs(left - speeds.left), abs(right - speeds.right)), c.encoder_resolution):
-        return left, right
+    speeds = state.speeds
+    if 0 < stamp_ns - state.readings[source].stamp_ns <= c.sprocket_timeout_ns:
+        left, right, _ = drive_since(state, source, stamp_ns)
+        if is_rounding(max(abs(left - speeds.left), abs(right - speeds.right)), speeds):
+            return left, right
     return speeds.left, speeds.right
 
 
@@ -87,7 +86,7 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     source, x = measurement.source, state.mean[: c.size]
     left, right = _speeds_since(state, source, measurement.stamp_ns, c)
     bias, scale, rate = bias_of(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
-    steady = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    steady = steady_speeds(state.speeds, state.motion, c.motion_limits)
     H = twist_jacobian(x, steady[0], steady[1], c)[2:]
     for k in range(x.size):
         H[0, k] *= scale
@@ -122,7 +121,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
     o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
     left, right = _speeds_since(state, source, measurement.stamp_ns, c)
-    state.read_ns[source], state.read_driven[source] = measurement.stamp_ns, state.driven
+    remember_reading(state, source, measurement.stamp_ns)
     limit, innovation = c.gate_limits[1], o.innovation[0]
     update.dof, update.gate = 1, limit_of(state, measurement, 1, c)
     shown, of_shown = _rate_shown(state, measurement, o.noise[0, 0], c)

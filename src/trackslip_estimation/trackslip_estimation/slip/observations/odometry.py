@@ -25,7 +25,7 @@ tracks slip more or less than what is known allows, they run on other ground: iâ
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ from trackslip_estimation.kalman.linear_algebra import (
 )
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
+from trackslip_estimation.slip.driven import Drive, drive_since, remember_reading
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models import speed
@@ -61,18 +62,10 @@ _GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.S
 _MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds
 
 
-class Drive(NamedTuple):
-    """What the sprockets did between two poses of a source."""
-
-    left: float  # mean speed, rad/s
-    right: float  # rad/s
-    T: float  # s
-
-
 @compiled
-def _agree_on_nothing(before: OdometryRecord) -> None:
+def _agree_on_nothing(before: OdometryRecord, since_ns: int) -> None:
     before.slip_weight = before.slip_sum = before.slip_way = 0.0
-    before.slip_ns = before.stamp_ns
+    before.slip_ns = since_ns
 
 
 @compiled
@@ -81,7 +74,7 @@ def begin_odometry(state: State) -> None:
     state.driven[:], state.moved[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
     for k in range(state.odometry.size):
         state.odometry[k].known = False
-        _agree_on_nothing(state.odometry[k])
+        _agree_on_nothing(state.odometry[k], state.stamp_ns)
 
 
 @compiled
@@ -107,11 +100,12 @@ def use_odometry(
     """See the top of the module; arguments as in ``update``."""
     source = measurement.source
     before = state.odometry[c.odometry_number[source]]
-    T = (measurement.stamp_ns - before.stamp_ns) * 1e-9
+    since_ns = state.readings[source].stamp_ns
+    T = (measurement.stamp_ns - since_ns) * 1e-9
     follows = before.known and before.frame == measurement.frame and before.coasting == state.coasting
     if state.fault[source] == IS_STRAYING:
         update.outcome = _GATED
-        _agree_on_nothing(before)
+        _agree_on_nothing(before, since_ns)
     elif follows and c.odometry_gap[source] >= T:
         z = increment(before, measurement, T, c)
         if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
@@ -122,19 +116,12 @@ def use_odometry(
             update.outcome = _GATED
     else:
         update.outcome = _BEGUN
-    before.known, before.coasting, before.stamp_ns = True, state.coasting, measurement.stamp_ns
+    remember_reading(state, source, measurement.stamp_ns)
+    before.known, before.coasting = True, state.coasting
     before.frame, before.place[:], before.turn[:] = measurement.frame, measurement.value, measurement.turn
-    before.noise[:], before.driven[:], before.moved[:] = measurement.noise, state.driven, state.moved
+    before.noise[:], before.moved[:] = measurement.noise, state.moved
     before.errors[0] = state.covariance[SPEED_ERROR, SPEED_ERROR]
     before.errors[1] = state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR]
-
-
-@compiled
-def drive_since(state: State, before: OdometryRecord, stamp_ns: int) -> Drive:
-    """Of the sprockets since a pose of the source."""
-    T = (stamp_ns - before.stamp_ns) * 1e-9
-    left, right = (state.driven[0] - before.driven[0]) / T, (state.driven[1] - before.driven[1]) / T
-    return Drive(left, right, T)
 
 
 @compiled
@@ -150,7 +137,7 @@ def _use(
     """Gate and update; ``stated``: R (3, 3) as the source states it."""
     source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
     before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
-    drive = drive_since(state, before, measurement.stamp_ns)
+    drive, since_ns = drive_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
     ahead, turned, open_ = _unseen_errors(state, before, drive, c)
     h, H = _expected(state, before, drive, source, ahead, turned, c)
     D = np.diag(open_)
@@ -158,7 +145,7 @@ def _use(
     if has_velocity_errors(c) and not state.coasting:
         of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
         own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / drive.T, 1.0)
-        _weigh_slip(state, before, innovation[0], drive, H, own, c)
+        _weigh_slip(state, before, since_ns, innovation[0], drive, H, own, c)
         copy_square(P, prior.covariance, c.size)
     predicted = predicted_covariance(P, H) + D
     update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
@@ -176,7 +163,7 @@ def _use(
     else:
         soften(R, innovation, predicted, limit)
     scale = c.own_errors[source]
-    shared = _shared_with_pose(state, before.stamp_ns, drive.T, open_)
+    shared = _shared_with_pose(state, since_ns, drive.T, open_)
     correct(state.mean[:], P, Observation(innovation, H, R + D, 1 << scale if scale >= 0 else 0, 0, shared))
     state.mean[YAW] = wrap(state.mean[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
@@ -218,6 +205,7 @@ def _least_nis(
 def _weigh_slip(
     state: State,
     before: OdometryRecord,
+    since_ns: int,
     innovation: float,
     drive: Drive,
     H: FloatArray,
@@ -241,13 +229,13 @@ def _weigh_slip(
     before.slip_way += track * T
     off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
     if off * off <= variance:
-        before.slip_way, before.slip_ns = 0.0, before.stamp_ns
+        before.slip_way, before.slip_ns = 0.0, since_ns
     elif off * off > c.ground.significant**2 * variance:
         way = before.slip_way if state.fixed_ns < before.slip_ns else 0.0
         by = np.zeros(P.shape[0])
         by[COMMON_SLIP], by[X], by[Y] = off, -off * way * math.cos(x[YAW]), -off * way * math.sin(x[YAW])
         P += np.outer(by, by)
-        _agree_on_nothing(before)
+        _agree_on_nothing(before, since_ns)
 
 
 @compiled

@@ -11,6 +11,7 @@ because the gate is wide says that the state was wrong: the covariance of slip i
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,7 +38,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
-from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.motion import steady_speeds
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
 if TYPE_CHECKING:
@@ -53,11 +54,11 @@ _GATED = int(Outcome.GATED)
 def observe_slips(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (2,), H and R of the slips of both tracks, at steady speeds of the sprockets."""
     x, R = state.mean[: c.size], measurement.noise[:2, :2].copy()
-    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
     for i in range(2):
         R[i, i] = max(R[i, i], LEAST_VARIANCE)
-    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
-        e = rounding(interval, c.encoder_resolution)
+    if variance > 0.0:
+        e = math.sqrt(variance)
         by_left = (_slips(x, left + e, right, c) - _slips(x, left - e, right, c)) / 2.0
         by_right = (_slips(x, left, right + e, c) - _slips(x, left, right - e, c)) / 2.0
         R += np.outer(by_left, by_left) + np.outer(by_right, by_right)

@@ -35,7 +35,7 @@ from trackslip_estimation.slip.models.dispatch import (
     horizontal_twist,
 )
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
-from trackslip_estimation.slip.motion import rounding, steady_speeds
+from trackslip_estimation.slip.motion import steady_speeds
 from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.usable import LEAST_VARIANCE, rows_of_velocity
 
@@ -60,7 +60,7 @@ class Rotation(NamedTuple):
 def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 where the second axis is open."""
     source, x, m = measurement.source, state.mean[: c.size], rows_of_velocity(measurement, c)
-    left, right, interval = steady_speeds(state.speeds, state.motion, c.motion_limits, c.encoder_resolution)
+    left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
     turn = _rotation(state, source, c)
     u, w = _velocity(state, left, right, source, c), np.empty(2)
     w[0], w[1] = turn.cos * u[0] - turn.sin * u[1], turn.sin * u[0] + turn.cos * u[1]
@@ -82,8 +82,8 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
         R += c.unknown_speed**2 * np.eye(m)
     beyond[0], beyond[1] = -w[1], w[0]
     R += (turn.along * np.outer(w, w) + turn.across * np.outer(beyond, beyond))[:m, :m]
-    if state.speeds.differenced and interval > 0.0 and c.encoder_resolution > 0.0:
-        e = rounding(interval, c.encoder_resolution)
+    if variance > 0.0:
+        e = math.sqrt(variance)
         for on_left, on_right in ((e, 0.0), (0.0, e)):
             more = _velocity(state, left + on_left, right + on_right, source, c)
             by = (more - _velocity(state, left - on_left, right - on_right, source, c)) / 2.0

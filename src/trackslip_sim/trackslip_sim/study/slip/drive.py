@@ -218,7 +218,7 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
     drives = rows.drives.copy()
     drives["speeds"]["left"] = (after.left_angle - before.left_angle) / period
     drives["speeds"]["right"] = (after.right_angle - before.right_angle) / period
-    drives["speeds"]["differenced"] = False
+    drives["speeds"]["variance"] = 0.0
     return drives
 
 

@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the sprockets did between two readings of a source; compiled."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from trackslip_common.compiled import compiled
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.records import State
+
+
+class Drive(NamedTuple):
+    """Of both sprockets."""
+
+    left: float  # mean speed, rad/s
+    right: float  # rad/s
+    T: float  # s
+
+
+@compiled
+def drive_since(state: State, source: int, stamp_ns: int) -> Drive:
+    """From the last reading of a source, which was before ``stamp_ns``, to the state."""
+    last = state.readings[source]
+    T = (stamp_ns - last.stamp_ns) * 1e-9
+    return Drive((state.driven[0] - last.driven[0]) / T, (state.driven[1] - last.driven[1]) / T, T)
+
+
+@compiled
+def remember_reading(state: State, source: int, stamp_ns: int) -> None:
+    """It is the last of its source."""
+    last = state.readings[source]
+    last.stamp_ns, last.driven[:] = stamp_ns, state.driven
