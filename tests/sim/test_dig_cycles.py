@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """dig_cycles on the shear truth: all sensors on a cab that swings by half turns, with and without encoder."""
 
-import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from fixtures.commands import json_of
 from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
@@ -94,9 +94,8 @@ def test_heading_and_swing_while_it_digs(short: Path, encoder: bool, most: float
 
 @pytest.mark.slow
 def test_the_summary_has_the_swing(short: Path, tmp_path: Path) -> None:
-    summary, output = tmp_path / "end.json", tmp_path / "out"
-    assert main(["replay", str(short), "--stop", "12", "--json", str(summary), "--output", str(output)]) == 0
-    content: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))
+    output = tmp_path / "out"
+    content = json_of(tmp_path, "replay", short, "--stop", "12", "--output", output)
     assert content["vehicle"] == "pc05_cab"
     assert 0.0 < content["rmse"]["swing"] < 0.01
     assert content["messages"]["swing"] > 0

@@ -10,6 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from fixtures.commands import json_of
 
 from trackslip_sim.study.cache import Cache
 from trackslip_sim.study.engine import BEGINNING
@@ -157,8 +158,7 @@ def test_processes_give_what_one_process_gives(
             jobs,
             "--fresh",
         ]
-        assert main([*command, *options, "--json", str(tmp_path / "rows.json")]) == 0
-        rows.append(json.loads((tmp_path / "rows.json").read_text()))
+        rows.append(json_of(tmp_path, *command, *options))
     assert rows[0] == rows[1]
     assert rows[0][0]["M_r_error"] is None  # it did not turn
     assert 0.0 < rows[0][0]["driving_thrust_error"] < 0.1

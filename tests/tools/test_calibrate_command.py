@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip calibrate`` on recorded runs: the emulator's own numbers, a file for replay, refusals."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from trackslip_common.errors import ExitCode
-from trackslip_tools.cli.main import main
+from fixtures.commands import json_of
 
 BAGS = Path(__file__).parents[2] / "bags"
 DRIVES = [str(BAGS / name) for name in ("slalom_sand", "spot_turn_sand", "soft_patch")]
@@ -39,10 +36,8 @@ TRUE = {
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("calibrated")
-    output, summary = folder / "calibration.yaml", folder / "calibration.json"
-    options = ("--all", "--output", str(output), "--json", str(summary))
-    assert main(["calibrate", *DRIVES, *options]) == ExitCode.DONE
-    return {"file": output, **json.loads(summary.read_text())}
+    output = folder / "calibration.yaml"
+    return {"file": output, **json_of(folder, "calibrate", *DRIVES, "--all", "--output", output)}
 
 
 @pytest.mark.parametrize("name", TRUE)
@@ -62,10 +57,7 @@ def test_slip_on_sand_is_within_the_radius_that_it_gives(found: dict[str, Any]) 
 
 
 def test_replay_takes_the_file(found: dict[str, Any], tmp_path: Path) -> None:
-    summary = tmp_path / "replay.json"
-    options = ["--params", str(found["file"]), "--json", str(summary)]
-    assert main(["replay", DRIVES[0], *options]) == ExitCode.DONE
-    assert json.loads(summary.read_text())["rmse"]["filter"] < 0.02
+    assert json_of(tmp_path, "replay", DRIVES[0], "--params", found["file"])["rmse"]["filter"] < 0.02
     assert found["parameters"]["slip_estimator"]["sources.imu_data_raw.sign"] == 1
     assert found["bags"] == DRIVES
 

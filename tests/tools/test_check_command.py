@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.commands import json_of
 from fixtures.setup_drives import make_drive
 
 from trackslip_common.errors import ExitCode
@@ -76,17 +77,13 @@ def import_it(folder: Path) -> Path:
 
 
 def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
-    summary = tmp_path / "check.json"
-    assert main(["check", str(healthy), "--json", str(summary)]) == ExitCode.DONE
-    found = json.loads(summary.read_text())
+    found = json_of(tmp_path, "check", healthy)
     assert found["plausible"] is True
     assert found["causes"] == []
 
 
 def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> None:
-    summary = tmp_path / "check.json"
-    assert main(["check", str(swapped), "--json", str(summary)]) == ExitCode.FAILED
-    found = json.loads(summary.read_text())
+    found = json_of(tmp_path, "check", swapped, code=ExitCode.FAILED)
     assert found["plausible"] is False
     (cause,) = found["causes"]
     assert cause.keys() == {"cause", "source", "evidence", "odds", "remedy"}
@@ -99,9 +96,7 @@ def test_a_bag_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
 
 
 def test_what_a_short_drive_cannot_decide_comes_with_what_to_drive(tmp_path: Path) -> None:
-    summary = tmp_path / "check.json"
-    assert main(["check", str(BAGS / "slope_up_sand"), "--json", str(summary)]) == ExitCode.DONE
-    undetermined = json.loads(summary.read_text())["undetermined"]
+    undetermined = json_of(tmp_path, "check", BAGS / "slope_up_sand")["undetermined"]
     assert undetermined
     assert all(one.keys() == {"what", "needed"} for one in undetermined)
 
@@ -136,9 +131,7 @@ def test_calibrate_finds_no_sign_that_the_fixes_contradict(swapped: Path, tmp_pa
 def test_calibrate_measures_the_lever_arm_of_an_antenna_without_heading(
     healthy: Path, tmp_path: Path
 ) -> None:
-    summary = tmp_path / "calibration.json"
-    assert main(["calibrate", str(healthy), "--json", str(summary)]) == ExitCode.DONE
-    findings = json.loads(summary.read_text())["findings"]
+    findings = json_of(tmp_path, "calibrate", healthy)["findings"]
     low, high = findings["lever_arm_x of gnss_pose"]["interval"]
     assert high - low < 0.2
     assert abs(findings["lever_arm_x of gnss_pose"]["value"] - 0.5) < 0.1

@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.recorded import in_order_of_journal, write_lines
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from trackslip_bags.messages import serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.types import typestore
-from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import ExitCode
 from trackslip_common.topics import TOPICS
 from trackslip_tools.cli.main import main
 
 Summary = Callable[..., dict[str, Any]]
-WriteBag = Callable[..., Path]
 
 KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_time_factor"}
 
@@ -98,7 +97,7 @@ def test_withheld_fixes_are_not_used_but_score(bag: Path, summary: Summary) -> N
 
 
 def test_what_was_withheld_is_counted_and_its_error_stated(
-    bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
+    bag: Path, summary: Summary, printed: Callable[[], str]
 ) -> None:
     found = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:2:6")
     poses, rates = found["withheld"]
@@ -107,8 +106,8 @@ def test_what_was_withheld_is_counted_and_its_error_stated(
     assert 0.0 < poses["rmse"] < 1.0
     assert 0.0 < poses["end"] < 1.0
     assert found["rmse"]["withheld"] == {"rmse": rates["rmse"], "end": rates["end"]}
-    shown = " ".join(capsys.readouterr().out.split())
-    assert f"withheld: 25 messages of box_pose from 4 to 9 s; position off by {poses['rmse']:.4f} m" in shown
+    words = f"withheld: 25 messages of box_pose from 4 to 9 s; position off by {poses['rmse']:.4f} m"
+    assert words in printed()
     assert summary(bag)["withheld"] == []
 
 
@@ -120,7 +119,8 @@ def test_an_output_that_exists_is_refused_before_the_work(
 
     monkeypatch.setattr("trackslip_tools.cli.replay_command.open_bag", never)
     assert "exists already" in refuse("replay", bag, "--output", tmp_path)
-    assert "no such folder" in refuse("replay", bag, "--json", tmp_path / "no" / "x.json")
+    assert "cannot be written (no such folder" in refuse("replay", bag, "--json", tmp_path / "no" / "x.json")
+    assert "cannot be written" in refuse("replay", bag, "--json", tmp_path)
 
 
 def test_another_reference_is_scored_whole(bag: Path, summary: Summary) -> None:
@@ -130,12 +130,10 @@ def test_another_reference_is_scored_whole(bag: Path, summary: Summary) -> None:
 
 
 def test_a_remapped_topic_is_the_source(
-    bag: Path, tmp_path: Path, lines: list[Any], write_bag: WriteBag, summary: Summary
+    bag: Path, lines: list[Any], bag_of: Callable[..., Path], summary: Summary
 ) -> None:
     names = {"box_pose": "gnss/pose", "sprockets": "wheels"}
-    renamed = write_bag(
-        tmp_path / "renamed", [line._replace(topic=names.get(line.topic, line.topic)) for line in lines]
-    )
+    renamed = bag_of(line._replace(topic=names.get(line.topic, line.topic)) for line in lines)
     remaps = ("--remap", "gnss/pose:=box_pose", "--remap", "/wheels:=sprockets")
     assert without_time(summary(renamed, *remaps)) == without_time(summary(bag))
     scored = summary(renamed, *remaps, "--reference", "box_pose")
@@ -176,14 +174,7 @@ def test_a_replay_of_a_recorded_run_matches_it(
                 "odometry/local",
             )
         }
-        written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]
-    in_order = sorted(written, key=lambda pair: getattr(pair[1], "sequence", -1))
-    both, end_ns = tmp_path / "both", max(line.log_ns for line in lines) + 1
-    with BagWriter(both) as recording:
-        for line in sorted(lines, key=lambda line: line.log_ns):
-            recording.write(f"/{line.topic}", line.type_name, serialize(line.message), line.log_ns)
-        for k, (message, _) in enumerate(in_order):
-            recording.write(message.topic, message.type_name, message.raw, end_ns + k)
+    both = write_lines(tmp_path / "both", lines, in_order_of_journal(made))
     assert summary(both)["replay_matches"] is True
     assert "replay_matches" not in summary(both, "--withhold", "box_pose:4:5")
     assert summary(both, "--set", "slip_estimator.vehicle.kinematics.tread=0.74")["replay_matches"] is False

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fixtures.recorded import EPOCH_NS, MS, Line
+from fixtures.commands import json_of
+from fixtures.recorded import EPOCH_NS, MS, Line, in_order_of_journal, write_lines
 
-from trackslip_bags.messages import make, serialize
+from trackslip_bags.messages import make
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
-from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TOPICS, TRACK_SLIP
@@ -24,8 +23,7 @@ from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 from trackslip_tools.replay.output import message_of
 
-Summary = Callable[..., dict[str, Any]]
-Write = Callable[[Path, Iterable[Line]], Path]
+Compare = Callable[..., tuple[bool | None, dict[str, Any]]]
 REPORTS = "measurement_reports"
 RESTART_S, BEFORE_NS = 5.0, 400 * MS
 
@@ -97,42 +95,49 @@ def without(lines: list[Line], topic: str, begin: float, end: float) -> list[Lin
     return [x for x in lines if not (x.topic == topic and at_ns(begin) <= x.log_ns < at_ns(end))]
 
 
-def shown(capsys: pytest.CaptureFixture[str]) -> str:
-    return " ".join(capsys.readouterr().out.split())
+@pytest.fixture
+def compare(bag_of: Callable[[Iterable[Line]], Path], summary: Callable[..., dict[str, Any]]) -> Compare:
+    """A function that replays a bag of lines, and returns whether estimates match and what was compared."""
+
+    def replayed(run: Iterable[Line], *options: str) -> tuple[bool | None, dict[str, Any]]:
+        found = summary(bag_of(run), *options)
+        return found["replay_matches"], found["replay_compared"]
+
+    return replayed
 
 
 def test_a_whole_run_is_compared_whole(
-    one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary, capsys: Any
+    one_run: list[Line], compare: Compare, printed: Callable[[], str]
 ) -> None:
-    found = summary(write_bag(tmp_path / "bag", one_run))
-    assert found["replay_matches"] is True
-    assert found["replay_compared"]["breaks"] == []
-    (part,) = found["replay_compared"]["parts"]
+    matches, compared = compare(one_run)
+    assert matches is True
+    assert compared["breaks"] == []
+    (part,) = compared["parts"]
     assert part["start"] < 1.0
     assert part["stop"] > 10.0
-    assert "not from" not in shown(capsys)
+    assert "not from" not in printed()
 
 
 def test_a_run_that_two_recorders_kept_is_compared_whole(
-    one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary, capsys: Any
+    one_run: list[Line], compare: Compare, printed: Callable[[], str]
 ) -> None:
     again = [line._replace(log_ns=line.log_ns + 3 * MS) for line in one_run]
-    found = summary(write_bag(tmp_path / "bag", [*one_run, *again]))
-    assert found["replay_matches"] is True
-    assert found["replay_compared"]["breaks"] == []
-    assert found["replay_compared"]["parts"][0]["stop"] > 10.0
-    assert "lacks" not in shown(capsys)
+    matches, compared = compare([*one_run, *again])
+    assert matches is True
+    assert compared["breaks"] == []
+    assert compared["parts"][0]["stop"] > 10.0
+    assert "lacks" not in printed()
 
 
 def test_lines_of_two_estimators_at_once_are_no_missing_lines(
-    inputs: list[Line], one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary, capsys: Any
+    inputs: list[Line], one_run: list[Line], compare: Compare, printed: Callable[[], str]
 ) -> None:
     other = live(since(inputs, 2.0), load_slip_parameters())[0]
-    found = summary(write_bag(tmp_path / "bag", [*one_run, *other]))
-    text = shown(capsys)
+    _, compared = compare([*one_run, *other])
+    text = printed()
     assert "merges recordings" in text
     assert not re.search(r"lacks \d+ lines", text)
-    assert found["replay_compared"]["breaks"]
+    assert compared["breaks"]
 
 
 @pytest.mark.parametrize(
@@ -145,128 +150,111 @@ def test_lines_of_two_estimators_at_once_are_no_missing_lines(
 )
 def test_what_follows_a_missing_measurement_is_not_compared(
     one_run: list[Line],
-    tmp_path: Path,
-    write_bag: Write,
-    summary: Summary,
-    capsys: pytest.CaptureFixture[str],
+    compare: Compare,
+    printed: Callable[[], str],
     topic: str,
     reason: str,
 ) -> None:
-    found = summary(write_bag(tmp_path / "bag", without(one_run, topic, 6.0, 6.5)))
-    assert found["replay_matches"] is True
-    (part,) = found["replay_compared"]["parts"]
+    matches, compared = compare(without(one_run, topic, 6.0, 6.5))
+    assert matches is True
+    (part,) = compared["parts"]
     assert 5.0 < part["stop"] < 7.0
-    assert 200 < found["replay_compared"]["estimates"] < 350
-    (one,) = found["replay_compared"]["breaks"]
+    assert 200 < compared["estimates"] < 350
+    (one,) = compared["breaks"]
     assert one["time"] >= part["stop"]
     assert re.search(reason, one["reason"])
-    assert re.search(f"compared from .* to .*; not from .*{reason}", shown(capsys))
+    assert re.search(f"compared from .* to .*; not from .*{reason}", printed())
 
 
 def test_an_estimate_that_differs_before_a_missing_measurement_is_found(
-    one_run: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+    one_run: list[Line], compare: Compare
 ) -> None:
-    bag = write_bag(tmp_path / "bag", without(one_run, "sprockets", 6.0, 6.5))
-    changed = summary(bag, "--set", "slip_estimator.vehicle.kinematics.tread=0.74")
-    assert changed["replay_matches"] is False
+    run = without(one_run, "sprockets", 6.0, 6.5)
+    matches, _ = compare(run, "--set", "slip_estimator.vehicle.kinematics.tread=0.74")
+    assert matches is False
 
 
 def test_a_bag_that_begins_after_the_estimator_is_not_compared(
     one_run: list[Line],
-    tmp_path: Path,
-    write_bag: Write,
-    summary: Summary,
-    capsys: pytest.CaptureFixture[str],
+    compare: Compare,
+    printed: Callable[[], str],
 ) -> None:
     """The recorder was started again: all measurements from there on do not make up for the state there."""
     latched = [line for line in one_run if line.topic == PARAMETERS_TOPIC]
     later = [line._replace(log_ns=at_ns(5.0)) for line in latched]
-    found = summary(write_bag(tmp_path / "bag", [*later, *since(one_run, 5.0)]))
-    assert found["replay_matches"] is None
-    assert found["replay_compared"]["parts"] == []
-    assert "replay = live: not compared: the bag lacks the first" in shown(capsys)
+    matches, compared = compare([*later, *since(one_run, 5.0)])
+    assert matches is None
+    assert compared["parts"] == []
+    assert "replay = live: not compared: the bag lacks the first" in printed()
 
 
-def test_what_a_waiting_estimator_did_not_use_may_be_missing(
-    inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
-) -> None:
+def test_what_a_waiting_estimator_did_not_use_may_be_missing(inputs: list[Line], compare: Compare) -> None:
     """A recorder finds the topics one after the other; the first fix comes later."""
     given = without(inputs, "box_pose", 0.0, 2.0)
     run = [*given, *live(given, load_slip_parameters())[0]]
     late = without(without(run, "sprockets", -1.0, 0.8), REPORTS, -1.0, 0.4)
-    found = summary(write_bag(tmp_path / "bag", late))
-    assert found["replay_matches"] is True
-    assert found["replay_compared"]["breaks"] == []
-    assert found["replay_compared"]["estimates"] > 300
+    matches, compared = compare(late)
+    assert matches is True
+    assert compared["breaks"] == []
+    assert compared["estimates"] > 300
 
 
 def test_an_estimator_started_again_is_started_again_in_the_replay(
-    two_runs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+    two_runs: list[Line], compare: Compare
 ) -> None:
-    found = summary(write_bag(tmp_path / "bag", two_runs))
-    assert found["replay_matches"] is True
-    first, second = found["replay_compared"]["parts"]
+    matches, compared = compare(two_runs)
+    assert matches is True
+    first, second = compared["parts"]
     assert first["stop"] < RESTART_S + 0.5 < second["start"]
-    assert found["replay_compared"]["breaks"] == []
-    assert found["replay_compared"]["estimates"] > 350
+    assert compared["breaks"] == []
+    assert compared["estimates"] > 350
 
 
 def test_after_a_restart_a_recording_with_gaps_is_compared_again(
-    two_runs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+    two_runs: list[Line], compare: Compare
 ) -> None:
-    found = summary(write_bag(tmp_path / "bag", without(two_runs, "sprockets", 3.0, 3.1)))
-    assert found["replay_matches"] is True
-    first, second = found["replay_compared"]["parts"]
+    matches, compared = compare(without(two_runs, "sprockets", 3.0, 3.1))
+    assert matches is True
+    first, second = compared["parts"]
     assert first["stop"] < 3.1 + BEFORE_NS * 1e-9
     assert second["start"] > RESTART_S
-    assert len(found["replay_compared"]["breaks"]) == 1
+    assert len(compared["breaks"]) == 1
 
 
-def test_a_restart_takes_changed_parameters_along(
-    inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
-) -> None:
-    found = summary(write_bag(tmp_path / "bag", restarted(inputs, gate_probability=0.9)))
-    assert found["replay_matches"] is True
-    assert len(found["replay_compared"]["parts"]) == 2
+def test_a_restart_takes_changed_parameters_along(inputs: list[Line], compare: Compare) -> None:
+    matches, compared = compare(restarted(inputs, gate_probability=0.9))
+    assert matches is True
+    assert len(compared["parts"]) == 2
 
 
-def test_a_restart_with_another_vehicle_is_not_compared(
-    inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
-) -> None:
+def test_a_restart_with_another_vehicle_is_not_compared(inputs: list[Line], compare: Compare) -> None:
     run = restarted(inputs, **{"vehicle.kinematics.tread": 0.8})
-    found = summary(write_bag(tmp_path / "bag", run))
-    assert found["replay_matches"] is True
-    assert len(found["replay_compared"]["parts"]) == 1
-    (one,) = found["replay_compared"]["breaks"]
+    matches, compared = compare(run)
+    assert matches is True
+    assert len(compared["parts"]) == 1
+    (one,) = compared["breaks"]
     assert one["reason"] == "the estimator was started again with other vehicle.kinematics.tread"
 
 
-def test_a_restart_without_its_parameters_is_not_compared(
-    two_runs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
-) -> None:
+def test_a_restart_without_its_parameters_is_not_compared(two_runs: list[Line], compare: Compare) -> None:
     """Nobody knows what it had learned before."""
-    found = summary(write_bag(tmp_path / "bag", without(two_runs, PARAMETERS_TOPIC, 1.0, 9.0)))
-    assert found["replay_matches"] is True
-    assert len(found["replay_compared"]["parts"]) == 1
-    (one,) = found["replay_compared"]["breaks"]
+    matches, compared = compare(without(two_runs, PARAMETERS_TOPIC, 1.0, 9.0))
+    assert matches is True
+    assert len(compared["parts"]) == 1
+    (one,) = compared["breaks"]
     assert "lacks the parameters" in one["reason"]
 
 
 def test_the_bag_that_a_replay_writes_of_two_runs_holds_both(
-    two_runs: list[Line], inputs: list[Line], tmp_path: Path, write_bag: Write, summary: Summary
+    two_runs: list[Line], inputs: list[Line], tmp_path: Path, compare: Compare
 ) -> None:
     """Put beside the inputs it is a recording again."""
-    summary(write_bag(tmp_path / "bag", two_runs), "--output", tmp_path / "made")
-    with open_bag(tmp_path / "made") as made:
-        written = [(m, made.deserialize(m.raw, m.type_name)) for m in made.messages()]
-    _, second = (m.log_time_ns for m, _ in written if m.topic == f"/{PARAMETERS_TOPIC}")
-    written.sort(key=lambda pair: (pair[0].log_time_ns >= second, getattr(pair[1], "sequence", -1)))
-    end_ns = max(line.log_ns for line in inputs) + 1
-    with BagWriter(tmp_path / "both") as both:
-        for x in sorted(inputs, key=lambda x: x.log_ns):
-            both.write(f"/{x.topic}", x.type_name, serialize(x.message), x.log_ns)
-        for k, (m, _) in enumerate(written):
-            both.write(m.topic, m.type_name, m.raw, end_ns + k)
-    found = summary(tmp_path / "both")
+    made = tmp_path / "made"
+    compare(two_runs, "--output", str(made))
+    written = in_order_of_journal(made)
+    _, second = sorted(m.log_time_ns for m in written if m.topic == f"/{PARAMETERS_TOPIC}")
+    written.sort(key=lambda m: m.log_time_ns >= second)
+    both = write_lines(tmp_path / "both", inputs, written)
+    found = json_of(tmp_path, "replay", both)
     assert found["replay_matches"] is True
     assert len(found["replay_compared"]["parts"]) == 2

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.commands import TRACKSLIP, json_of
 from fixtures.patience import PATIENCE
 from fixtures.pieces import end, refused, square, wait
 
@@ -108,10 +109,9 @@ def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(
 def test_a_bag_alone_and_among_others_gives_the_same(
     summary: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
-    bag, file = str(BAGS / "slalom_sand"), tmp_path / "many.json"
+    bag = BAGS / "slalom_sand"
     alone = summary(bag, *SHORT)
-    assert main(["replay", bag, bag, "--workers", "1", "--json", str(file), *SHORT]) == ExitCode.DONE
-    (entry,) = json.loads(file.read_text())  # each bag once
+    (entry,) = json_of(tmp_path, "replay", bag, bag, "--workers", "1", *SHORT)  # each bag once
     assert entry["distance"] == pytest.approx(0.36, abs=0.05)
     assert {name: entry[name] for name in alone if name != "real_time_factor"} == {
         name: value for name, value in alone.items() if name != "real_time_factor"
@@ -167,7 +167,7 @@ def test_hostile_names_and_errors_run_nothing_in_the_index(tmp_path: Path) -> No
 def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    named, file = tmp_path / "named", tmp_path / "many.json"
+    named = tmp_path / "named"
     stated = make("std_msgs/msg/String", data=vehicle_text(load_vehicle("pc05")))
     with open_bag(BAGS / "slalom_sand") as bag, BagWriter(named) as copy:
         copy.write("/vehicle", "std_msgs/msg/String", serialize(stated), bag.start_ns)
@@ -176,11 +176,11 @@ def test_an_assumed_vehicle_of_one_of_several_bags_is_named(
     bags = [str(BAGS / "slalom_sand"), str(named)]
     assert main(["replay", bags[0], "--stop", "2"]) == ExitCode.DONE
     (alone,) = [line for line in capsys.readouterr().out.splitlines() if "vehicle" in line]
-    assert main(["replay", *bags, "--stop", "2", "--workers", "1", "--json", str(file)]) == ExitCode.DONE
+    entries = json_of(tmp_path, "replay", *bags, "--stop", "2", "--workers", "1")
     printed = capsys.readouterr()
     assert "vehicles: pc05 (1), pc05 (assumed) (1)" in printed.out
     assert f"slalom_sand: {alone}" in printed.err
-    assert [entry["notes"] for entry in json.loads(file.read_text())] == [[alone], []]
+    assert [entry["notes"] for entry in entries] == [[alone], []]
 
 
 def test_the_table_names_what_is_missing_and_fits() -> None:
@@ -247,7 +247,7 @@ def test_an_interruption_ends_the_processes() -> None:
 
 def test_ctrl_c_of_a_terminal_leaves_no_process_and_no_traceback(fleet: Path) -> None:
     """It reaches all processes of the group."""
-    command = [sys.executable, "-m", "trackslip_tools.cli.main", "replay", str(fleet), "--workers", "2"]
+    command = [*TRACKSLIP, "replay", str(fleet), "--workers", "2"]
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while len(children.read_text().split()) < 2:  # the first worker, and what tracks its resources

@@ -4,13 +4,13 @@
 
 import shlex
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.commands import TRACKSLIP
 
 from trackslip_bags.messages import make
 from trackslip_common.errors import ExitCode
@@ -19,7 +19,7 @@ from trackslip_tools.cli.main import main
 from trackslip_tools.report.numbers import NumbersCollector
 
 Refuse = Callable[..., str]
-WriteBag = Callable[..., Path]
+BagOf = Callable[..., Path]
 TEXT = "std_msgs/msg/String"
 SOIL = "trackslip_msgs/msg/SoilEstimate"
 ESCAPE = "\x1b]0;title\x07"
@@ -27,12 +27,12 @@ ESCAPE = "\x1b]0;title\x07"
 
 @pytest.mark.parametrize("topic", ["hydraulics", "soil", "track_forces", "truth/soil"])
 def test_wrong_types_of_the_soils_topics(
-    tmp_path: Path, lines: list[Any], write_bag: WriteBag, refuse: Refuse, topic: str
+    tmp_path: Path, lines: list[Any], bag_of: BagOf, refuse: Refuse, topic: str
 ) -> None:
     hydraulics = make("trackslip_msgs/msg/TrackHydraulics")
-    right = lines[0]._replace(topic="hydraulics", type_name=hydraulics.__msgtype__, message=hydraulics)
-    wrong = lines[0]._replace(topic=topic, type_name=TEXT, message=make(TEXT, data="hello"))
-    path = write_bag(tmp_path / "bag", [*lines, wrong, *([right] if topic != "hydraulics" else [])])
+    right = lines[0].instead("hydraulics", hydraulics)
+    wrong = lines[0].instead(topic, make(TEXT, data="hello"))
+    path = bag_of([*lines, wrong, *([right] if topic != "hydraulics" else [])])
     assert f"/{topic} is a {TEXT}" in refuse("replay", path)
     assert f"/{topic} is a {TEXT}" in refuse("report", path, "--output", tmp_path / "report.html")
     assert not (tmp_path / "report.html").exists()
@@ -58,12 +58,12 @@ def test_a_reference_that_remap_took_away(bag: Path, tmp_path: Path, refuse: Ref
 
 
 def test_escapes_in_names_do_not_reach_the_terminal(
-    tmp_path: Path, lines: list[Any], write_bag: WriteBag, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, lines: list[Any], bag_of: BagOf, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    odd = lines[0]._replace(topic=ESCAPE, type_name=TEXT, message=make(TEXT, data=ESCAPE))
+    odd = lines[0].instead(ESCAPE, make(TEXT, data=ESCAPE))
     content = f'slip_estimator: {{ros__parameters: {{"{ESCAPE.encode("unicode_escape").decode()}": 1}}}}'
     parameters = odd._replace(topic="slip_estimator/parameters", message=make(TEXT, data=content))
-    path = write_bag(tmp_path / "bag", [parameters, odd, *lines])
+    path = bag_of([parameters, odd, *lines])
     main(["info", str(path)])
     main(["recover", str(path), "--output", str(tmp_path / "recovered")])
     main(["replay", str(path), "--start", "9"])
@@ -102,8 +102,8 @@ def test_a_full_disk_leaves_nothing_of_an_import(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
-    command = [sys.executable, "-m", "trackslip_tools.cli.main", "info", str(bag)]
     with Path("/dev/full").open("w", encoding="utf-8") as full:
+        command = [*TRACKSLIP, "info", str(bag)]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == ExitCode.BAD_INPUT
     assert done.stderr == "trackslip: cannot read or write (No space left on device)\n"
@@ -111,7 +111,7 @@ def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
 
 def test_info_with_closed_output_ended_with_a_traceback(bag: Path) -> None:
     """``>&-``: there is no stdout at all then."""
-    command = f"{shlex.quote(sys.executable)} -m trackslip_tools.cli.main info {shlex.quote(str(bag))} >&-"
+    command = f"{shlex.join([*TRACKSLIP, 'info', str(bag)])} >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
 

@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
 
-import json
 import re
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from fixtures.commands import json_of
 from fixtures.robot_logs import EPOCH_NS, Gnss, drive, write_gnss_csv, write_ros1, write_ros2
 
 from trackslip_bags.input_filters import InputFilters
@@ -46,9 +47,7 @@ def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:
 
 
 def replayed(bag: Path, *options: str, code: int = ExitCode.DONE) -> dict[str, Any]:
-    out = bag.parent / "out.json"
-    assert main(["replay", str(bag), "--json", str(out), *options]) == code
-    found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    found: dict[str, Any] = json_of(bag.parent, "replay", bag, *options, code=code)
     return found
 
 
@@ -176,10 +175,10 @@ NO_ESTIMATE = {
 
 
 @pytest.mark.parametrize("reason", NO_ESTIMATE)
-def test_no_estimate_states_why(bag: Path, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_estimate_states_why(bag: Path, reason: str, printed: Callable[[], str]) -> None:
     options = [word for text in NO_ESTIMATE[reason] for word in ("--set", f"slip_estimator.{text}")]
     assert replayed(bag, *options, code=ExitCode.FAILED)["final"] is None
-    assert f"no estimate: {reason}" in " ".join(capsys.readouterr().out.split())
+    assert f"no estimate: {reason}" in printed()
 
 
 REFUSED = {

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """IMUs of a bag: turned as they are mounted, and refused where they state that they have no data."""
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.commands import json_of
 from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags.input_filters import InputFilters
@@ -18,7 +18,6 @@ from trackslip_bags.writer import BagWriter
 from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_tools.cli.main import main
 
 ANGLES = {"mounting_roll": math.pi, "mounting_pitch": 0.2, "mounting_yaw": -0.7}
 
@@ -67,8 +66,7 @@ def test_columns_are_what_the_node_makes_of_each_message(lacking: Path) -> None:
 def test_messages_without_rates_are_counted_by_name(
     lacking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["replay", str(lacking), "--json", str(tmp_path / "found.json")]) == 0
-    found = json.loads((tmp_path / "found.json").read_text())
+    found = json_of(tmp_path, "replay", lacking)
     with open_bag(lacking) as bag:
         count = bag.topics["/imu/data_raw"].count
     assert found["rejected"]["imu/data_raw"]["without angular velocity"] == math.ceil(count / 5)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.recorded import in_order_of_journal, write_lines
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_bags.messages import make, serialize
+from trackslip_bags.messages import make
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import open_bag
-from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -24,7 +24,6 @@ from trackslip_tools.report.learned_panels import learned_panels, learned_rows
 from trackslip_tools.report.run import Run
 
 Summary = Callable[..., dict[str, Any]]
-WriteBag = Callable[..., Path]
 
 
 @pytest.fixture(scope="module")
@@ -39,19 +38,16 @@ def learned_tree(drive: Callable[..., Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
-def second_run(tmp_path: Path, lines: list[Any], learned_tree: dict[str, Any]) -> Callable[..., Path]:
+def second_run(
+    bag_of: Callable[..., Path], lines: list[Any], learned_tree: dict[str, Any]
+) -> Callable[..., Path]:
     """A function that makes a bag of a run which started from this."""
 
     def make_bag(learned: object = learned_tree) -> Path:
         text = parameters_text(to_flat(load_slip_parameters()), NODE, learned=learned)
-        path = tmp_path / "second"
-        with BagWriter(path) as bag:
-            first_ns = min(line.log_ns for line in lines)
-            message = serialize(make(PARAMETERS_TYPE, data=text))
-            bag.write(f"/{PARAMETERS_TOPIC}", PARAMETERS_TYPE, message, first_ns - 1)
-            for line in sorted(lines, key=lambda line: line.log_ns):
-                bag.write(f"/{line.topic}", line.type_name, serialize(line.message), line.log_ns)
-        return path
+        stated = lines[0].instead(PARAMETERS_TOPIC, make(PARAMETERS_TYPE, data=text))
+        first_ns = min(line.log_ns for line in lines)
+        return bag_of([stated._replace(log_ns=first_ns - 1), *lines])
 
     return make_bag
 
@@ -97,15 +93,7 @@ def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
 ) -> None:
     made, both = tmp_path / "made", tmp_path / "both"
     summary(second_run(), "--output", made)
-    end_ns = max(line.log_ns for line in lines) + 1
-    with open_bag(made) as estimates:
-        written = [(m, estimates.deserialize(m.raw, m.type_name)) for m in estimates.messages()]
-    with BagWriter(both) as recording:
-        for line in sorted(lines, key=lambda line: line.log_ns):
-            recording.write(f"/{line.topic}", line.type_name, serialize(line.message), line.log_ns)
-        for k, (m, _) in enumerate(sorted(written, key=lambda pair: getattr(pair[1], "sequence", -1))):
-            recording.write(m.topic, m.type_name, m.raw, end_ns + k)
-    assert summary(both)["replay_matches"] is True
+    assert summary(write_lines(both, lines, in_order_of_journal(made)))["replay_matches"] is True
 
 
 @pytest.mark.parametrize(
@@ -119,13 +107,13 @@ def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
 def test_what_does_not_fit_is_reported_and_not_used(
     second_run: Callable[..., Path],
     summary: Summary,
-    capsys: pytest.CaptureFixture[str],
+    printed: Callable[[], str],
     learned: object,
     options: tuple[str, ...],
     reason: str,
 ) -> None:
     summary(second_run(learned) if learned else second_run(), *options)
-    shown = " ".join(capsys.readouterr().out.split())
+    shown = printed()
     assert "what was learned before" in shown
     assert reason in shown
 

@@ -7,13 +7,13 @@ import json
 import signal
 import socket
 import subprocess
-import sys
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.commands import TRACKSLIP
 from fixtures.patience import PATIENCE
 from tornado.websocket import websocket_connect
 
@@ -119,7 +119,7 @@ def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:
 @pytest.fixture
 def serving() -> Iterator[tuple[Any, str]]:
     """The command over a bag, and the address that it prints."""
-    command = [sys.executable, "-m", "trackslip_tools.cli.main", "live", str(BAG), "--port", "0"]
+    command = [*TRACKSLIP, "live", str(BAG), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         lines = iter(program.stdout.readline, "")

@@ -21,6 +21,7 @@ from trackslip_tools.live.page import File
 from trackslip_tools.live.parameters import LiveParameters
 from trackslip_tools.live.server import PageServer, ServerLog
 
+Connect = Callable[..., socket.socket]
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1"
 LARGE = 10_000_000  # bytes: more than sockets take unread
 FILES = {"": File("text/html", b"<p>page</p>"), "large": File("text/plain", b"x" * LARGE)}
@@ -55,7 +56,14 @@ def server(serve: Callable[[], PageServer], monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.fixture
-def connect() -> Iterator[Callable[..., socket.socket]]:
+def hasty(serve: Callable[[], PageServer], monkeypatch: pytest.MonkeyPatch) -> PageServer:
+    """One that waits 0.2 s for the rest of a request."""
+    monkeypatch.setattr(connections, "HEADER_TIMEOUT_S", 0.2)
+    return serve()
+
+
+@pytest.fixture
+def connect() -> Iterator[Connect]:
     """A function that connects to a server, and sends it some bytes."""
     with ExitStack() as opened:
 
@@ -95,20 +103,15 @@ def asking(server: PageServer, path: str, **headers: str) -> bytes:
 
 @pytest.mark.parametrize("sent", [b"", b"G", HALF, HALF + b"\r\nContent-Length: 9\r\n", b"\x16\x03\x01\x02"])
 def test_half_sent_request_is_closed_after_header_timeout(
-    sent: bytes,
-    serve: Callable[[], PageServer],
-    connect: Callable[..., socket.socket],
-    monkeypatch: pytest.MonkeyPatch,
+    sent: bytes, hasty: PageServer, connect: Connect
 ) -> None:
-    monkeypatch.setattr(connections, "HEADER_TIMEOUT_S", 0.2)
-    assert is_closed(connect(serve(), sent))
+    assert is_closed(connect(hasty, sent))
 
 
 def test_bytes_that_come_one_by_one_do_not_delay_the_header_timeout(
-    serve: Callable[[], PageServer], connect: Callable[..., socket.socket], monkeypatch: pytest.MonkeyPatch
+    hasty: PageServer, connect: Connect
 ) -> None:
-    monkeypatch.setattr(connections, "HEADER_TIMEOUT_S", 0.2)
-    client = connect(serve(), HALF)
+    client = connect(hasty, HALF)
     client.setblocking(False)
 
     def is_over() -> bool:
@@ -120,17 +123,13 @@ def test_bytes_that_come_one_by_one_do_not_delay_the_header_timeout(
     wait_for(is_over)
 
 
-def test_half_sent_body_is_closed_after_its_timeout(
-    serve: Callable[[], PageServer], connect: Callable[..., socket.socket], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(connections, "HEADER_TIMEOUT_S", 0.2)
-    server = serve()
-    body = asking(server, "/", **{"Content-Length": "9"}).replace(b"GET", b"POST") + b"123"
-    assert is_closed(connect(server, body))
+def test_half_sent_body_is_closed_after_its_timeout(hasty: PageServer, connect: Connect) -> None:
+    body = asking(hasty, "/", **{"Content-Length": "9"}).replace(b"GET", b"POST") + b"123"
+    assert is_closed(connect(hasty, body))
 
 
 def test_an_unread_answer_is_given_up(
-    serve: Callable[[], PageServer], connect: Callable[..., socket.socket], monkeypatch: pytest.MonkeyPatch
+    serve: Callable[[], PageServer], connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connections, "_LIFE_S", 0.2)
     server = serve()
@@ -141,7 +140,7 @@ def test_an_unread_answer_is_given_up(
 
 @pytest.mark.parametrize("path", ["", "/"], ids=["half-sent", "answered"])
 def test_new_connections_take_the_place_of_the_oldest(
-    path: str, server: PageServer, connect: Callable[..., socket.socket]
+    path: str, server: PageServer, connect: Connect
 ) -> None:
     sent = asking(server, path) if path else HALF
     clients = []
@@ -154,9 +153,7 @@ def test_new_connections_take_the_place_of_the_oldest(
     wait_for(lambda: server.counts["connections displaced"] >= 40)
 
 
-def test_half_sent_requests_do_not_take_the_place_of_whole_ones(
-    server: PageServer, connect: Callable[..., socket.socket]
-) -> None:
+def test_half_sent_requests_do_not_take_the_place_of_whole_ones(server: PageServer, connect: Connect) -> None:
     good = connect(server, asking(server, "/large"))
     start = good.recv(100)
     for _ in range(MOST + 40):
@@ -167,9 +164,7 @@ def test_half_sent_requests_do_not_take_the_place_of_whole_ones(
     wait_for(lambda: server.counts["connections displaced"] >= 40)
 
 
-def test_streams_of_pages_count_and_are_kept(
-    server: PageServer, connect: Callable[..., socket.socket]
-) -> None:
+def test_streams_of_pages_count_and_are_kept(server: PageServer, connect: Connect) -> None:
     upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
     key = {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
     page = connect(server, asking(server, "/stream", **upgrade, **key))
@@ -209,10 +204,7 @@ def scarce() -> Iterator[Callable[[int], None]]:
 
 
 def test_out_of_descriptors_half_sent_requests_give_way(
-    server: PageServer,
-    connect: Callable[..., socket.socket],
-    scarce: Callable[[int], None],
-    logged: list[str],
+    server: PageServer, connect: Connect, scarce: Callable[[int], None], logged: list[str]
 ) -> None:
     scarce(41)  # 20 at each end, and one for the good client
     for _ in range(20):
@@ -224,10 +216,7 @@ def test_out_of_descriptors_half_sent_requests_give_way(
 
 
 def test_out_of_descriptors_accepting_pauses(
-    server: PageServer,
-    connect: Callable[..., socket.socket],
-    scarce: Callable[[int], None],
-    monkeypatch: pytest.MonkeyPatch,
+    server: PageServer, connect: Connect, scarce: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = []
     back_off = connections.BoundedServer._back_off

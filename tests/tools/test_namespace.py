@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag of several machines: each replays alone, by its namespace."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from fixtures.commands import json_of
 
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.reader import open_bag
@@ -32,9 +32,7 @@ def two_machines(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 
 def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
-    file = folder / "found.json"
-    assert main(["replay", *map(str, arguments), "--json", str(file)]) == ExitCode.DONE
-    found: dict[str, Any] = json.loads(file.read_text())
+    found: dict[str, Any] = json_of(folder, "replay", *arguments)
     return {name: value for name, value in found.items() if name != "real_time_factor"}
 
 

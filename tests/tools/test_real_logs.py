@@ -5,7 +5,6 @@
 The bars are for the mean of three draws of the fixes' noise; 5 % more is for other processors and versions.
 """
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from fixtures.commands import json_of
 
 from trackslip_bags.reader import open_bag
 from trackslip_bags.tables import read_tables
@@ -52,10 +52,7 @@ def log(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Import:
 
 
 def replay(bag: Path, robot: str, folder: Path, *options: str) -> dict[str, Any]:
-    out = folder / "out.json"
-    command = ["replay", str(bag), *WINDOWS[robot], *THIN, *options, "--json", str(out)]
-    assert main(command) == ExitCode.DONE
-    found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    found: dict[str, Any] = json_of(folder, "replay", bag, *WINDOWS[robot], *THIN, *options)
     return found
 
 

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slip seeds in a bag: replayed to the last bit where they are listened to, and otherwise without a trace."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fixtures.arrival_rows import measurements_of
+from fixtures.recorded import merged_messages, write_lines
 from fixtures.whole_inputs import read_inputs
 
 from trackslip_bags import tables
@@ -41,19 +41,15 @@ LAST_NS = 1_700_000_100_000_000_000  # after all else
 
 
 @pytest.fixture(scope="module")
-def seeded(
-    lines: list[Any], write_bag: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def seeded(lines: list[Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive with a seed in each straight leg, the second one nonsense; each 0.5 s late."""
     origin_ns = min(line.log_ns for line in lines)
     found = []
     for t, slip in ((3.0, 0.02), (9.0, float("nan"))):
         seed = SlipSeed(origin_ns + round(t * 1e9), np.full(2, slip), 1e-6 * (np.ones((2, 2)) + np.eye(2)))
         message = message_of(make, seed, "base_link")
-        found.append(
-            type(lines[0])(seed.stamp_ns + _LATE_NS, "slip_seed", TOPICS["slip_seed"].type_name, message)
-        )
-    return write_bag(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *found])
+        found.append(lines[0].instead("slip_seed", message)._replace(log_ns=seed.stamp_ns + _LATE_NS))
+    return write_lines(tmp_path_factory.mktemp("seeds") / "bag", [*lines, *found])
 
 
 def replayed(path: Path, parts: list[Part] | None = None, **changes: Any) -> Replay:
@@ -103,12 +99,8 @@ def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path:
     with open_bag(seeded) as bag, EstimateWriter(tmp_path / "own", p) as writer:
         replay(bag, p, InputFilters(), None, watch=writer.add)
     replayed(seeded, parts, **SOURCE, model=model)
-    messages = []
-    for path in (seeded, tmp_path / "own"):
-        with open_bag(path) as bag:
-            messages += [m for m in bag.messages() if m.topic != "/measurement_reports"]
     with BagWriter(tmp_path / "live") as live:
-        for message in sorted(messages, key=lambda m: m.log_time_ns):
+        for message in merged_messages(seeded, tmp_path / "own"):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
         for sequence, report in enumerate(reports_of(parts)):  # a journal in the order of arrival
             raw = serialize(conversions.measurement_report(make, report, sequence))

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The smoother over an emulated drive: better than the filter, above all in outages; consistent at breaks."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.commands import json_of
 from numpy.typing import NDArray
 
 from trackslip_bags.reader import open_bag
@@ -147,10 +147,8 @@ def test_nothing_starts_without_a_fix(log: Any) -> None:
 
 @pytest.mark.slow
 def test_the_command_writes_a_bag_and_a_summary(emulated_bag: Path, tmp_path: Path) -> None:
-    output, summary = tmp_path / "smoothed", tmp_path / "summary.json"
-    options = ["--withhold", "box_pose:22:34", "--output", str(output), "--json", str(summary)]
-    assert main(["smooth", str(emulated_bag), *options]) == ExitCode.DONE
-    found = json.loads(summary.read_text())
+    output = tmp_path / "smoothed"
+    found = json_of(tmp_path, "smooth", emulated_bag, "--withhold", "box_pose:22:34", "--output", output)
     assert found["reference"] == "truth/odometry"
     for name in ("position", "heading"):
         assert 0.0 < found["smoother"][name] < found["filter"][name]

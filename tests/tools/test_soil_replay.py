@@ -2,19 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The soil estimator in ``trackslip replay``: what it finds, what it says, and that it repeats itself."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.commands import json_of
+from fixtures.recorded import merged_messages
 from fixtures.swinging_cab import Cab, dig, record
 
 from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
-from trackslip_common.errors import ExitCode
 from trackslip_common.soils import soil
 from trackslip_estimation.slip import conversions as slip
 from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
@@ -22,8 +22,8 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.conversions import machine_state
 from trackslip_estimation.soil.records import SOIL_INPUT, inputs_of
-from trackslip_tools.cli.main import main
 
+Summary = Callable[..., dict[str, Any]]
 KEYS = {"mu_r", "mu_l", "K", "K_interval", "F_max", "F_max_interval", "identifiable", "classes"}
 
 
@@ -31,15 +31,7 @@ KEYS = {"mu_r", "mu_l", "K", "K_interval", "F_max", "F_max_interval", "identifia
 def replayed(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """The bag of the estimates, and the summary."""
     folder = tmp_path_factory.mktemp("soil")
-    arguments = ["--output", str(folder / "out"), "--json", str(folder / "out.json")]
-    assert main(["replay", str(emulated_bag), *arguments]) == ExitCode.DONE
-    return folder / "out", json.loads((folder / "out.json").read_text(encoding="utf-8"))
-
-
-def summary_of(bag: Path, folder: Path, *options: str) -> dict[str, Any]:
-    assert main(["replay", str(bag), "--json", str(folder / "s.json"), *options]) == ExitCode.DONE
-    found: dict[str, Any] = json.loads((folder / "s.json").read_text(encoding="utf-8"))
-    return found
+    return folder / "out", json_of(folder, "replay", emulated_bag, "--output", folder / "out")
 
 
 def test_the_summary_has_the_soil(replayed: tuple[Path, dict[str, Any]]) -> None:
@@ -63,20 +55,16 @@ def test_forces_and_soil_are_in_the_output(replayed: tuple[Path, dict[str, Any]]
 
 @pytest.mark.slow
 def test_replay_of_a_bag_with_live_forces_gives_them_again(
-    emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path
+    emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path, summary: Summary
 ) -> None:
     """Sensors and estimates in one bag; without the journal, whose log times are not those of a recorder."""
-    messages = []
-    for path in (emulated_bag, replayed[0]):
-        with open_bag(path) as bag:
-            messages += [m for m in bag.messages() if m.topic != "/measurement_reports"]
     with BagWriter(tmp_path / "live") as live:
-        for message in sorted(messages, key=lambda m: m.log_time_ns):
+        for message in merged_messages(emulated_bag, replayed[0]):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
-    found = summary_of(tmp_path / "live", tmp_path)
+    found = summary(tmp_path / "live")
     assert found["soil"]["replay_matches"] is True
     assert found["soil"]["mu_r"] == replayed[1]["soil"]["mu_r"]
-    other = summary_of(tmp_path / "live", tmp_path, "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
+    other = summary(tmp_path / "live", "--set", "soil_estimator.dynamics.mu_r_walk=0.05")
     assert other["soil"]["replay_matches"] is False
 
 
@@ -97,11 +85,11 @@ def test_replay_gives_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
 
 
 def test_withheld_hydraulics_are_reported_and_a_bag_without_them_has_no_soil(
-    emulated_bag: Path, bag: Path, tmp_path: Path
+    emulated_bag: Path, bag: Path, summary: Summary
 ) -> None:
-    blind = summary_of(emulated_bag, tmp_path, "--withhold", "hydraulics:20:40", "--stop", "45")["soil"]
+    blind = summary(emulated_bag, "--withhold", "hydraulics:20:40", "--stop", "45")["soil"]
     assert blind["rejected"]["hydraulics"]["hydraulics silent"] > 1500
-    assert "soil" not in summary_of(bag, tmp_path)
+    assert "soil" not in summary(bag)
 
 
 def test_a_parameter_that_is_none_is_refused(emulated_bag: Path, refuse: Callable[..., str]) -> None:

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands of the README on a terminal of 80 columns: nothing wider, and no traceback."""
 
-import sys
 from pathlib import Path
 
 import pytest
+from fixtures.commands import TRACKSLIP
 from fixtures.terminal import COLUMNS, on_terminal
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,7 @@ BAGS = ROOT / "bags"
 )
 def test_a_command_keeps_to_the_terminal(words: str, tmp_path: Path) -> None:
     arguments = [word.format(bags=BAGS, out=tmp_path / "out") for word in words.split()]
-    shown = on_terminal([sys.executable, "-m", "trackslip_tools.cli.main", *arguments])
+    shown = on_terminal([*TRACKSLIP, *arguments])
     assert shown.code == (2 if "/no/" in words else 0), shown.text
     paths = (str(BAGS), str(tmp_path))  # are never broken
     assert [s for s in shown.lines if len(s) > COLUMNS and not any(path in s for path in paths)] == []
