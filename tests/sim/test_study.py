@@ -7,21 +7,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.study_bench import Bench, assert_same_bound, expected_bound, make_bench
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.config import ConfigRecord, make_config
+from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.models import free_slips
-from trackslip_estimation.slip.models.dispatch import linearize, move, twist
+from trackslip_estimation.slip.models.dispatch import twist
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE
 from trackslip_estimation.slip.models.model import POSE as OF_POSE
 from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, smoothed
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, POSE, STATE
-from trackslip_sim.study.slip.drive import Drive, make_drive
-from trackslip_sim.study.slip.evaluate import evaluate, least, make_setting, score, trace
+from trackslip_sim.study.slip.drive import make_drive
+from trackslip_sim.study.slip.evaluate import least, score, trace
 from trackslip_sim.study.slip.kernels import Rows, bound
 from trackslip_sim.study.slip.parameters import (
     DRAWN,
@@ -31,7 +32,7 @@ from trackslip_sim.study.slip.parameters import (
     StudyParameters,
     load_study_parameters,
 )
-from trackslip_sim.study.slip.results import Sums, mean_bounds, total
+from trackslip_sim.study.slip.results import Row, Sums, mean_bounds, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
 
 FloatArray = NDArray[np.float64]
@@ -51,8 +52,8 @@ def estimator() -> SlipEstimatorParameters:
 
 
 @pytest.fixture(scope="module")
-def drive(p: StudyParameters, estimator: SlipEstimatorParameters) -> Drive:
-    return make_drive(p, estimator, "sand")
+def bench(p: StudyParameters, estimator: SlipEstimatorParameters) -> Bench:
+    return make_bench(p, estimator)
 
 
 def cell(truth: str = MATCHED, filter_: str = "ekf", sigma_xy: float = 0.02, soil: str = "sand") -> Cell:
@@ -81,9 +82,8 @@ def scored(setting: Setting, trial: Trial) -> Sums:
 # What the filters are fed
 
 
-def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
+def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(bench: Bench) -> None:
+    p, estimator, drive = bench
     samples, step = drive.samples, estimator.encoder_resolution / PERIOD
     truth, true = drive.truth, speeds_of(drive.true_drives)
     assert len(samples) == round(p.duration * p.sprocket_rate)
@@ -97,11 +97,9 @@ def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(
     assert np.std(smooth[straight]) < np.std(off[straight]) / 3.0
 
 
-def test_noise_is_as_large_as_the_filters_assume(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
-    setting = make_setting(cell(SHEAR), drive, p, estimator)
-    fixes, rates = drive.fixes, drive.rates
+def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
+    p, _, drive = bench
+    setting, fixes, rates = bench.setting(cell(SHEAR)), drive.fixes, drive.rates
     trials = [make_trial(setting, seed) for seed in range(20)]
     of_fixes = np.concatenate(
         [t.rows.measurements["value"][fixes] - t.states[fixes, OF_POSE] for t in trials]
@@ -126,25 +124,18 @@ def assert_same(rows: Any, others: Any) -> None:
 
 
 @pytest.mark.parametrize("truth", [SHEAR, pytest.param(MATCHED, marks=pytest.mark.slow)])
-def test_filters_are_compared_on_the_same_draws(
-    truth: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
-    ekf, daf, again = (
-        make_trial(make_setting(cell(truth, name), drive, p, estimator), seed=1)
-        for name in ("ekf", "daf", "ekf")
-    )
-    other = make_trial(make_setting(cell(truth, soil="dry_clay"), drive, p, estimator), seed=1)
+def test_filters_are_compared_on_the_same_draws(truth: str, bench: Bench) -> None:
+    ekf, daf, again = (bench.trial(cell(truth, name), seed=1) for name in ("ekf", "daf", "ekf"))
+    other = bench.trial(cell(truth, soil="dry_clay"), seed=1)
     for mine, its, repeated in zip(ekf.rows, daf.rows, again.rows, strict=True):
         assert_same(mine, its)
         assert_same(mine, repeated)
     assert not np.array_equal(ekf.rows.measurements["value"], other.rows.measurements["value"])
 
 
-def test_states_on_the_shear_truth_move_as_the_machine_does(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
-    setting = make_setting(cell(SHEAR), drive, p, estimator)
-    states, at = make_trial(setting, seed=0).states, drive.truth
+def test_states_on_the_shear_truth_move_as_the_machine_does(bench: Bench) -> None:
+    setting = bench.setting(cell(SHEAR))
+    states, at = make_trial(setting, seed=0).states, bench.drive.truth
     for k in range(100, len(states), 97):
         v_x, _, rate = twist(states[k], at.left_speed[k], at.right_speed[k], setting.linear[0])
         assert (v_x, rate) == pytest.approx((at.v_x[k], at.yaw_rate[k]), abs=1e-6)
@@ -161,7 +152,7 @@ def test_nothing_to_score_is_refused(estimator: SlipEstimatorParameters) -> None
 
 
 def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters) -> None:
-    """In the information form of Tichavský et al., F differentiated numerically, in a steady turn."""
+    """In a steady turn."""
     config, rows = make_config(estimator), Rows(np.zeros(60, MEASUREMENT), np.zeros(60, STATE))
     config["stamp_errors"] = 0.0
     rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 61)
@@ -173,37 +164,14 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix
     spare = np.flatnonzero(np.diag(P) == 0.0)  # of sources that there are not
     P[spare, spare] = 1e-4
-    start, states, J, H = x, [], np.linalg.inv(P), np.eye(3, x.size)
-    for measurement, drive in zip(*rows, strict=True):
-        F, Q = _linearised(x, drive, config)
-        J = np.linalg.inv(F @ np.linalg.inv(J) @ F.T + Q)
-        if measurement["kind"] == POSE:
-            J = J + H.T @ np.linalg.inv(fix) @ H
-        x = move(x, drive, PERIOD, config[0])
-        states.append(x)
-    found = bound(rows, np.array(states), start, P, config)[-1]
-    wanted = np.linalg.inv(J)
-    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    np.testing.assert_allclose(found / scale, wanted / scale, atol=1e-5)
-
-
-def _linearised(x: FloatArray, drive: np.void, config: ConfigRecord) -> tuple[FloatArray, FloatArray]:
-    """F by central differences, and Q at a state that is known."""
-    e, c = 1e-5, config[0]
-    columns = [
-        np.subtract(move(x + e * d, drive, PERIOD, c), move(x - e * d, drive, PERIOD, c)) / (2.0 * e)
-        for d in np.eye(x.size)
-    ]
-    return np.stack(columns, axis=1), linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, c)[2]
+    states, expected = expected_bound(rows, x, P, config, {POSE: lambda x: x[OF_POSE]})
+    assert_same_bound(bound(rows, states, x, P, config)[-1], expected, 1e-5)
 
 
 @pytest.mark.slow
-def test_where_all_is_linear_the_kalman_filter_attains_the_bound(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
+def test_where_all_is_linear_the_kalman_filter_attains_the_bound(bench: Bench) -> None:
     """With a heading as good as known, the matched truth is linear and Gaussian: RMSE, bound and P agree."""
-    sure = replace(p, sigma_heading=1e-6)
-    setting = make_setting(cell(MATCHED), drive, sure, estimator)
+    setting = bench._replace(p=replace(bench.p, sigma_heading=1e-6)).setting(cell(MATCHED))
     sums = total(scored(setting, make_trial(setting, seed)) for seed in range(30))
     for columns in (slice(0, 2), slice(3, 5)):
         attained = np.sqrt(sums.squares[:, columns].mean() / sums.bounds[:, columns].mean())
@@ -220,14 +188,16 @@ def test_bounds_of_a_mean_are_those_of_chi_squared() -> None:
     assert np.mean((low <= draws) & (draws <= high)) == pytest.approx(0.95, abs=0.01)
 
 
-@pytest.mark.parametrize("filter_", ["ekf", "daf"])
-def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(
-    filter_: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
-    row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
+def assert_consistent(row: Row) -> None:
     for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate"):
         low, high = getattr(row, f"{name}_bounds")
         assert low < getattr(row, name) < high
+
+
+@pytest.mark.parametrize("filter_", ["ekf", "daf"])
+def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(filter_: str, bench: Bench) -> None:
+    row = bench.row(cell(MATCHED, filter_))
+    assert_consistent(row)
     for name in ("position", "heading", "slip"):
         assert getattr(row, f"{name}_rmse") == pytest.approx(getattr(row, f"{name}_bound"), rel=0.25)
 
@@ -235,22 +205,15 @@ def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyParameters) -> None:
     """Its records are longer than its state: what is beyond has no variance and stays zero."""
-    estimator = load_slip_parameters({"model": "free_slips"})
-    drive = make_drive(p, estimator, "sand")
-    row = evaluate(cell(MATCHED, filter_), drive, p, estimator)
-    for name in ("nees_pose", "nees_slip", "nis_pose", "nis_yaw_rate"):
-        low, high = getattr(row, f"{name}_bounds")
-        assert low < getattr(row, name) < high
-    trial = make_trial(make_setting(cell(MATCHED, filter_), drive, p, estimator), seed=0)
-    assert not trial.states[:, free_slips.ACTIVE :].any()
+    bench = make_bench(p, load_slip_parameters({"model": "free_slips"}))
+    assert_consistent(bench.row(cell(MATCHED, filter_)))
+    assert not bench.trial(cell(MATCHED, filter_)).states[:, free_slips.ACTIVE :].any()
 
 
 @pytest.mark.parametrize(("factor", "outside"), [(1e-3, "above"), (10.0, "below")])
-def test_a_filter_with_false_noise_is_found_out(
-    factor: float, outside: str, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
+def test_a_filter_with_false_noise_is_found_out(factor: float, outside: str, bench: Bench) -> None:
     """Its R says that fixes are better, by more than it can find out itself, or worse than they are."""
-    setting = make_setting(cell(MATCHED), drive, p, estimator)
+    setting = bench.setting(cell(MATCHED))
 
     def misinformed(seed: int) -> Sums:
         trial = make_trial(setting, seed)
@@ -263,19 +226,18 @@ def test_a_filter_with_false_noise_is_found_out(
     assert nees > high if outside == "above" else nees < low
 
 
-def test_slips_are_scored_in_turns_apart(drive: Drive, p: StudyParameters) -> None:
+def test_slips_are_scored_in_turns_apart(bench: Bench) -> None:
     """Each segment of the slalom after settling is a turn, with a moment of straight driving in between."""
+    p, _, drive = bench
     assert len(drive.scored) == round((p.duration - p.settling) * p.sprocket_rate)
     assert drive.moving.all()
     assert 0.8 < drive.turning.mean() < 1.0
 
 
-def test_a_trace_shows_the_run_that_is_scored(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
-    setting = make_setting(cell(SHEAR), drive, p, estimator)
+def test_a_trace_shows_the_run_that_is_scored(bench: Bench) -> None:
+    setting = bench.setting(cell(SHEAR))
     found, sums = trace(setting, seed=2), scored(setting, make_trial(setting, seed=2))
-    later = found.t > p.settling
+    later = found.t > bench.p.settling
     for mine, its, columns in (
         (found.estimated_slips, found.slips, slice(3, 6)),
         (found.estimated_poses, found.poses, OF_POSE),
@@ -287,39 +249,41 @@ def test_a_trace_shows_the_run_that_is_scored(
 # On a terrain
 
 
+def assert_near_bound_on_slope(row: Row) -> None:
+    assert row.position_rmse < 1.25 * row.position_bound
+    assert row.turning_slip_rmse < 1.5 * row.turning_slip_bound
+    assert 1.5 < row.nees_pose < 4.5
+
+
 def test_on_a_slope_the_filter_nears_the_bound_there_and_one_that_ignores_it_does_not(
     estimator: SlipEstimatorParameters,
 ) -> None:
     given = {"scenario": "slalom", "duration": 24.0, "settling": 12.0, "seeds": 3}
     p = load_study_parameters({**given, "terrains": ["slope_down_15"]})
     on_slope = replace(cell(SHEAR, sigma_xy=0.01), terrain="slope_down_15")
-    drive = make_drive(p, estimator, "sand", "slope_down_15")
-    level = drive.rows.drives["attitude"]["level"]
-    np.testing.assert_allclose(level["downhill_x"], np.sin(drive.truth.pitch), atol=1e-12)
-    row = evaluate(on_slope, drive, p, estimator)
+    bench = make_bench(p, estimator, terrain="slope_down_15")
+    level = bench.drive.rows.drives["attitude"]["level"]
+    np.testing.assert_allclose(level["downhill_x"], np.sin(bench.drive.truth.pitch), atol=1e-12)
+    row = bench.row(on_slope)
     assert row.terrain == "slope_down_15"
-    assert row.position_rmse < 1.25 * row.position_bound
-    assert row.turning_slip_rmse < 1.5 * row.turning_slip_bound
-    assert 1.5 < row.nees_pose < 4.5
+    assert_near_bound_on_slope(row)
     assert row.ignoring_nees_pose is not None
     assert row.ignoring_nees_pose > 2.0 * row.nees_pose
 
 
-def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrain(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
-    plain = make_trial(make_setting(cell(SHEAR), drive, p, estimator), 0).rows.measurements
-    assert np.isnan(plain["acceleration"][drive.rates]).all()
-    setting = make_setting(replace(cell(SHEAR), terrain="side_slope_15"), drive, p, estimator)
-    felt = make_trial(setting, 0).rows.measurements["acceleration"][drive.rates]
+def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrain(bench: Bench) -> None:
+    plain, sloping = (
+        bench.trial(replace(cell(SHEAR), terrain=terrain)).rows.measurements["acceleration"]
+        for terrain in ("", "side_slope_15")
+    )
+    assert np.isnan(plain[bench.drive.rates]).all()
+    felt = sloping[bench.drive.rates]
     assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # this drive is on level ground
 
 
-def test_the_bound_of_drawn_machines_knows_how_they_are_drawn(
-    drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters
-) -> None:
+def test_the_bound_of_drawn_machines_knows_how_they_are_drawn(bench: Bench) -> None:
     """Delays of ± 0.1 s were held against a bound that expected ± 0.03."""
-    setting = make_setting(cell(DRAWN), drive, p, estimator)
+    setting = bench.setting(cell(DRAWN))
     trials = [make_trial(setting, seed) for seed in range(60)]
     drawn = [FIX_DELAY, GYRO_SCALE, ASYMMETRY]
     found = np.mean([trial.start_state[drawn] ** 2 for trial in trials], axis=0)
@@ -341,9 +305,6 @@ def test_slopes_of_15_degrees_cost_no_accuracy_against_their_bound(
     if soil == "clayey_soil" and terrain in ("slope_15", "hill"):
         pytest.skip("the machine does not climb it: docs/slopes.md")
     p = load_study_parameters({"seeds": 5, "terrains": [terrain]})
-    drive = make_drive(p, estimator, soil, terrain)
+    bench = make_bench(p, estimator, soil, terrain)
     for sigma_xy in (0.01, 0.05):
-        row = evaluate(replace(cell(SHEAR, "ekf", sigma_xy, soil), terrain=terrain), drive, p, estimator)
-        assert row.position_rmse < 1.25 * row.position_bound
-        assert row.turning_slip_rmse < 1.5 * row.turning_slip_bound
-        assert 1.5 < row.nees_pose < 4.5
+        assert_near_bound_on_slope(bench.row(replace(cell(SHEAR, "ekf", sigma_xy, soil), terrain=terrain)))

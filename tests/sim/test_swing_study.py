@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cells of the study with all sensors on a cab that swings: what they see, their bound, and their scores."""
 
-import json
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fixtures.commands import json_of
+from fixtures.study_bench import Sensor, assert_same_bound, expected_bound, make_bench
 from numpy.typing import NDArray
 
 from trackslip_estimation.slip.config import ConfigRecord, make_config
-from trackslip_estimation.slip.models.dispatch import linearize, move, twist
+from trackslip_estimation.slip.models.dispatch import twist
 from trackslip_estimation.slip.models.model import (
     GYRO_BIAS,
     GYRO_SCALE,
@@ -26,13 +26,10 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, ON_SWING, POSE, STATE, YAW_RATE
 from trackslip_sim.machine.placement import upper_poses
-from trackslip_sim.study.slip.drive import Drive, make_drive
-from trackslip_sim.study.slip.evaluate import evaluate, make_setting
 from trackslip_sim.study.slip.kernels import Rows, bound
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters, load_study_parameters
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.slip.trial import make_trial
-from trackslip_tools.cli.main import main
 
 FloatArray = NDArray[np.float64]
 
@@ -59,18 +56,14 @@ def without_encoder() -> SlipEstimatorParameters:
     return load_slip_parameters(CAB, {"swing_sources": [""]})
 
 
-@pytest.fixture(scope="module")
-def drive(p: StudyParameters, with_encoder: SlipEstimatorParameters) -> Drive:
-    return make_drive(p, with_encoder, "sand")
-
-
 # What the filters are fed
 
 
 def test_fixes_and_gyro_are_those_of_the_cab(
-    drive: Drive, p: StudyParameters, with_encoder: SlipEstimatorParameters
+    p: StudyParameters, with_encoder: SlipEstimatorParameters
 ) -> None:
-    trial = make_trial(make_setting(CELL, drive, p, with_encoder), seed=0)
+    bench = make_bench(p, with_encoder)
+    drive, trial = bench.drive, bench.trial(CELL)
     values, at = trial.rows.measurements["value"], drive.truth
     assert np.ptp(at.swing) > 3.0
     axis = np.array(with_encoder.vehicle.swing_axis)
@@ -98,10 +91,10 @@ def test_without_an_encoder_the_angle_at_the_start_errs_as_the_filter_expects(
     p: StudyParameters, with_encoder: SlipEstimatorParameters, without_encoder: SlipEstimatorParameters
 ) -> None:
     short = load_study_parameters({"scenario": "dig_cycles", "duration": 8.0, "settling": 4.0})
-    bare, shown = (make_drive(short, estimator, "sand") for estimator in (without_encoder, with_encoder))
-    assert not bare.angles.any()
-    assert shown.angles.sum() == round(8.0 * p.swing_rate)
-    setting = make_setting(CELL, bare, short, without_encoder)
+    bare, shown = (make_bench(short, estimator) for estimator in (without_encoder, with_encoder))
+    assert not bare.drive.angles.any()
+    assert shown.drive.angles.sum() == round(8.0 * p.swing_rate)
+    setting = bare.setting(CELL)
     trials = [make_trial(setting, seed) for seed in range(100)]
     errors = np.array([t.start[0][[YAW, SWING]] - t.start_state[[YAW, SWING]] for t in trials])
     assert np.std(errors[:, 1]) == pytest.approx(without_encoder.swing.initial_angle_stddev, rel=0.2)
@@ -149,7 +142,7 @@ def _rows(count: int, config: ConfigRecord, kind: int, noise: FloatArray) -> Row
 
 
 def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: SlipEstimatorParameters) -> None:
-    """In the information form; F and H by differences, H of sensors that are put on the cab here."""
+    """With sensors that are put on the cab here."""
     config, noises = (
         make_config(with_encoder),
         {POSE: (4e-4, 4e-4, 1e-4), YAW_RATE: (1e-4,), ON_SWING: (4e-6,)},
@@ -170,24 +163,13 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     P[SWING, SWING], P[SWING_RATE, SWING_RATE] = 0.01, 0.01
     spare = np.flatnonzero(np.diag(P) == 0.0)
     P[spare, spare] = 1e-4
-    start, states, J = x, [], np.linalg.inv(P)
-    for kind, drive in zip(kinds.tolist(), rows.drives, strict=True):
-        F = _by_differences(partial(move, drive=drive, dt=PERIOD, c=config[0]), x)
-        Q = linearize(x, np.zeros((x.size, x.size)), drive, PERIOD, config[0])[2]
-        J = np.linalg.inv(F @ np.linalg.inv(J) @ F.T + Q)
-        x = move(x, drive, PERIOD, config[0])
-        states.append(x)
-        H = _by_differences(_sensor(kind, with_encoder, config), x)
-        J = J + H.T @ np.diag(1.0 / np.array(noises[kind])) @ H
-    found, wanted = bound(rows, np.array(states), start, P, config)[-1], np.linalg.inv(J)
-    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    np.testing.assert_allclose(found / scale, wanted / scale, atol=1e-4)
-    assert wanted[SENSOR_ERRORS, SENSOR_ERRORS] == pytest.approx(1e-4)  # what no sensor sees stays
+    sensors = {kind: _sensor(kind, with_encoder, config) for kind in noises}
+    states, expected = expected_bound(rows, x, P, config, sensors)
+    assert_same_bound(bound(rows, states, x, P, config)[-1], expected, 1e-4)
+    assert expected[SENSOR_ERRORS, SENSOR_ERRORS] == pytest.approx(1e-4)  # what no sensor sees stays
 
 
-def _sensor(
-    kind: int, p: SlipEstimatorParameters, config: ConfigRecord
-) -> Callable[[FloatArray], FloatArray]:
+def _sensor(kind: int, p: SlipEstimatorParameters, config: ConfigRecord) -> Sensor:
     """h of a sensor on the cab."""
 
     def shown(x: FloatArray) -> FloatArray:
@@ -199,11 +181,6 @@ def _sensor(
         return upper_poses(x[None, OF_POSE], x[SWING : SWING + 1], p.vehicle.swing_axis)[0]
 
     return shown
-
-
-def _by_differences(function: Callable[[FloatArray], FloatArray], x: FloatArray) -> FloatArray:
-    e = 1e-5
-    return np.stack([(function(x + e * d) - function(x - e * d)) / (2.0 * e) for d in np.eye(x.size)], axis=1)
 
 
 # What it says of filters
@@ -218,7 +195,7 @@ def test_a_filter_on_the_cab_is_near_its_bound(
     without_encoder: SlipEstimatorParameters,
 ) -> None:
     estimator = with_encoder if encoder else without_encoder
-    row = evaluate(CELL, make_drive(p, estimator, "sand"), p, estimator)
+    row = make_bench(p, estimator).row(CELL)
     assert row.swing_rmse is not None
     assert row.swing_bound is not None
     assert 1.5 < row.nees_pose < 4.5
@@ -234,8 +211,7 @@ def test_a_filter_on_the_cab_is_near_its_bound(
 @pytest.mark.slow
 def test_cells_without_a_cab_have_no_swing() -> None:
     short = load_study_parameters({"scenario": "slalom", "duration": 9.0, "settling": 6.0, "seeds": 1})
-    estimator = load_slip_parameters()
-    row = evaluate(CELL, make_drive(short, estimator, "sand"), short, estimator)
+    row = make_bench(short, load_slip_parameters()).row(CELL)
     assert (row.swing_rmse, row.swing_bound) == (None, None)
     assert "swing" not in SlipStudy({}, []).markdown([row])
 
@@ -249,16 +225,14 @@ def test_the_study_swings_the_upper_structure_of_its_vehicle(
     """It was refused: the drive lost ``upper_structure.drive`` of the vehicle."""
     options = ["--duration", "27", "--settling", "20", "--seeds", "1", "--filter", "ekf"]
     options += ["--sigma-xy", "0.02"]
-    files = ["--cache", str(tmp_path / "cells.jsonl"), "--json", str(tmp_path / "rows.json")]
-    assert main([*COMMAND, *options, *files]) == 0
-    (row,) = json.loads((tmp_path / "rows.json").read_text(encoding="utf-8"))
+    command = [*COMMAND, *options, "--cache", str(tmp_path / "cells.jsonl")]
+    (row,) = json_of(tmp_path, *command)
     assert (row["truth"], row["scenario"]) == (SHEAR, "dig_cycles")
     assert 0.0 < row["swing_bound"] < 0.02  # rad, by which the encoder's offset errs a priori
     shown = capsys.readouterr().out
     assert shown.startswith("vehicle: pc05_cab\n")
     assert "swing mrad" in shown
-    assert main([*COMMAND, *options, *files]) == 0  # what is in the cache has its swing
-    assert json.loads((tmp_path / "rows.json").read_text(encoding="utf-8")) == [row]
+    assert json_of(tmp_path, *command) == [row]  # what is in the cache has its swing
 
 
 @pytest.mark.parametrize(
