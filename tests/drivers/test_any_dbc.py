@@ -10,7 +10,7 @@ import pytest
 import yaml
 from fixtures import unseen_bus
 from fixtures.excavator_bus import PARAMETERS
-from fixtures.unseen_bus import drive, machine, refusal
+from fixtures.unseen_bus import drive, machine, refusal, sprockets_of
 
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
@@ -25,30 +25,20 @@ UNREADABLE = {
     "two multiplexers at a place": 'BO_ 1029 X: 8 MC\n SG_ A m0 : 0|8@1+ (1,0) [0|0] "" ECU\n'
     "SG_MUL_VAL_ 1029 A Gone 0-0;\n",
 }
-STRAY = {
+UNUSED = {  # by the roles
+    **UNREADABLE,
     "choices of no signal": 'VAL_ 387 Gone 1 "on" 0 "off" ;\n',
     "choices of no frame": 'VAL_ 999 Gone 1 "on" 0 "off" ;\n',
     "a comment on no signal": 'CM_ SG_ 387 Gone "\nBO_ 5 Five: 8 X\n";\n',
+    "signals that overlap": 'BO_ 1026 Washer: 2 MC\n SG_ Level : 0|12@1+ (1,0) [0|0] "" ECU\n'
+    ' SG_ Heater : 8|8@1+ (1,0) [0|0] "" ECU\n',
+    "a signal longer than its frame": 'BO_ 1027 Lights: 1 MC\n SG_ Beacon : 4|8@1+ (1,0) [0|0] "" ECU\n',
 }
-BROKEN = """BO_ 1026 Washer: 2 MC
- SG_ Level : 0|12@1+ (1,0) [0|0] "" ECU
- SG_ Heater : 8|8@1+ (1,0) [0|0] "" ECU
-BO_ 1027 Lights: 1 MC
- SG_ Beacon : 4|8@1+ (1,0) [0|0] "" ECU
-"""
 
 
-def test_a_dbc_was_refused_for_a_frame_that_no_role_uses(tmp_path):
-    driver = machine(tmp_path, dbc=unseen_bus.DBC + BROKEN)
-    samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
-    assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
-
-
-@pytest.mark.parametrize("text", [*UNREADABLE.values(), *STRAY.values()], ids=[*UNREADABLE, *STRAY])
+@pytest.mark.parametrize("text", UNUSED.values(), ids=UNUSED)
 def test_a_dbc_is_read_but_for_frames_that_cannot_be(tmp_path, text):
-    driver = machine(tmp_path, dbc=unseen_bus.DBC + text)
-    samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
-    assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
+    assert len(sprockets_of(machine(tmp_path, dbc=unseen_bus.DBC + text))) == 50
 
 
 def test_a_role_in_a_frame_that_cannot_be_read_names_the_frame(tmp_path):
@@ -62,8 +52,7 @@ def test_a_role_in_a_frame_that_cannot_be_read_names_the_frame(tmp_path):
 def test_a_range_of_zeros_is_none(tmp_path, given):
     assert "[-300|300]" in unseen_bus.DBC
     driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("[-300|300]", given))
-    samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
-    assert len([one for one in samples if isinstance(one, SprocketSample)]) == 50
+    assert len(sprockets_of(driver)) == 50
     assert "TravelFlow" not in driver.tally.by_source()
 
 
@@ -100,9 +89,9 @@ def test_a_dbc_without_frames_lacks_the_signals_of_the_roles(tmp_path):
 def test_frames_longer_than_the_dbc_are_read_unless_unused_bits_are_zero(tmp_path, padding):
     sent = [(s, i, d + padding if len(d) == 4 else d) for s, i, d in unseen_bus.frames(S, 2 * S)]
     driver = machine(tmp_path)
-    assert len([one for one in drive(driver, sent) if isinstance(one, SprocketSample)]) == 50
+    assert len(sprockets_of(driver, sent)) == 50
     strict = machine(tmp_path, unseen_bus.ROLES + "frames: {TravelFlow: {unused_bits_zero: true}}\n")
-    assert not [one for one in drive(strict, sent) if isinstance(one, SprocketSample)]
+    assert not sprockets_of(strict, sent)
     assert strict.tally.by_source()["TravelFlow"] == {"wrong length": 50}
 
 
@@ -118,11 +107,11 @@ def from_source(address, end_ns=2 * S):
 
 def test_another_source_address_is_named_and_j1939_accepts_it(tmp_path):
     driver = machine(tmp_path, dbc=of_j1939(unseen_bus.DBC))
-    assert not [one for one in drive(driver, from_source(0x27)) if isinstance(one, SprocketSample)]
+    assert not sprockets_of(driver, from_source(0x27))
     assert all(word in driver.decoder.hint() for word in ("TravelFlow", "0x27", "0xFE", "j1939: true"))
     roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
     told = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
-    assert len([one for one in drive(told, from_source(0x27)) if isinstance(one, SprocketSample)]) == 50
+    assert len(sprockets_of(told, from_source(0x27))) == 50
     assert told.decoder.other_source() == ""
 
 

@@ -75,12 +75,17 @@ def test_blocks_of_frames_that_all_came_at_once_ended_the_reading():
     assert measured(10.0, times)[-1] == 10.0 * MS
 
 
+def counted(cycle_ns):
+    """Frames of a counter that turns at 16, and how often each event was reported of them."""
+    events = Counter()
+    return CountedFrames(cycle_ns, 16, lambda event, times: events.update({event: times}), *SENDER), events
+
+
 @pytest.mark.parametrize("at_once", [2, 9, 12, 17, 40, 300])
 @pytest.mark.parametrize("nominal_ms", [0.0, 10.0])
 def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
     """The first frames had waited on a busy host: each after them counted as 256, motion was refused."""
-    lost = Counter()
-    timing = CountedFrames(nominal_ms * MS, 16, lambda event, number: lost.update({event: number}), *SENDER)
+    timing, lost = counted(nominal_ms * MS)
     arrivals = np.arange(at_once + 600) * 10 * MS
     arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
     placed = [timing.add(k % 16, int(at), k) for k, at in enumerate(arrivals)]
@@ -91,8 +96,7 @@ def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
 
 def test_a_wrong_cycle_is_found_out():
     """Thousands of frames at once look like a fast sender; a second of what does not fit ends that."""
-    lost = Counter()
-    timing = CountedFrames(0.0, 16, lambda event, number: lost.update({event: number}), *SENDER)
+    timing, lost = counted(0.0)
     first = np.arange(2000) * 39_000
     arrivals = np.concatenate((first, first[-1] + np.arange(1, 400) * 10 * MS))
     for k, at in enumerate(arrivals):
@@ -130,8 +134,7 @@ def standing_still(count, seed, apart_ms, ran_ms, stood_ms):
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_host_that_stands_still_works_off_was_taken_for_the_cycle(seed, host, most_off, most_lost):
     """0.7 to 3 ms for 10: up to 64000 of 6000 frames were lost, and the time between them wrong."""
-    lost = Counter()
-    timing = CountedFrames(10.0 * MS, 16, lambda event, number: lost.update({event: number}), *SENDER)
+    timing, lost = counted(10.0 * MS)
     arrivals = standing_still(6000, seed, *host)
     placed = [one for number, at in enumerate(arrivals) for one in timing.add(number % 16, at, number)]
     elapsed = np.array([one.elapsed_ns for one in placed[1:]]) / np.diff([one.values for one in placed])
@@ -143,8 +146,7 @@ def test_what_a_host_that_stands_still_works_off_was_taken_for_the_cycle(seed, h
 
 def test_a_late_frame_after_a_gap_made_the_gap_a_stall():
     """76 frames lost, the next one 6 ms late: 64 of them, whole turns of its counter, were not counted."""
-    events = Counter()
-    timing = CountedFrames(10.0 * MS, 16, lambda event, times: events.update({event: times}), *SENDER)
+    timing, events = counted(10.0 * MS)
     placed = []
     for number in (*range(100), *range(176, 200)):
         late_ms = 6 if number == 176 else 0
@@ -160,8 +162,7 @@ def number_of(placed: Any) -> int:
 
 def test_loss_and_stall_together_were_taken_for_a_stall():
     """64 frames and some are lost, and then the sender is late by some cycles, and catches up."""
-    lost = Counter()
-    timing = CountedFrames(10.0 * MS, 16, lambda event, times: lost.update({event: times}), *SENDER)
+    timing, lost = counted(10.0 * MS)
     placed = []
     for number in (*range(100), *range(176, 220)):
         late = 1825.0 + 0.2 * (number - 176) if 176 <= number < 183 else 0.0

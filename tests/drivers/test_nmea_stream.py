@@ -3,18 +3,17 @@
 """From a receiver's bytes to positions and headings: which variances, which stamps."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import NMEA
 from hypothesis import given
 from hypothesis import strategies as st
 from pyrtcm import calc_crc24q
 from pyubx2 import calc_checksum
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
@@ -22,11 +21,7 @@ from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, 
 S = 1_000_000_000
 MS = 1_000_000
 DAY = 86_400 * S
-CONFIG = node_defaults("nmea_gnss", "nmea_gnss.yaml") | {
-    "serial_port": "socket://receiver:5017",
-    "latency": 0.02,
-}
-P = from_flat(NmeaParameters, CONFIG, "nmea_gnss")
+P = replace(NMEA, serial_port="socket://receiver:5017", latency=0.02)
 
 
 def at(time_ns, quality=4, stddev=0.01, heading=120.0):
@@ -306,8 +301,7 @@ def test_host_on_utc_takes_the_receiver_s_time():
 
 
 def test_transfer_over_a_slow_line_is_not_latency():
-    p = from_flat(NmeaParameters, CONFIG | {"serial_port": "/dev/ttyS0", "serial_baud": 9600}, "nmea_gnss")
-    parser, burst = stream(p), gga(at(S)) + gst(at(S))
+    parser, burst = stream(replace(P, serial_port="/dev/ttyS0", serial_baud=9600)), gga(at(S)) + gst(at(S))
     begun_ns = 7 * S
     samples = parser.feed(burst, begun_ns + len(burst) * 10 * S // 9600)
     assert samples[0].stamp_ns == pytest.approx(begun_ns - 20 * MS, abs=MS)

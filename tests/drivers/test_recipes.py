@@ -3,15 +3,14 @@
 """The receivers of docs/hardware.md, each on a synthetic recording: one fix and heading an epoch."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import NMEA
 from pyubx2 import GET, UBXMessage
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import FixSample, HeadingSample
@@ -73,16 +72,12 @@ def total_station(k):
 
 
 def played(recipe, **parameters):
-    values = node_defaults("nmea_gnss", "nmea_gnss.yaml") | {"serial_port": "socket://device:1"} | parameters
-    stream = NmeaStream(from_flat(NmeaParameters, values, "nmea_gnss"), Tally())
-    samples = []
+    stream, samples = NmeaStream(replace(NMEA, serial_port="socket://device:1", **parameters), Tally()), []
     for k in range(EPOCHS):
         samples += stream.feed(recipe(k), 5 * S + k * S // RATE)
     samples += stream.flush()
     assert not stream.tally.total
-    return [s for s in samples if isinstance(s, FixSample)], [
-        s for s in samples if isinstance(s, HeadingSample)
-    ]
+    return tuple([s for s in samples if isinstance(s, kind)] for kind in (FixSample, HeadingSample))
 
 
 @pytest.mark.parametrize("recipe", [f9p_pair, septentrio, trimble, hemisphere, unicore, inertial])
@@ -96,6 +91,7 @@ def test_receivers_with_two_antennas(recipe):
 
 
 def test_total_station_errs_by_its_own_range_error():
-    fixes, _ = played(total_station, **{"range_errors.rtk_fixed": 0.005, "latency": 0.2})
+    range_errors = replace(NMEA.range_errors, rtk_fixed=0.005)
+    fixes, _ = played(total_station, range_errors=range_errors, latency=0.2)
     assert len(fixes) == EPOCHS
     assert fixes[-1].variances[0] == pytest.approx((0.6 * 0.005) ** 2 / 2.0)

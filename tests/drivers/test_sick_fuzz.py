@@ -3,15 +3,13 @@
 """Whatever comes down the line: no exception, bounded memory, every byte accounted for, no wrong scan."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from fixtures.driver_defaults import LMS, PLS
+from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_common.config_files import config_file, read_yaml
-from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.sick_commands import parse_reply
 from trackslip_drivers.protocols.sick_crc import sick_crc
@@ -28,14 +26,7 @@ from trackslip_drivers.protocols.sick_telegram import (
 from trackslip_drivers.sick_parameters import SickParameters
 
 MS = 1_000_000
-PLS = from_flat(
-    SickParameters,
-    flatten(read_yaml(config_file("sick_pls.yaml"))["sick_pls"]["ros__parameters"]),
-    "config/sick_pls.yaml",
-)
-LMS = replace(PLS, model="lms", range_max=80.0)
 
-seeded = settings(derandomize=True, max_examples=100, deadline=None)
 words = st.lists(st.integers(0, 0xFFFF), min_size=361, max_size=361)
 # Noise that often looks like the start of a telegram.
 noise = st.lists(
@@ -83,7 +74,6 @@ class Receiver:
 
 
 @pytest.mark.slow
-@seeded
 @given(values=words, status=st.integers(0, 255), unit=st.integers(0, 3), partial=st.integers(0, 3))
 def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: int, partial: int) -> None:
     scan = RawScan(np.array(values, dtype=np.uint16), status, unit, partial)
@@ -94,7 +84,6 @@ def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: in
 
 
 @pytest.mark.parametrize("parameters", [PLS, LMS])
-@seeded
 @given(
     count=st.sampled_from([100, 101, 180, 181, 200, 201, 360, 361, 400, 401]),
     seed=st.integers(0, 2**32 - 1),
@@ -116,7 +105,6 @@ def test_samples_survive_a_round_trip(
     assert second.status == first.status
 
 
-@seeded
 @given(data=noise, cuts=st.lists(st.integers(0, 400), max_size=20))
 def test_noise_is_counted_to_the_last_byte(data: bytes, cuts: list[int]) -> None:
     receiver = Receiver()
@@ -129,7 +117,6 @@ def test_noise_is_counted_to_the_last_byte(data: bytes, cuts: list[int]) -> None
     assert receiver.used + receiver.garbage() == len(data)
 
 
-@seeded
 @given(before=noise, seed=st.integers(0, 1000))
 def test_every_scan_after_noise_is_received(before: bytes, seed: int) -> None:
     receiver = Receiver()
@@ -153,7 +140,6 @@ def test_a_telegram_may_be_split_anywhere() -> None:
         assert not receiver.tally.total
 
 
-@seeded
 @given(position=st.integers(0, 731), flip=st.integers(1, 255), seed=st.integers(0, 1000))
 def test_a_byte_changed_is_a_scan_rejected(position: int, flip: int, seed: int) -> None:
     whole, following = bytearray(scan_frame(seed)), [scan_frame(seed + 1), scan_frame(seed + 2)]
@@ -167,7 +153,6 @@ def test_a_byte_changed_is_a_scan_rejected(position: int, flip: int, seed: int) 
     assert receiver.garbage() == len(whole)
 
 
-@seeded
 @given(position=st.integers(0, 731), lost=st.integers(1, 100), seed=st.integers(0, 1000))
 def test_bytes_lost_are_a_scan_rejected(position: int, lost: int, seed: int) -> None:
     whole, following = scan_frame(seed), [scan_frame(seed + 1), scan_frame(seed + 2)]
@@ -179,7 +164,6 @@ def test_bytes_lost_are_a_scan_rejected(position: int, lost: int, seed: int) -> 
     assert receiver.payloads == [scan[4:-2] for scan in following]
 
 
-@seeded
 @given(data=st.binary(min_size=1, max_size=60), position=st.integers(0, 59), flip=st.integers(1, 255))
 def test_the_checksum_finds_every_error_within_a_byte(data: bytes, position: int, flip: int) -> None:
     changed = bytearray(data)
@@ -187,7 +171,6 @@ def test_the_checksum_finds_every_error_within_a_byte(data: bytes, position: int
     assert sick_crc(bytes(changed)) != sick_crc(data)
 
 
-@seeded
 @given(payload=st.binary(min_size=1, max_size=30))
 def test_any_payload_is_understood_or_refused(payload: bytes) -> None:
     parse_reply(payload)

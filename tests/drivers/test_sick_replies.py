@@ -4,21 +4,17 @@
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import PLS
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_scan import RawScan, ScanFault
 from trackslip_drivers.protocols.sick_session import Phase, SessionFault, SickSession
 from trackslip_drivers.protocols.sick_telegram import FROM_SENSOR, TO_SENSOR, frame
-from trackslip_drivers.sick_parameters import SickParameters
 
 MS = 1_000_000
 S = 1000 * MS
 EPOCH_NS = 1_700_000_000 * S
-
-PLS = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
 
 OK, FAULT = b"\xa0\x00\x00", b"\xa0\x02\x00"
 INSTALL = commands.installation_mode(b"SICK_PLS")

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import LMS, PLS
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import flatten, from_flat
 from trackslip_drivers.protocols.sick_scan import (
     DeviceStatus,
     RawScan,
@@ -27,15 +26,6 @@ from trackslip_drivers.sick_parameters import SickParameters
 MS = 1_000_000
 MINI = bytes.fromhex("B0 03 00 64 00 E8 03 87 33 00")
 FULL = bytes.fromhex("B0 69 01" + " F4 01" * 361 + " 00")
-
-
-def configured() -> SickParameters:
-    tree = read_yaml(config_file("sick_pls.yaml"))["sick_pls"]["ros__parameters"]
-    return from_flat(SickParameters, flatten(tree), "config/sick_pls.yaml")
-
-
-PLS = configured()
-LMS = replace(PLS, model="lms", parity="N", range_max=80.0)
 
 
 def raw(*values: int, unit: int = 0) -> RawScan:

@@ -4,13 +4,13 @@
 
 import random
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import LMS, PLS
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_scan import Scan
@@ -25,9 +25,6 @@ MS = 1_000_000
 S = 1000 * MS
 EPOCH_NS = 1_700_000_000 * S
 TURN_NS = 40 * MS
-
-PLS = from_flat(SickParameters, node_defaults("sick_pls", "sick_pls.yaml"), "sick_pls")
-LMS = replace(PLS, model="lms", parity="N", range_max=80.0)
 
 
 def room(stamp_ns: int) -> NDArray[np.float64]:
@@ -100,11 +97,17 @@ class Bench:
         return self.session.tally.total["scan", fault.value]
 
 
+def streaming(parameters: SickParameters = PLS, **more: Any) -> Bench:
+    """A bench whose session streams within 3 s."""
+    bench = Bench(parameters, **more)
+    bench.run_until(Phase.STREAMING, within=3.0)
+    return bench
+
+
 @pytest.mark.parametrize("parameters", [PLS, LMS])
 @pytest.mark.parametrize("power_on_baud", sorted(commands.BAUD_CODES))
 def test_starts_from_any_rate(parameters: SickParameters, power_on_baud: int) -> None:
-    bench = Bench(parameters, power_on_baud=power_on_baud)
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming(parameters, power_on_baud=power_on_baud)
     bench.run(2.0)
     assert bench.device.baud == bench.host_baud == 38400
     assert len(bench.scans) == bench.device.scans_emitted >= 7
@@ -113,8 +116,7 @@ def test_starts_from_any_rate(parameters: SickParameters, power_on_baud: int) ->
 
 @pytest.mark.parametrize("baud", sorted(commands.BAUD_CODES))
 def test_streams_at_any_rate(baud: int) -> None:
-    bench = Bench(replace(PLS, serial_baud=baud))
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(4.0)
     turns_per_scan = {9600: 21, 19200: 11, 38400: 6, 500000: 1}[baud]
     assert np.unique(np.diff(bench.device.stamps)).tolist() == [turns_per_scan * TURN_NS]
@@ -123,8 +125,7 @@ def test_streams_at_any_rate(baud: int) -> None:
 
 @pytest.mark.parametrize("longest_poll_ms", [2, 10, 30])
 def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
-    bench = Bench(longest_poll_ns=longest_poll_ms * MS)
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming(longest_poll_ns=longest_poll_ms * MS)
     bench.run(20.0)
     assert len(bench.scans) > 80
     for scan, stamp_ns in zip(bench.scans, bench.device.stamps, strict=True):
@@ -136,8 +137,7 @@ def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
 @pytest.mark.parametrize("held_s", [0.5, 5.0, 60.0])
 def test_scans_that_waited_while_the_host_was_held_were_stamped_as_of_now(baud: int, held_s: float) -> None:
     """The box localizer then sought the box where it had been, and did not find it again."""
-    bench = Bench(replace(PLS, serial_baud=baud))
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(2.0)
     bench.hold_the_host(held_s)
     bench.run(5.0)
@@ -160,8 +160,7 @@ def test_waits_for_a_scanner_that_boots(boot_delay: float) -> None:
 
 @pytest.mark.parametrize("baud", [9600, 38400])
 def test_takes_over_a_scanner_that_streams_already(baud: int) -> None:
-    bench = Bench(replace(PLS, serial_baud=baud))
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(2.0)
     bench.session = SickSession(PLS, Tally())
     bench.host_baud = bench.uplink.baud = bench.session.baud
@@ -172,8 +171,7 @@ def test_takes_over_a_scanner_that_streams_already(baud: int) -> None:
 
 
 def test_starts_again_when_the_scanner_lost_power() -> None:
-    bench = Bench()
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming()
     bench.run(1.0)
     bench.device.power_cycle(bench.now_ns)
     bench.run(6.0)
@@ -184,8 +182,7 @@ def test_starts_again_when_the_scanner_lost_power() -> None:
 
 
 def test_starts_again_at_once_when_the_scanner_reports_a_restart() -> None:
-    bench = Bench(power_on_baud=38400)
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming(power_on_baud=38400)
     bench.device.power_cycle(bench.now_ns)
     bench.run(1.2)
     assert bench.session.phase is Phase.STREAMING
@@ -193,8 +190,7 @@ def test_starts_again_at_once_when_the_scanner_reports_a_restart() -> None:
 
 
 def test_starts_again_when_the_cable_was_out() -> None:
-    bench = Bench()
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming()
     bench.run(1.0)
     bench.plugged = False
     bench.run_until(Phase.PROBING, within=2.5)
@@ -225,8 +221,7 @@ def test_a_refused_password_is_tried_again_after_a_pause() -> None:
 
 
 def test_stops_the_scanner_before_leaving() -> None:
-    bench = Bench()
-    bench.run_until(Phase.STREAMING, within=3.0)
+    bench = streaming()
     bench.run(1.1)
     bench.session.stop()
     bench.run_until(Phase.STOPPED, within=0.5)

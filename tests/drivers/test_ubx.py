@@ -4,17 +4,16 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import NMEA
 from hypothesis import given
 from hypothesis import strategies as st
 from pyubx2 import GET, UBXMessage
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import ubx
 from trackslip_drivers.protocols.nmea import Heading, Rejection
 from trackslip_drivers.protocols.nmea_sentences import Position, gga
@@ -22,11 +21,7 @@ from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, HeadingSample, VelocitySample
 
 S = 1_000_000_000
-P = from_flat(
-    NmeaParameters,
-    node_defaults("nmea_gnss", "nmea_gnss.yaml") | {"serial_port": "socket://receiver:5017"},
-    "nmea_gnss",
-)
+P = replace(NMEA, serial_port="socket://receiver:5017")
 TOW = 216_018_000  # ms: 12:00:00 UTC of a Tuesday, with 18 leap seconds
 NOON = 43_200 * S
 
@@ -126,9 +121,7 @@ def epochs(*encoders, count=20):
         samples += stream.feed(burst, 5 * S + k * S // 10)
     samples += stream.flush()
     assert not stream.tally.total
-    return [s for s in samples if isinstance(s, FixSample)], [
-        s for s in samples if isinstance(s, HeadingSample)
-    ]
+    return tuple([s for s in samples if isinstance(s, kind)] for kind in (FixSample, HeadingSample))
 
 
 def of_gga(tow):

@@ -5,10 +5,9 @@
 import math
 
 import pytest
+from fixtures.driver_defaults import LAYOUT
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
-from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
 from trackslip_common.units import GRAVITY
 from trackslip_drivers.protocols.watson import (
@@ -23,7 +22,6 @@ from trackslip_drivers.protocols.watson import (
     to_sample,
 )
 from trackslip_drivers.protocols.watson_stream import FIELD, IMU, WatsonStream
-from trackslip_drivers.watson_parameters import WatsonParameters
 
 SIX = ["XA", "YA", "ZA", "XR", "YR", "ZR"]
 SIX_FORMATS = ["+0.00"] * 3 + ["+000.0"] * 3
@@ -60,19 +58,8 @@ BAUD = 9600
 CHAR_NS = 10 * 1_000_000_000 / BAUD
 
 
-@pytest.fixture(scope="module")
-def parameters():
-    values = read_yaml(config_file("watson_imu.yaml"))["watson_imu"]["ros__parameters"]
-    return from_flat(WatsonParameters, values, "watson_imu.yaml")
-
-
-@pytest.fixture(scope="module")
-def layout(parameters):
-    return Layout(parameters.channels, parameters.formats, parameters.full_scales)
-
-
-def stream(layout, offset_ns=0):
-    return WatsonStream(layout, BAUD, offset_ns, Tally())
+def stream(offset_ns=0):
+    return WatsonStream(LAYOUT, BAUD, offset_ns, Tally())
 
 
 def test_line_of_the_manual():
@@ -117,9 +104,9 @@ def test_binary_frame_of_a_level_unit():
     assert sample.angular_velocity[2] == pytest.approx(math.radians(-55.0), abs=0.001)
 
 
-def test_samples_and_values_are_inverse(layout):
+def test_samples_and_values_are_inverse():
     line = b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -0041 -0466"
-    reading = decode_line(line, layout)
+    reading = decode_line(line, LAYOUT)
     assert isinstance(reading, Reading)
     sample = to_sample(reading, 0)
     assert not isinstance(sample, Rejection)
@@ -127,9 +114,9 @@ def test_samples_and_values_are_inverse(layout):
     assert from_sample(sample) == pytest.approx(reading.values)
 
 
-def test_configured_line_fits_the_rate(layout):
-    assert layout.line_length == 65
-    assert layout.line_length * CHAR_NS < 1e9 / 11.85
+def test_configured_line_fits_the_rate():
+    assert LAYOUT.line_length == 65
+    assert LAYOUT.line_length * CHAR_NS < 1e9 / 11.85
 
 
 @pytest.mark.parametrize(
@@ -148,9 +135,9 @@ def test_configured_line_fits_the_rate(layout):
         (b"x" * 5000, Rejection.OVERLONG),
     ],
 )
-def test_rejections_are_counted_and_pass(layout, line, reason):
-    good = encode_line("R", {"ZA": -1.0}, layout)
-    parser = stream(layout)
+def test_rejections_are_counted_and_pass(line, reason):
+    good = encode_line("R", {"ZA": -1.0}, LAYOUT)
+    parser = stream()
     assert len(parser.feed(good + line + b"\r" + good, 0)) == 2
     assert parser.tally.total == {(IMU, reason.value): 1}
 
@@ -163,15 +150,15 @@ def test_rejections_are_counted_and_pass(layout, line, reason):
         (b"WATSON", "text, no data"),
     ],
 )
-def test_the_number_of_fields_is_reported(layout, line, text):
-    stream = WatsonStream(layout, 9600, 0, Tally())
+def test_the_number_of_fields_is_reported(line, text):
+    stream = WatsonStream(LAYOUT, 9600, 0, Tally())
     stream.feed(line + b"\r", 10**9)
     (key,) = stream.tally.total
     assert stream.tally.words(key) == text
 
 
-def test_invalid_magnetometer_costs_the_field_alone(layout):
-    parser = stream(layout)
+def test_invalid_magnetometer_costs_the_field_alone():
+    parser = stream()
     (sample,) = parser.feed(b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -*** -0466\r", 0)
     assert sample.magnetic_field is None
     assert parser.tally.total == {(FIELD, "marked invalid by the unit"): 1}
@@ -181,39 +168,39 @@ def test_invalid_magnetometer_costs_the_field_alone(layout):
     ("label", "rate", "over_range"),
     [("R", 199.99, False), ("R", 200.0, True), ("r", 0.0, True), ("i", 0.0, True)],
 )
-def test_over_range(layout, label, rate, over_range):
-    (sample,) = stream(layout).feed(encode_line(label, {"ZR": rate}, layout), 0)
+def test_over_range(label, rate, over_range):
+    (sample,) = stream().feed(encode_line(label, {"ZR": rate}, LAYOUT), 0)
     assert sample.over_range is over_range
 
 
 @pytest.mark.parametrize("value", [1e9, -1e9])
-def test_values_beyond_full_scale_are_limited_and_marked(layout, value):
-    for encoded in (encode_line("R", {"ZR": value}, layout), encode_frame({"ZR": value}, layout)):
-        (sample,) = stream(layout).feed(encoded, 0)
+def test_values_beyond_full_scale_are_limited_and_marked(value):
+    for encoded in (encode_line("R", {"ZR": value}, LAYOUT), encode_frame({"ZR": value}, LAYOUT)):
+        (sample,) = stream().feed(encoded, 0)
         assert sample.over_range
         assert sample.angular_velocity[2] == pytest.approx(-math.copysign(math.radians(200), value), rel=2e-4)
 
 
-def test_line_ends_of_every_kind(layout):
-    good = encode_line("R", {}, layout)
-    parser = stream(layout)
+def test_line_ends_of_every_kind():
+    good = encode_line("R", {}, LAYOUT)
+    parser = stream()
     assert len(parser.feed(b"\n" + good + b"\n" + good + b"\r\r" + good, 0)) == 3
     assert not parser.tally.total
 
 
-def test_stamp_is_the_start_of_transmission(layout):
-    line = encode_line("R", {}, layout)
+def test_stamp_is_the_start_of_transmission():
+    line = encode_line("R", {}, LAYOUT)
     arrival_ns, offset_ns = 50_000_000_000, -3_000_000
     later = b"R +0.0"  # the beginning of the next line came with the same read
-    (sample,) = stream(layout, offset_ns).feed(line + later, arrival_ns)
+    (sample,) = stream(offset_ns).feed(line + later, arrival_ns)
     expected = arrival_ns + offset_ns - (len(line) + len(later)) * CHAR_NS
     assert sample.stamp_ns == pytest.approx(expected, abs=2)
 
 
 @pytest.mark.parametrize("before", [b"", b"\n", b"  "])
-def test_one_prompt_read_of_a_line_is_enough(layout, before):
+def test_one_prompt_read_of_a_line_is_enough(before):
     """The others were late; what ended the line before came long ago."""
-    line, parser, began_ns = encode_line("R", {}, layout), stream(layout), 50_000_000_000
+    line, parser, began_ns = encode_line("R", {}, LAYOUT), stream(), 50_000_000_000
     parser.feed(before, began_ns - 15_000_000)
     late, begin = {10: 9_000_000, 40: 100_000, len(line) - 1: 30_000_000, len(line): 40_000_000}, 0
     for end, late_ns in late.items():
@@ -222,16 +209,16 @@ def test_one_prompt_read_of_a_line_is_enough(layout, before):
     assert samples[0].stamp_ns == pytest.approx(began_ns + 100_000, abs=2)
 
 
-def test_format_may_change_on_the_fly(layout):
-    parser = stream(layout)
+def test_format_may_change_on_the_fly():
+    parser = stream()
     values = {"ZA": -1.0}
-    data = encode_line("R", values, layout) + encode_frame(values, layout) + encode_line("R", values, layout)
+    data = encode_line("R", values, LAYOUT) + encode_frame(values, LAYOUT) + encode_line("R", values, LAYOUT)
     assert [s.acceleration[2] for s in parser.feed(data, 0)] == pytest.approx([GRAVITY] * 3)
 
 
-def test_reset_forgets_half_a_line(layout):
-    parser = stream(layout)
-    line = encode_line("R", {}, layout)
+def test_reset_forgets_half_a_line():
+    parser = stream()
+    line = encode_line("R", {}, LAYOUT)
     parser.feed(line[:20], 0)
     parser.reset()
     assert len(parser.feed(line, 0)) == 1

@@ -5,13 +5,12 @@
 from itertools import pairwise
 
 import pytest
+from fixtures.driver_defaults import LAYOUT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.watson import (
-    Layout,
     Reading,
     decode_frame,
     decode_line,
@@ -20,8 +19,6 @@ from trackslip_drivers.protocols.watson import (
 )
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 
-CONFIG = read_yaml(config_file("watson_imu.yaml"))["watson_imu"]["ros__parameters"]
-LAYOUT = Layout(CONFIG["channels"], CONFIG["formats"], CONFIG["full_scales"])
 VALUES = st.fixed_dictionaries(
     {channel.name: st.floats(-channel.full_scale, channel.full_scale) for channel in LAYOUT.channels}
 )

@@ -4,18 +4,15 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import LAYOUT, LMS, NMEA, PLS
 from hypothesis import example, given
 from hypothesis import strategies as st
 from pyubx2 import GET, UBXMessage, calc_checksum
 
-from trackslip_common.config_files import node_defaults
-from trackslip_common.parameters import Parameters, from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols import nmea_sentences
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.gnss_frames import LONGEST
@@ -33,14 +30,11 @@ from trackslip_drivers.protocols.sick_telegram import (
     TelegramParser,
     frame,
 )
-from trackslip_drivers.protocols.watson import Layout, encode_frame, encode_line
+from trackslip_drivers.protocols.watson import encode_frame, encode_line
 from trackslip_drivers.protocols.watson_stream import WatsonStream
-from trackslip_drivers.sick_parameters import SickParameters
-from trackslip_drivers.watson_parameters import WatsonParameters
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 
 Piece = tuple[int, bytes]  # kind and content
-T = TypeVar("T", bound=Parameters)
 
 MS = 1_000_000
 RAW, FRAMED, CUT, HEAD, ACK, SILENCE, SCAN = range(7)  # kinds of pieces; a further one is raw, too
@@ -50,13 +44,6 @@ contents = st.one_of(st.binary(max_size=24), st.binary(max_size=768))
 pieces = st.lists(st.tuples(kinds, contents), max_size=12)
 
 
-def defaults(cls: type[T], node: str) -> T:
-    """What ``config/`` gives a node."""
-    return from_flat(cls, node_defaults(node, f"{node}.yaml"), node)
-
-
-PLS = defaults(SickParameters, "sick_pls")
-LMS = replace(PLS, model="lms", range_max=80.0)
 SCANS = [
     frame(RawScan(np.full(361, n, dtype=np.uint16), status=0).payload(), FROM_SENSOR) for n in (250, 251)
 ]
@@ -180,8 +167,6 @@ def test_emulated_scanner_answers_after_any_command(conversation: list[Piece]) -
     assert MODE_OK[:6] in device.step(now_ns + 2_000 * MS)
 
 
-WATSON = defaults(WatsonParameters, "watson_imu")
-LAYOUT = Layout(WATSON.channels, WATSON.formats, WATSON.full_scales)
 LINES = [encode_line("R", {"ZA": -1.0, "ZR": rate}, LAYOUT) for rate in (1.0, 2.0)]
 BINARY = [encode_frame({"ZA": -1.0, "ZR": rate}, LAYOUT) for rate in (50.0, 100.0)]
 parts = st.lists(
@@ -205,7 +190,6 @@ def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], s
     assert any(sample.angular_velocity == last for sample in samples)
 
 
-NMEA = defaults(NmeaParameters, "nmea_gnss")
 AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
 _ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
     *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.hdt, nmea_sentences.pashr),

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import NMEA
 
 from trackslip_common.config_files import node_defaults
 from trackslip_common.parameters import from_flat
 from trackslip_common.tally import Tally
-from trackslip_drivers.nmea_parameters import NmeaParameters
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import FixSample, VelocitySample
@@ -28,7 +28,6 @@ from trackslip_sim.parameters import load_emulator_parameters
 S = 1_000_000_000
 MS = 1_000_000
 GNSS = load_emulator_parameters({"gnss.device.rate": 10.0, "gnss.antenna_x": 0.5}).gnss
-DRIVER = from_flat(NmeaParameters, node_defaults("nmea_gnss", "nmea_gnss.yaml"), "nmea_gnss")
 ORIGIN = {f"datum_{name}": getattr(GNSS, name) for name in ("latitude", "longitude", "altitude")}
 MAP = from_flat(
     GnssLocalizerParameters, node_defaults("gnss_localizer", "gnss_localizer.yaml") | ORIGIN, "gnss_localizer"
@@ -47,11 +46,11 @@ class Chain:
     def __init__(self, *faults, gnss=GNSS):
         self.faults = Faults(faults, 0)
         self.now_ns = 0
-        line = BaudLine(DRIVER.serial_baud, BITS_PER_CHAR)
+        line = BaudLine(NMEA.serial_baud, BITS_PER_CHAR)
         model = GnssModel(gnss, pose_at, self.faults, 1)
         self.device = NmeaDevice(gnss.device, line, model.measure, 0, 1)
         self.tally = Tally()
-        self.stream = NmeaStream(DRIVER, self.tally)
+        self.stream = NmeaStream(NMEA, self.tally)
         self.localizer = GnssLocalizer(MAP)
         self.velocities = []
         self._bad_line = FaultySerial("gnss", self.faults, 1)

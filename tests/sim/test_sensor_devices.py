@@ -5,12 +5,12 @@
 import math
 
 import pytest
+from fixtures.driver_defaults import LAYOUT, WATSON
 from fixtures.excavator_bus import FRAMES, PARAMETERS
 
-from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.excavator_can import ExcavatorCan
-from trackslip_drivers.protocols.watson import BINARY, COMMAND_MODE, DECIMAL, REFERENCE, REINITIALISE, Layout
+from trackslip_drivers.protocols.watson import BINARY, COMMAND_MODE, DECIMAL, REFERENCE, REINITIALISE
 from trackslip_drivers.protocols.watson_stream import WatsonStream
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample
 from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, SPOOLS, CanDevice
@@ -19,9 +19,7 @@ from trackslip_sim.devices.watson_device import BANNER, TICK_NS, WatsonDevice
 
 MS = 1_000_000
 S = 1_000_000_000
-CONFIG = read_yaml(config_file("watson_imu.yaml"))["watson_imu"]["ros__parameters"]
-LAYOUT = Layout(CONFIG["channels"], CONFIG["formats"], CONFIG["full_scales"])
-BAUD = CONFIG["serial_baud"]
+BAUD = WATSON.serial_baud
 
 
 def motion(stamp_ns):

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.driver_defaults import PLS
 from numpy.typing import NDArray
 
-from trackslip_common.config_files import config_file, read_yaml
-from trackslip_common.parameters import flatten, from_flat
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
 from trackslip_drivers.protocols.sick_scan import Scan, decode_scan
@@ -26,11 +25,6 @@ from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 
 MS = 1_000_000
 BOOT_NS = 500 * MS
-PLS = from_flat(
-    SickParameters,
-    flatten(read_yaml(config_file("sick_pls.yaml"))["sick_pls"]["ros__parameters"]),
-    "config/sick_pls.yaml",
-)
 START = SickDeviceParameters(boot_delay=BOOT_NS / 1e9, power_on_baud=9600)
 OK, WRONG_PASSWORD, FAULT = b"\xa0\x00\x00", b"\xa0\x01\x00", b"\xa0\x02\x00"
 INSTALL = commands.installation_mode(b"SICK_PLS")
