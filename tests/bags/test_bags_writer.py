@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from fixtures.made_bags import summary_of
 from fixtures.patience import PATIENCE
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
@@ -55,11 +56,9 @@ def test_chunks_are_compressed_checked_and_short(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         for i in range(500):
             bag.write("/imu", IMU, imu(i * 10 * MS), i * 10 * MS)
-    with bag.file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    assert len(summary.chunk_indexes) == 10
-    for chunk in summary.chunk_indexes:
+    chunks = summary_of(bag.file).chunk_indexes
+    assert len(chunks) == 10
+    for chunk in chunks:
         assert chunk.compression == "zstd"
         assert chunk.message_end_time - chunk.message_start_time < CHUNK_SPAN_NS
         assert chunk.message_index_length > 0

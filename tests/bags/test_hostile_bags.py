@@ -5,8 +5,10 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 from trackslip_bags.importing.csv_table import Wanted, read_table
 from trackslip_bags.messages import make, serialize
@@ -68,16 +70,56 @@ def pipe(tmp_path: Path) -> Callable[[str], Path]:
         ("nanoseconds_since_epoch: 1", "nanoseconds_since_epoch: 1e300"),
     ],
 )
-def test_metadata_of_other_kinds_ended_info_in_a_traceback(tmp_path: Path, stated: str, instead: str) -> None:
-    """The files tell then what is in the bag, and the bag is called damaged."""
-    file = text_bag(tmp_path / "bag") / "metadata.yaml"
+def test_metadata_with_absurd_values_do_not_hide_the_messages(
+    tmp_path: Path, stated: str, instead: str
+) -> None:
+    """The files state then what is in the bag, and the bag is called damaged."""
+    file = text_bag(tmp_path / "bag") / METADATA
     text = file.read_text(encoding="utf-8")
     assert stated in text
     file.write_text(text.replace(stated, instead), encoding="utf-8")
-    with open_bag(tmp_path / "bag") as bag:
+    is_read_without_metadata(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("topics_with_message_count", [{"topic_metadata": {"name": "/a", "type": "b"}, "message_count": -1}]),
+        ("topics_with_message_count", [{"topic_metadata": {"name": 1, "type": "b"}, "message_count": 1}]),
+        ("topics_with_message_count", [None]),
+        ("topics_with_message_count", "x"),
+        ("relative_file_paths", [1]),
+        ("relative_file_paths", [""]),
+        ("relative_file_paths", ["\0"]),
+        ("relative_file_paths", None),
+        ("files", "x"),
+        ("files", {}),
+        ("compression_mode", 1),
+        ("version", "x"),
+    ],
+)
+def test_metadata_with_absurd_entries_do_not_hide_the_messages(tmp_path: Path, name: str, value: Any) -> None:
+    file = text_bag(tmp_path / "bag") / METADATA
+    tree = yaml.safe_load(file.read_text(encoding="utf-8"))
+    tree["rosbag2_bagfile_information"][name] = value
+    file.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    is_read_without_metadata(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(
+    "content", ["", "hello", "[1, 2]", "rosbag2_bagfile_information: {version: 99}", "{{{"]
+)
+def test_metadata_that_are_none_do_not_hide_the_messages(tmp_path: Path, content: str) -> None:
+    (text_bag(tmp_path / "bag") / METADATA).write_text(content, encoding="utf-8")
+    is_read_without_metadata(tmp_path / "bag")
+
+
+def is_read_without_metadata(path: Path) -> None:
+    with open_bag(path) as bag:
         assert "metadata" in bag.damage
+        assert bag.damage.isprintable()
         assert "/text" in describe(bag)
-        assert sum(1 for _ in bag.messages()) == 10
+        assert bag.message_count == sum(1 for _ in bag.messages()) == 10
 
 
 def test_two_types_on_one_topic_are_named_as_such(tmp_path: Path) -> None:

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from fixtures.imports import import_logs
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_bags.importing.columns import TimeColumn
-from trackslip_bags.importing.importer import Imported, import_log
+from trackslip_bags.importing.importer import Imported
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.times import time_ns
 from trackslip_common.config_files import config_file
@@ -80,8 +79,7 @@ def test_a_directory_stands_for_its_files(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "wheels.csv").write_text("t,l,r\n1,2,3\n", encoding="utf-8")
     (tmp_path / "logs" / "notes.md").write_text("nothing", encoding="utf-8")
-    (tmp_path / "map.yaml").write_text(yaml.safe_dump({"time": T, "topics": {"sprockets": WHEELS}}))
-    assert import_log([tmp_path / "logs"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag").counts
+    assert import_logs(tmp_path, tmp_path / "logs", time=T, topics={"sprockets": WHEELS})[0].counts
 
 
 @pytest.mark.parametrize(
@@ -305,14 +303,9 @@ def test_habits_of_those_who_write_logs(tmp_path: Path, habit: str) -> None:
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "cp1252"])
 def test_tables_of_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
-    (tmp_path / "map.yaml").write_text(
-        yaml.safe_dump(
-            {"time": T, "topics": {"sprockets": WHEELS, "swing": {"angle": {"column": "°", "unit": "deg"}}}}
-        ),
-        encoding="utf-8",
-    )
     (tmp_path / "log.csv").write_bytes("t,l,r,°\n1,2,3,4\n".encode(encoding))
-    found = import_log([tmp_path / "log.csv"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+    topics = {"sprockets": WHEELS, "swing": {"angle": {"column": "°", "unit": "deg"}}}
+    found, _ = import_logs(tmp_path, tmp_path / "log.csv", time=T, topics=topics)
     assert found.counts == {"/sprockets": 1, "/swing": 1}
     assert any("cp1252" in note for note in found.notes) == (encoding == "cp1252")
 
@@ -413,10 +406,8 @@ OTHER_KINDS = {
 @pytest.mark.parametrize("content", OTHER_KINDS)
 def test_a_file_of_another_kind_is_named_as_such(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "log.csv").write_bytes(content)
-    mapping = {"time": T, "topics": {"sprockets": WHEELS}}
-    (tmp_path / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        import_log([tmp_path / "log.csv"], read_mapping(tmp_path / "map.yaml"), tmp_path / "bag")
+        import_logs(tmp_path, tmp_path / "log.csv", time=T, topics={"sprockets": WHEELS})
     assert OTHER_KINDS[content] in str(caught.value)
     assert "\n" not in str(caught.value)
 

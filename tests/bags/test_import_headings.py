@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fixtures.imports import import_topics
+from fixtures.imports import import_csv, import_messages, import_topics
 from fixtures.made_bags import heading, joints, quaternion, write_bag
 
 from trackslip_common.errors import InputError
@@ -31,8 +31,8 @@ def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) ->
     """As nmea_gnss publishes it; what states that it has none is left out and counted."""
     turns = [heading(0.0, EAST, 0.0, 1e-5), heading(0.2, EAST, -1.0, 0.0), heading(0.4, NORTH, 0.0, 0.0)]
     turns.append(heading(0.6, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0))
-    log = write_bag(tmp_path / "log", (("/gps/heading", one) for one in turns))
-    found, messages = import_topics(tmp_path, log, {"heading": {"from": "/gps/heading"}})
+    sent = (("/gps/heading", one) for one in turns)
+    found, messages = import_messages(tmp_path, sent, {"heading": {"from": "/gps/heading"}})
     assert headings(messages) == [(0.0, 1e-5), (pytest.approx(math.pi / 2.0), UNKNOWN)]
     assert found.left_out["/heading"] == {"states that it has no orientation": 1, "holds no orientation": 1}
     assert {m.header.frame_id for m in messages} == {"gps"}
@@ -63,9 +63,7 @@ CSV: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("log", CSV)
 def test_columns_of_a_compass_are_headings(log: str, tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text(log, encoding="utf-8")
-    time = {"column": "t", "unit": "s"}
-    found, messages = import_topics(tmp_path, tmp_path / "log.csv", {"heading": CSV[log]}, time=time)
+    found, messages = import_csv(tmp_path, log, {"heading": CSV[log]})
     first = UNKNOWN if "stddev" not in CSV[log] else math.radians(2.0) ** 2
     expected = [(math.pi / 2.0, first), (0.0, UNKNOWN)]
     assert [pytest.approx(one, abs=1e-8) for one in expected] == headings(messages)
@@ -77,9 +75,9 @@ def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
     names = ["cab", "boom"]
     states = [joints(0.1 * k, names, [0.5 * k, 9.0], []) for k in range(3)]
     states += [joints(0.3, ["boom"], [9.0], []), joints(0.4, names, [], [1.0, 1.0])]
-    log = write_bag(tmp_path / "log", (("/joint_states", one) for one in states))
     swing = {"from": "/joint_states", "joint": {"joints": "cab", "sign": -1, "ratio": 0.1}}
-    found, messages = import_topics(tmp_path, log, {"swing": swing})
+    sent = (("/joint_states", one) for one in states)
+    found, messages = import_messages(tmp_path, sent, {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, -0.05, -0.1])
     assert found.left_out["/swing"] == {"has none of the joints": 1, "holds no such numbers": 1}
@@ -94,12 +92,8 @@ def test_a_swing_without_its_joint_names_those_that_are_there(tmp_path: Path) ->
 
 
 def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("t,a\n0,10\n1,55\n", encoding="utf-8")
-    swing = {
-        "angle": {"column": "a", "unit": "deg", "origin": 10.0},
-        "time": {"column": "t", "unit": "s"},
-    }
-    _, messages = import_topics(tmp_path, tmp_path / "log.csv", {"swing": swing})
+    swing = {"angle": {"column": "a", "unit": "deg", "origin": 10.0}}
+    _, messages = import_csv(tmp_path, "t,a\n0,10\n1,55\n", {"swing": swing})
     angles = [swing_angle(one, "swing", 1.0).angle for one in messages]
     assert angles == pytest.approx([0.0, math.pi / 4.0])
 
@@ -115,18 +109,16 @@ def test_a_column_of_angles_is_the_swing(tmp_path: Path) -> None:
 )
 def test_the_convention_of_a_heading_is_stated(tmp_path: Path, given: dict[str, Any], yaw: float) -> None:
     turn = (0.0, 0.0, math.sin(0.25), math.cos(0.25))
-    log = write_bag(
-        tmp_path / "log", [("/q", quaternion(0.0, turn)), ("/imu", heading(0.1, turn, 0.0, 1e-5))]
-    )
+    sent = [("/q", quaternion(0.0, turn)), ("/imu", heading(0.1, turn, 0.0, 1e-5))]
     topics = {name: {"role": "heading", "from": f"/{name}", **given} for name in ("q", "imu")}
-    _, messages = import_topics(tmp_path, log, topics)
+    _, messages = import_messages(tmp_path, sent, topics)
     assert [found for found, _ in headings(messages)] == pytest.approx([yaw, yaw])
 
 
 def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
-    log = write_bag(tmp_path / "log", [("/q", quaternion(0.0, NORTH))])
+    topics = {"compass": {"role": "heading", "from": "/q", "convention": "ned"}}
     with pytest.raises(InputError, match="convention: 'ned' is not accepted; accepted: enu, compass"):
-        import_topics(tmp_path, log, {"compass": {"role": "heading", "from": "/q", "convention": "ned"}})
+        import_messages(tmp_path, [("/q", quaternion(0.0, NORTH))], topics)
 
 
 def wheels(apart_s: float) -> list[tuple[str, Any]]:
@@ -139,15 +131,13 @@ def wheels(apart_s: float) -> list[tuple[str, Any]]:
 
 
 def test_joints_in_messages_of_their_own_are_joined_by_stamp(tmp_path: Path) -> None:
-    log = write_bag(tmp_path / "log", wheels(0.0)[:-1])
     topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right", "use": "positions"}}
-    found, messages = import_topics(tmp_path, log, topics)
+    found, messages = import_messages(tmp_path, wheels(0.0)[:-1], topics)
     assert [list(m.position) for m in messages] == [[1.0 + k, 2.0 + k] for k in range(4)]
     assert list(found.left_out["/sprockets"].values()) == [1]
 
 
 def test_joints_that_no_stamp_joins_are_refused(tmp_path: Path) -> None:
-    log = write_bag(tmp_path / "log", wheels(0.01))
     topics = {"sprockets": {"from": "/wheels", "left": "left", "right": "right"}}
     with pytest.raises(InputError, match="no messages of one stamp, hold left, right together"):
-        import_topics(tmp_path, log, topics)
+        import_messages(tmp_path, wheels(0.01), topics)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fixtures.imports import import_topics
+from fixtures.imports import import_csv, import_messages, import_topics
 from fixtures.made_bags import fix, write_bag
 
 from trackslip_bags.importing.importer import Imported
@@ -24,6 +24,11 @@ CSV = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
 STDDEV = {"stddev": {"x": 0.02, "y": 0.02}}
 
 
+def import_fixes(folder: Path, fixes: list[Any], **more: Any) -> tuple[Imported, list[Any]]:
+    sent = (("/fix", one) for one in fixes)
+    return import_messages(folder, sent, {"gnss_pose": {"from": "/fix"}}, **more)
+
+
 @pytest.fixture(params=["csv", "bag"])
 def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     """Imports a log of positions, of either kind."""
@@ -31,13 +36,10 @@ def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     def run(places: list[tuple[float, float]], **more: Any) -> tuple[Imported, list[Any]]:
         if request.param == "csv":
             rows = [f"{k},{latitude},{longitude}" for k, (latitude, longitude) in enumerate(places)]
-            (tmp_path / "log.csv").write_text("\n".join(("t,lat,lon", *rows, "")), encoding="utf-8")
-            time = {"column": "t", "unit": "s"}
-            return import_topics(
-                tmp_path, tmp_path / "log.csv", {"gnss_pose": {**CSV, **STDDEV, "time": time}}, **more
-            )
-        log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at)) for k, at in enumerate(places)))
-        return import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}}, **more)
+            text = "\n".join(("t,lat,lon", *rows, ""))
+            return import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}}, **more)
+        fixes = [fix(0.2 * k, *at) for k, at in enumerate(places)]
+        return import_fixes(tmp_path, fixes, **more)
 
     return run
 
@@ -89,8 +91,7 @@ def test_a_datum_at_a_pole_is_refused(of_places: Any) -> None:
 
 def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
     places = [NEAR[0], (-91.0, 151.0), *NEAR[1:]]
-    log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at)) for k, at in enumerate(places)))
-    found, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
+    found, messages = import_fixes(tmp_path, [fix(0.2 * k, *at) for k, at in enumerate(places)])
     assert found.left_out["/gnss_pose"] == {Reason.OUT_OF_RANGE.value: 1}
     assert len(messages) == len(NEAR)
 
@@ -99,8 +100,7 @@ def test_one_fix_without_covariance_refused_a_whole_bag(tmp_path: Path) -> None:
     """In a CSV log such a row was left out and counted."""
     fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
     fixes[5].position_covariance[4] = math.nan
-    log = write_bag(tmp_path / "log", (("/fix", one) for one in fixes))
-    found, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
+    found, messages = import_fixes(tmp_path, fixes)
     assert found.left_out["/gnss_pose"] == {"no variance of x above 0": 1, "no variance of y above 0": 1}
     assert len(messages) == len(NEAR) - 2
     assert messages[0].pose.covariance[0] == pytest.approx(4e-4)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.imports import import_topics
-from fixtures.made_bags import joints, write_bag
+from fixtures.imports import import_csv, import_messages
+from fixtures.made_bags import joints
 
 NAMES = ["fl", "rl", "fr", "rr"]
 STARTS = np.array((0.3, 2.0, 1.0, 5.9))
@@ -20,9 +20,10 @@ SIDES = {"left": NAMES[:2], "right": {"joints": NAMES[2:], "ratio": 0.5}}
 VEHICLE = {"kinematics": {"rolling_radius": 0.15, "tread": 0.6, "contact_length": 0.5}}
 
 
-def sprockets(folder: Path, log: Path, topic: dict[str, Any]) -> list[Any]:
-    """What the importer makes."""
-    return import_topics(folder, log, {"sprockets": topic}, vehicle=VEHICLE)[1]
+def of_table(folder: Path, rows: list[str], topic: dict[str, Any]) -> list[Any]:
+    """What the importer makes of rows t, l, r."""
+    text = "\n".join(("t,l,r", *rows, ""))
+    return import_csv(folder, text, {"sprockets": topic}, vehicle=VEHICLE)[1]
 
 
 def wrapped(first: float) -> np.ndarray[Any, Any]:
@@ -30,24 +31,25 @@ def wrapped(first: float) -> np.ndarray[Any, Any]:
     return found
 
 
-def joint_bag(path: Path, angles: Any, speeds: list[float]) -> Path:
+def of_bag(folder: Path, angles: Any, speeds: list[float]) -> list[Any]:
+    """What the importer makes of joint states."""
     states = (joints(t, NAMES, row, speeds) for t, row in zip(T.tolist(), angles.tolist(), strict=True))
-    return write_bag(path, (("/joint_states", one) for one in states))
+    topics = {"sprockets": {"from": "/joint_states", **SIDES}}
+    return import_messages(folder, (("/joint_states", one) for one in states), topics, vehicle=VEHICLE)[1]
 
 
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("speeds", [[], SPEEDS.tolist()])
 def test_positions_that_wrap_were_jumps_of_a_bag(first: float, speeds: list[float], tmp_path: Path) -> None:
     """Each joint jumps at a moment of its own, before the mean of its side and the ratio."""
-    log = joint_bag(tmp_path / "log", wrapped(first), speeds)
-    found = sprockets(tmp_path, log, {"from": "/joint_states", **SIDES})
+    found = of_bag(tmp_path, wrapped(first), speeds)
     np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, 2.0), (len(T), 1)), atol=1e-9)
     positions = np.array([m.position for m in found])
     np.testing.assert_allclose(positions - positions[0], np.outer(T, (5.0, 2.0)), atol=1e-9)
 
 
 def test_continuous_positions_of_a_bag_stay_as_they_are(tmp_path: Path) -> None:
-    found = sprockets(tmp_path, joint_bag(tmp_path / "log", ANGLES, []), {"from": "/joint_states", **SIDES})
+    found = of_bag(tmp_path, ANGLES, [])
     means = np.column_stack(((ANGLES[:, 0] + ANGLES[:, 1]) / 2, (ANGLES[:, 2] + ANGLES[:, 3]) / 2 * 0.5))
     assert np.array([m.position for m in found]).tobytes() == means.tobytes()
 
@@ -58,13 +60,11 @@ def test_positions_that_wrap_were_jumps_of_a_csv_log(unit: str, turn: float, tmp
     cells = (wrapped(-math.pi)[:, (0, 2)] / math.tau * turn).tolist()
     rows = [f"{t},{left:.12g},{right:.12g}" for t, (left, right) in zip(T.tolist(), cells, strict=True)]
     rows[100] = f"{T[100]},,"
-    (tmp_path / "log.csv").write_text("\n".join(("t,l,r", *rows, "")), encoding="utf-8")
     topic = {
-        "time": {"column": "t", "unit": "s"},
         "left_position": {"column": "l", "unit": unit, "origin": "first"},
         "right_position": {"column": "r", "unit": unit, "scale": -0.25},
     }
-    found = sprockets(tmp_path, tmp_path / "log.csv", topic)
+    found = of_table(tmp_path, rows, topic)
     assert len(found) == len(T) - 1
     np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, -1.0), (len(found), 1)), atol=1e-6)
     assert found[0].position[0] == 0.0
@@ -79,12 +79,10 @@ def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Pa
     counts = np.round(np.outer(T, speeds)) + np.array((modulus - 100, 100))
     cells = (((counts - least) % modulus) + least).astype(np.int64).tolist()
     rows = [f"{t},{left},{right}" for t, (left, right) in zip(T.tolist(), cells, strict=True)]
-    (tmp_path / "log.csv").write_text("\n".join(("t,l,r", *rows, "")), encoding="utf-8")
-    topic: dict[str, Any] = {"time": {"column": "t", "unit": "s"}}
-    topic |= {
+    topic = {
         f"{side}_position": {"column": side[0], "unit": "rev", "scale": 1e-3} for side in ("left", "right")
     }
-    found = sprockets(tmp_path, tmp_path / "log.csv", topic)
+    found = of_table(tmp_path, rows, topic)
     positions = np.array([m.position for m in found])
     turned = np.round(np.outer(T, speeds)) * math.tau / 1000.0
     np.testing.assert_allclose(positions - positions[0], turned, atol=1e-6)
@@ -92,9 +90,6 @@ def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Pa
 
 def test_positions_over_ground_have_no_turns(tmp_path: Path) -> None:
     """Metres that jump by six did so."""
-    text = "t,l,r\n0,0,0\n0.5,6,0\n1,0.2,0\n"
-    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
-    topic: dict[str, Any] = {"time": {"column": "t", "unit": "s"}}
-    topic |= {f"{side}_position": {"column": side[0], "unit": "m"} for side in ("left", "right")}
-    found = sprockets(tmp_path, tmp_path / "log.csv", topic)
+    topic = {f"{side}_position": {"column": side[0], "unit": "m"} for side in ("left", "right")}
+    found = of_table(tmp_path, ["0,0,0", "0.5,6,0", "1,0.2,0"], topic)
     assert [m.position[0] * 0.15 for m in found] == pytest.approx([0.0, 6.0, 0.2])

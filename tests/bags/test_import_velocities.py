@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.imports import import_topics
-from fixtures.made_bags import write_bag
+from fixtures.imports import import_csv, import_messages
 
 from trackslip_bags.messages import header, make
 from trackslip_estimation.slip.conversions import velocity_fix
@@ -34,9 +33,7 @@ VELOCITIES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("log", VELOCITIES)
 def test_columns_of_a_receiver_are_velocities(log: str, tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text(log, encoding="utf-8")
-    time = {"column": "t", "unit": "s"}
-    _, messages = import_topics(tmp_path, tmp_path / "log.csv", {"fix_velocity": VELOCITIES[log]}, time=time)
+    _, messages = import_csv(tmp_path, log, {"fix_velocity": VELOCITIES[log]})
     fixes = [velocity_fix(m, "fix_velocity", RECEIVER) for m in messages]
     assert [list(one.velocity) for one in fixes] == [pytest.approx((1.0, 0.0)), pytest.approx((0.0, -2.0))]
     stated = (0.1, 0.2) if "stddev" in VELOCITIES[log] else (RECEIVER.stddev,) * 2
@@ -44,9 +41,8 @@ def test_columns_of_a_receiver_are_velocities(log: str, tmp_path: Path) -> None:
 
 
 def test_column_of_a_radar_is_a_velocity_along_one_axis(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("t,v\n0,0.5\n", encoding="utf-8")
     topics = {"radar": {"role": "velocity", "forward": {"column": "v", "unit": "m/s"}}}
-    _, (message,) = import_topics(tmp_path, tmp_path / "log.csv", topics, time={"column": "t", "unit": "s"})
+    _, (message,) = import_csv(tmp_path, "t,v\n0,0.5\n", topics)
     found = velocity_fix(message, "radar", RECEIVER)
     assert isinstance(found, VelocityFix)
     assert (found.velocity[0], found.covariance[1, 1]) == (0.5, UNOBSERVED)
@@ -63,8 +59,8 @@ def test_twists_of_a_bag_are_velocities(tmp_path: Path) -> None:
         return make(kind, header=header(round(t * 1e9), "gps"), twist=both)
 
     twists = [twist(0.0, 1.0, 0.04), twist(0.2, 2.0, -1.0), twist(0.4, math.nan, 0.04), twist(0.6, 3.0, 0.0)]
-    log = write_bag(tmp_path / "log", (("/gps/vel", one) for one in twists))
-    found, messages = import_topics(tmp_path, log, {"fix_velocity": {"from": "/gps/vel"}})
+    sent = (("/gps/vel", one) for one in twists)
+    found, messages = import_messages(tmp_path, sent, {"fix_velocity": {"from": "/gps/vel"}})
     assert [m.twist.twist.linear.x for m in messages] == [1.0, 3.0]
     assert [m.twist.covariance[0] for m in messages] == [0.04, 0.0]
     refused = {"states that it has no velocity": 1, "holds no such numbers": 1}

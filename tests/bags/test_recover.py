@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import zstandard
+from fixtures.made_bags import damage_chunk
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
@@ -59,17 +60,6 @@ def cut(path: Path, kept: float) -> None:
     file = path / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[: int(file.stat().st_size * kept)])
     (path / "metadata.yaml").unlink()
-
-
-def damage_chunk(path: Path, number: int) -> None:
-    file = path / "bag_0.mcap"
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    data = bytearray(file.read_bytes())
-    inside = summary.chunk_indexes[number].chunk_start_offset + 80
-    data[inside : inside + 8] = b"\xff" * 8
-    file.write_bytes(bytes(data))
 
 
 def contents(path: Path) -> list[bytes]:
@@ -123,7 +113,7 @@ def test_topics_types_times_and_quality_of_service_come_along(damaged: Path, tmp
 def test_a_damaged_chunk_costs_no_more_than_itself(
     damaged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    damage_chunk(damaged, 3)
+    damage_chunk(damaged / "bag_0.mcap", 3)
     assert main(["recover", str(damaged), "--output", str(tmp_path / "out")]) == ExitCode.DONE
     shown = capsys.readouterr().out
     assert "bag_0.mcap: 1 damaged chunks\n" in shown
@@ -132,7 +122,7 @@ def test_a_damaged_chunk_costs_no_more_than_itself(
 
 
 def test_a_damaged_first_chunk_which_names_the_topics_costs_no_more(damaged: Path, tmp_path: Path) -> None:
-    damage_chunk(damaged, 0)
+    damage_chunk(damaged / "bag_0.mcap", 0)
     recover(damaged, tmp_path / "out")
     assert contents(tmp_path / "out") == [imu(i) for i in range(50, COUNT)]
 

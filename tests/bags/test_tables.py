@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from mcap.reader import make_reader
+from fixtures.made_bags import damage_chunk
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from trackslip_bags.messages import header, make, serialize
@@ -234,12 +234,6 @@ def test_bags_of_every_form_make_the_same_rows(tmp_path: Path, write_other: Call
 
 def test_damage_inside_is_reported(tmp_path: Path) -> None:
     file = next(write(tmp_path / "bag").glob("*.mcap"))
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    data = bytearray(file.read_bytes())
-    inside = summary.chunk_indexes[0].chunk_start_offset + 80
-    data[inside : inside + 64] = b"\xff" * 64
-    file.write_bytes(data)
+    damage_chunk(file, 0)
     with pytest.raises(InputError, match=r"damaged inside \(.*\); trackslip recover saves the rest$"):
         read(tmp_path / "bag")

@@ -12,7 +12,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from mcap.reader import make_reader
+from fixtures.made_bags import summary_of
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
@@ -139,10 +139,7 @@ def bomb() -> Callable[[Path, int], None]:
 
 def _restate(file: Path, stated: int) -> None:
     """Write another uncompressed size into the chunk and into the index of chunks."""
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    (index,) = summary.chunk_indexes
+    (index,) = summary_of(file).chunk_indexes
     before, after = (n.to_bytes(8, "little") for n in (index.uncompressed_size, stated))
     data = file.read_bytes()
     assert data.count(before) == 2
