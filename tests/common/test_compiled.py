@@ -62,12 +62,17 @@ def run(folder: Path) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
-def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path: Path) -> None:
-    (tmp_path / "outer.py").write_text(CALLER, encoding="utf-8")
-    (tmp_path / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
+@pytest.mark.parametrize("package", ["", pytest.param("trackslip_below", marks=pytest.mark.slow)])
+def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path: Path, package: str) -> None:
+    """In its own folder, and in another."""
+    inner = tmp_path / package / "inner.py"
+    inner.parent.mkdir(exist_ok=True)
+    caller = CALLER.replace("from inner", f"from {package}.inner" if package else "from inner")
+    (tmp_path / "outer.py").write_text(caller, encoding="utf-8")
+    inner.write_text(CALLEE.format(added=1.0), encoding="utf-8")
     assert run(tmp_path) == [20.0, 0.0]
     assert run(tmp_path) == [20.0, 1.0]
-    (tmp_path / "inner.py").write_text(CALLEE.format(added=2.0), encoding="utf-8")
+    inner.write_text(CALLEE.format(added=2.0), encoding="utf-8")
     assert run(tmp_path) == [30.0, 0.0]
 
 
@@ -75,19 +80,6 @@ def test_a_kernel_is_compiled_once_whatever_constants_its_callers_write(tmp_path
     """That which opens an event was compiled 21 times, once for each event that a caller named."""
     (tmp_path / "outer.py").write_text(CONSTANTS, encoding="utf-8")
     assert run(tmp_path) == [12.0, 1.0]
-
-
-@pytest.mark.slow
-def test_a_kernel_that_calls_another_folder_is_compiled_again_when_that_changes(tmp_path: Path) -> None:
-    (tmp_path / "trackslip_below").mkdir()
-    inner = tmp_path / "trackslip_below" / "inner.py"
-    caller = CALLER.replace("from inner import", "from trackslip_below.inner import")
-    (tmp_path / "outer.py").write_text(caller, encoding="utf-8")
-    inner.write_text(CALLEE.format(added=1.0), encoding="utf-8")
-    assert run(tmp_path) == [20.0, 0.0]
-    assert run(tmp_path) == [20.0, 1.0]
-    inner.write_text(CALLEE.format(added=2.0), encoding="utf-8")
-    assert run(tmp_path) == [30.0, 0.0]
 
 
 @pytest.mark.slow
