@@ -2,44 +2,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gives hostile files to every reader of files that a user hands over: part of ``make fuzz``.
 
-Each reader runs in a process of its own. It may refuse a file by ``InputError``, or use it. A finding is
-any other exception, more than ten seconds of a processor for a file, or more than 1.5 GB: then the file is
-kept in ``out/hostile/<reader>/``, and the exit code is 1. To see it again:
+Each file is read in a process of its own. The reader may refuse it by ``InputError``, or use it. A finding is
+any other exception, a line that steers a terminal, more than ten seconds of a processor, or more than 1.5 GB:
+then the file is kept in ``out/hostile/<reader>/``, and the exit code is 1. To see it again:
 ``.venv/bin/python tests/fuzz/hostile_files.py --reader scenario out/hostile/scenario/7.yaml``.
 """
 
 import argparse
-import contextlib
-import io
 import os
-import resource
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
+from child import run_in_child
 from hostile_bags import READERS_OF_BAGS
 from hostile_devices import READERS_OF_DEVICES
-from hostile_readers import READERS_OF_TEXTS, Reader
+from hostile_readers import READERS_OF_TEXTS
 from hostile_text import hostile
-from trackslip_common.errors import InputError
+from trackslip_common.errors import ExitCode
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "hostile"
 READERS = READERS_OF_TEXTS | READERS_OF_BAGS | READERS_OF_DEVICES
 FILES = 500
 LONGEST_S = 10
-WAITING = 10  # times as long a file may take where others have the processors
 MOST_MB = 1500
-
-
-class Hang(BaseException):
-    """A file took too long."""
 
 
 def main() -> int:
@@ -79,58 +71,26 @@ def _work(name: str, files: int, cases: list[Path]) -> int:
     """All files of one reader; its last line is the count."""
     folder = Path(tempfile.mkdtemp(prefix="trackslip_hostile_"))
     os.chdir(folder)
-    for alarm in (signal.SIGALRM, signal.SIGPROF):
-        signal.signal(alarm, _on_alarm)
     try:
         reader = READERS[name](folder)
         contents = [case.read_bytes() for case in cases] or (hostile(reader.seeds, k) for k in range(files))
-        refused, found, slowest = 0, 0, 0.0
+        refused, found, slowest, largest = 0, 0, 0.0, 0
+        path = folder / f"case{reader.suffix}"
         for number, content in enumerate(contents):
-            began = time.process_time()
-            problem, is_refused = _try(reader, folder / f"case{reader.suffix}", content)
-            slowest = max(slowest, time.process_time() - began)
-            refused += is_refused
-            if problem:
+            path.write_bytes(content)
+            ended = run_in_child(partial(reader.read, path), folder, LONGEST_S)
+            slowest, largest = max(slowest, ended.seconds), max(largest, ended.megabytes)
+            refused += ended.code == ExitCode.BAD_INPUT
+            if problem := ended.problem(LONGEST_S, MOST_MB):
                 found += 1
                 print(f"{number}: {problem}", flush=True)
                 if not cases:
                     (OUT / name).mkdir(parents=True, exist_ok=True)
                     (OUT / name / f"{number}{reader.suffix}").write_bytes(content)
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-        print(f"{number + 1} files, {refused} refused, {found} found, slowest {slowest:.1f} s, {memory} MB")
-        return int(found > 0 or memory > MOST_MB)
+        print(f"{number + 1} files, {refused} refused, {found} found, slowest {slowest:.1f} s, {largest} MB")
+        return int(found > 0)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _try(reader: Reader, path: Path, content: bytes) -> tuple[str, bool]:
-    """What is wrong, if anything, and whether the file was refused."""
-    path.write_bytes(content)
-    said = io.StringIO()
-    signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
-    signal.alarm(WAITING * LONGEST_S)
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
-            code = reader.read(path)
-    except InputError as error:
-        return ("" if str(error).isprintable() else f"not one line: {str(error)!r}"), True
-    except Hang:
-        return f"more than {LONGEST_S} s", False
-    except Exception:  # noqa: BLE001 (that is what is looked for)
-        return traceback.format_exc(), False
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.alarm(0)
-    lines = said.getvalue().splitlines()
-    if code not in (None, 0, 1, 2) or "Traceback" in said.getvalue():
-        return f"exit code {code}: {said.getvalue()}", False
-    if code == 2 and (not lines or not all(line.isprintable() for line in lines)):
-        return f"refused as {lines!r}", True
-    return "", code == 2
-
-
-def _on_alarm(*_: object) -> None:
-    raise Hang
 
 
 if __name__ == "__main__":

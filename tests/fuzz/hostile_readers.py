@@ -113,7 +113,7 @@ def fault(_: Path) -> Reader:
 
     texts = (
         "{sensor: sick, kind: unplug, start: 2.0, duration: 3.0}",
-        "sensor: can, kind: bus_off, duration: 1",
+        "{sensor: can, kind: bus_off, duration: 1}",
     )
     return Reader([text.encode() for text in texts], read)
 
@@ -162,20 +162,20 @@ def dbc(_: Path) -> Reader:
 def mapping(folder: Path) -> Reader:
     """How a log is imported."""
     log = folder / "log.csv"
-    log.write_bytes(_LOG)
+    log.write_bytes(LOG)
 
     def read(path: Path) -> int:
         code = main(["import", str(log), "--mapping", str(path), "--output", str(folder / "bag")])
         remove(folder / "bag")
         return code
 
-    return Reader([_MAPPING, *_config("mappings/*.yaml")], read)
+    return Reader([MAPPING, *_config("mappings/*.yaml")], read)
 
 
 def table(folder: Path) -> Reader:
     """A CSV log."""
-    seeds = [_LOG, _LOG.replace(b",", b";"), b"\xef\xbb\xbf" + _LOG.replace(b"\n", b"\r\n")]
-    return Reader(seeds, importing(folder, _MAPPING.decode()), ".csv")
+    seeds = [LOG, LOG.replace(b",", b";"), b"\xef\xbb\xbf" + LOG.replace(b"\n", b"\r\n")]
+    return Reader(seeds, importing(folder, MAPPING.decode()), ".csv")
 
 
 def importing(
@@ -193,19 +193,23 @@ def importing(
     return read
 
 
-_MAPPING = b"""time: {column: t, unit: s}
+MAPPING = b"""time: {column: t, unit: s}
+start: 5.0
 topics:
   sprockets:
     left_velocity: {column: l, unit: deg/s, scale: -1.0}
     right_velocity: {column: r, unit: rpm}
+    new_when_changes: l
   reference_pose:
     x: {column: x, unit: m}
-    y: {column: x, unit: cm}
-    yaw: {column: l, unit: deg}
+    y: {column: y, unit: cm}
+    yaw: {column: h, unit: deg}
     stddev: {x: 0.1, y: 0.1, yaw: 0.1}
+    time_offset: 0.1
+    frame: odom
 parameters: {history_window: 2.0}
 """
-_LOG = b"t,l,r,x\n" + b"".join(b"%.2f,%d,2e0,%d.5\n" % (0.1 * k, k, 3 * k) for k in range(40))
+LOG = b"t,l,r,x,y,h\n" + b"".join(b"%.2f,%d,2e0,%d.5,7,-3e1\n" % (0.1 * k, k, 3 * k) for k in range(40))
 
 
 def state(_: Path) -> Reader:

@@ -15,7 +15,6 @@ import io
 import os
 import random
 import re
-import resource
 import shutil
 import sys
 import tempfile
@@ -23,11 +22,12 @@ import time
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import cache
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+from child import run_in_child
 from hostile_containers import families
 from hostile_messages import FAMILIES_OF_MESSAGES, Made, good, write
 from trackslip_tools.cli.main import main as trackslip
@@ -35,7 +35,6 @@ from trackslip_tools.cli.main import main as trackslip
 BAGS = 246
 LONGEST_S = 60
 MOST_MB = 1000
-_CODES = (0, 1, 2)
 _PLAN = """objective: likelihood
 evaluations: 20
 seed: 0
@@ -150,61 +149,9 @@ def _work(name: str, commands: Sequence[str]) -> list[Run]:
 
 def _run(name: str, command: str, bag: Path, output: Path) -> Run:
     output.mkdir()
-    words = _words(command, bag, output)
-    sys.stdout.flush()
-    child = os.fork()
-    if child == 0:
-        _be_a_command(words, output)
-    _, status, used = os.wait4(child, 0)
-    seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss // 1024
-    printed = [
-        (output / stream).read_text(encoding="utf-8", errors="replace") for stream in ("stdout", "stderr")
-    ]
-    return Run(
-        name,
-        command,
-        _problem(os.waitstatus_to_exitcode(status), printed, seconds, megabytes),
-        seconds,
-        megabytes,
-    )
-
-
-def _problem(code: int, printed: Sequence[str], seconds: float, megabytes: int) -> str:
-    """What is wrong with how a command ended; empty where nothing is."""
-    if "Traceback" in printed[1]:
-        return "\n" + printed[1]
-    if code not in _CODES:
-        return f"exit code {code}, {seconds:.0f} s, {megabytes} MB"
-    if code == 2 and len(printed[1].splitlines()) < 1:
-        return "refused without a word"
-    for text in printed:
-        if not all(line.isprintable() for line in text.split("\n")):
-            return f"not printable: {text!r:.500}"
-    if "Warning" in printed[1]:
-        return printed[1]
-    if seconds > LONGEST_S:
-        return f"{seconds:.0f} s"
-    return f"{megabytes} MB" if megabytes > MOST_MB else ""
-
-
-def _be_a_command(words: Sequence[str], output: Path) -> None:
-    """In a child: the command, its words in two files; never returns."""
-    code = 70
-    try:
-        resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S + 5, LONGEST_S + 5))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        for stream, name in ((sys.stdout, "stdout"), (sys.stderr, "stderr")):
-            os.dup2(os.open(output / name, os.O_WRONLY | os.O_CREAT, 0o600), stream.fileno())
-        try:
-            code = trackslip(words)
-        except SystemExit as error:
-            code = error.code if isinstance(error.code, int) else 70
-        except BaseException:  # noqa: BLE001 (that is what is looked for)
-            traceback.print_exc()
-        sys.stdout.flush()
-        sys.stderr.flush()
-    finally:
-        os._exit(code)
+    ended = run_in_child(partial(trackslip, _words(command, bag, output)), output, LONGEST_S)
+    problem = ended.problem(LONGEST_S, MOST_MB) or (ended.err if "Warning" in ended.err else "")
+    return Run(name, command, problem, ended.seconds, ended.megabytes)
 
 
 if __name__ == "__main__":

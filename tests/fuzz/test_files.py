@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from hostile_readers import LOG, MAPPING
 from trackslip_bags.importing.importer import import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.messages import header, make, serialize
@@ -19,23 +20,6 @@ from trackslip_bags.recovery.recover import recover
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 
-MAPPING = b"""time: {column: t, unit: s}
-start: 5.0
-topics:
-  sprockets:
-    left_velocity: {column: l, unit: deg/s, scale: -1.0}
-    right_velocity: {column: r, unit: rpm}
-    new_when_changes: l
-  reference_pose:
-    x: {column: x, unit: m}
-    y: {column: x, unit: cm}
-    yaw: {column: l, unit: deg}
-    stddev: {x: 0.1, y: 0.1, yaw: 0.1}
-    time_offset: 0.1
-    frame: odom
-parameters: {history_window: 2.0}
-"""
-LOG = b't,l,r,x\n0.0,1,2,3\n0.1,"2",3,4\n0.2,-3e1,nan,inf\n'
 Damage = tuple[float, int, bytes]  # where, as a share of the file; bytes cut out, and put in
 
 damages = st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 64), st.binary(max_size=64)), max_size=4)
@@ -92,6 +76,14 @@ def test_recovered_bag_is_whole(damage: list[Damage], recording: bytes, tmp_path
             assert sum(1 for _ in bag.messages()) == recovery.messages
             assert not bag.damage
     shutil.rmtree(output, ignore_errors=True)
+
+
+def test_undamaged_log_is_imported(tmp_path: Path) -> None:
+    mapping, log = tmp_path / "map.yaml", tmp_path / "log.csv"
+    mapping.write_bytes(MAPPING)
+    log.write_bytes(LOG)
+    counts = import_log([log], read_mapping(mapping), tmp_path / "bag").counts
+    assert counts == {"/sprockets": 40, "/reference_pose": 40}
 
 
 @of_folders
