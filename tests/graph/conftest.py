@@ -11,9 +11,11 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fixtures.observer import Observer
+from fixtures.plugged_devices import MULTICAST
 from fixtures.programs import ROOT, Programs
 
 _DOMAINS = range(1, 102)
@@ -97,3 +99,9 @@ def udp_port() -> int:
         probe.bind(("", 0))
         port: int = probe.getsockname()[1]
         return port
+
+
+@pytest.fixture
+def can(udp_port: int) -> dict[str, Any]:
+    """Parameters of nodes on a CAN bus of this test alone, over UDP."""
+    return {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}

@@ -8,17 +8,19 @@ import time
 
 import pytest
 from fixtures import unseen_bus
+from fixtures.observer import last_values
+from fixtures.plugged_devices import MULTICAST
 
 from trackslip_drivers.transports.can_bus import CanBus
 
-MULTICAST = "239.74.163.2"
-
 
 @pytest.fixture
-def machine(udp_port):
+def machine(can):
     """Sends its frames in real time, for as long as the test lasts."""
     stopping = threading.Event()
-    bus = CanBus("udp_multicast", MULTICAST, {"port": udp_port, "hop_limit": 0})  # not beyond this host
+    bus = CanBus(
+        "udp_multicast", MULTICAST, {"port": can["can_port"], "hop_limit": 0}
+    )  # not beyond this host
 
     def live():
         begin_ns = time.time_ns()
@@ -29,7 +31,7 @@ def machine(udp_port):
 
     thread = threading.Thread(target=live)
     thread.start()
-    yield {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}
+    yield can
     stopping.set()
     thread.join()
     bus.close()
@@ -54,8 +56,7 @@ def test_a_machine_never_seen(real_time, programs, observer, machine):
         assert abs(message.position[0]) <= math.pi
 
     def reported(key):
-        reports = [status.values for status in healths if status.name == "can_driver"][-1:]
-        return next((float(pair.value) for values in reports for pair in values if pair.key == key), 0.0)
+        return float(last_values(healths, "can_driver").get(key, 0.0))
 
     observer.wait(lambda: reported("rate (Hz)") == pytest.approx(50.0, rel=0.3), "the rate of the sprockets")
     assert reported("frames without a role") > 10

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import rclpy
 from fixtures.box_site import BOX, PARAMETERS, SITE, standing
+from fixtures.observer import last_of, last_values, values_of
+from fixtures.recorded import record_legs
 
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import topic_class
@@ -19,27 +21,16 @@ from trackslip_common.nodes.qos import publisher_qos
 from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
 from trackslip_estimation.box.track import Kept, Track
 from trackslip_estimation.box.track_file import TrackFile
-from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, SiteScanner
-from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_sim.scenarios.scenario import parse_scenario
-from trackslip_sim.truth.simulate import simulate
 
 TEN_MEGABYTES = 10_000_000
-SEGMENTS = ((1.0, 0.0, 0.0), (4.0, 2.2, 2.2))
-SCENARIO = {
-    "name": "short",
-    "soil": "sandy_loam",
-    "segments": [dict(zip(("duration", "left", "right"), row, strict=True)) for row in SEGMENTS],
-}
+LEGS = ((1.0, 0.0, 0.0), (4.0, 2.2, 2.2))
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """5 s of driving straight on."""
-    made = tmp_path_factory.mktemp("loop") / "bag"
-    record_drive(load_emulator_parameters({"seed": 1}), simulate(parse_scenario(SCENARIO)), made)
-    return made
+    return record_legs(tmp_path_factory.mktemp("loop") / "bag", LEGS)
 
 
 def stamps_s(messages):
@@ -50,7 +41,7 @@ def stamps_s(messages):
 def test_bag_in_a_loop_gives_fixes_in_every_round(programs, observer, path):
     poses = observer.subscribe("box_pose")
     programs.node("box_localizer")
-    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    observer.wait_until_active("box_localizer")
     options = ("--publish", "--loop", "--withhold", "box_pose", "--rate", "4")
     player = programs.tool("trackslip", "replay", str(path), *options)
 
@@ -68,7 +59,7 @@ def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, o
     healths, scans = observer.healths(), observer.publisher("scan")
     program = programs.node("box_localizer")
     observer.wait_for_ends("scan", "observer", "box_localizer")
-    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    observer.wait_until_active("box_localizer")
     bad = [(math.nan, 0.0), (0.0, math.nan), (0.0, math.inf), (0.0, 1e20)]
     for number, (angle_min, time_increment) in enumerate(bad, start=1):
         message = topic_class("scan")(angle_min=angle_min, time_increment=time_increment)
@@ -76,11 +67,10 @@ def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, o
         message.header.stamp.sec = number
         scans.publish(message)
 
-    def values():
-        reports = [health for health in healths if health.name == "box_localizer"]
-        return {pair.key: pair.value for pair in reports[-1].values} if reports else {}
+    def malformed():
+        return last_values(healths, "box_localizer").get("scan: malformed")
 
-    observer.wait(lambda: values().get("scan: malformed") == str(len(bad)), "all to be counted")
+    observer.wait(lambda: malformed() == str(len(bad)), "all to be counted")
     assert program.end()[0] == 0
     assert "failed" not in program.stderr
 
@@ -97,7 +87,7 @@ def test_what_may_be_another_thing_is_no_pose_until_the_odometry_is_there(progra
     program = programs.node("box_localizer", track_file=str(file))
     for topic in ("scan", "odometry"):
         observer.wait_for_ends(topic, "observer", "box_localizer")
-    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    observer.wait_until_active("box_localizer")
     scanner, stamps = SiteScanner(SITE, BOX, seed=1), itertools.count(155)
 
     def send_scan():
@@ -141,19 +131,15 @@ def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(program
     healths, honest = observer.healths(), observer.publisher("scan")
     program = programs.node("box_localizer")
     observer.wait_for_ends("scan", "observer", "box_localizer")
-    observer.wait(lambda: observer.state("box_localizer") == "active", "the localizer")
+    observer.wait_until_active("box_localizer")
     seconds = itertools.count(1)
     rogue = rclpy.create_node("rogue", context=observer.node.context)
     scans = rogue.create_publisher(topic_class("scan"), "scan", publisher_qos("scan"))
     buffer = int(Path("/proc/sys/net/core/rmem_default").read_text(encoding="utf-8"))
     sizes = (TEN_MEGABYTES, min(TEN_MEGABYTES, buffer // 2))
 
-    def last(name):
-        return next((health for health in reversed(healths) if health.name == name), None)
-
     def refused():
-        values = {pair.key: pair.value for pair in last("box_localizer").values} if healths else {}
-        return int(values.get("scan: malformed", 0))
+        return int(last_values(healths, "box_localizer").get("scan: malformed", 0))
 
     def publish_until(count):
         def is_refused():
@@ -169,10 +155,10 @@ def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(program
 
     few, many = publish_until(3), publish_until(30)
     assert many - few < 8 * TEN_MEGABYTES  # those that wait, or of which pieces are missing
-    observer.wait(lambda: last("box_localizer: inputs") is not None, "its inputs")
-    inputs = last("box_localizer: inputs")
+    observer.wait(lambda: last_of(healths, "box_localizer: inputs"), "its inputs")
+    inputs = last_of(healths, "box_localizer: inputs")
     assert (inputs.level, inputs.message) == (ERROR, "several publishers of scan")
-    assert "/rogue" in {pair.key: pair.value for pair in inputs.values}["publishers of scan"]
+    assert "/rogue" in values_of(inputs)["publishers of scan"]
     assert program.end()[0] == 0
     assert honest is not None
     rogue.destroy_node()

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
+from fixtures.observer import values_of
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
@@ -35,16 +34,14 @@ class Machine:
     def entries(self, name):
         """All reports of a part of the node: (level, message, values)."""
         reports = [h for h in self.healths if h.name == name]
-        return [(h.level, h.message, {pair.key: pair.value for pair in h.values}) for h in reports]
+        return [(h.level, h.message, values_of(h)) for h in reports]
 
     def running(self):
         """The values of its reports."""
         return [values for _, message, values in self.entries("fragile") if message == "running"]
 
     def set(self, **values):
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        request = SetParameters.Request(parameters=parameters)
-        (found,) = self._observer._ask(SetParameters, "fragile/set_parameters", request).results
+        (found,) = self._observer.set_parameters("fragile", **values)
         assert found.successful, found.reason
 
     def scan_until(self, condition, what):
@@ -58,7 +55,7 @@ class Machine:
 def test_exceptions_in_callbacks_are_reported_and_the_node_goes_on(programs, observer):
     machine = Machine(programs, observer)
     machine.set(fails=True)
-    answer = observer._ask(Trigger, "fragile/reset", Trigger.Request())
+    answer = observer.ask(Trigger, "fragile/reset", Trigger.Request())
     assert not answer.success
     assert CAUSE in answer.message
     names = {f"failed: {name}" for name in ("scan", "timer on_timer", "~/reset", "health")}

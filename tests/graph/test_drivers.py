@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fixtures.observer import last_of, last_values, values_of
 from fixtures.plugged_devices import (
     FIELD,
-    MULTICAST,
     RATE,
     SPEED,
     G,
@@ -42,10 +42,9 @@ def device():
 
 
 @pytest.fixture
-def bench(real_time, programs, device, udp_port):
+def bench(real_time, programs, device, can, udp_port):
     """By the driver's name: its device, its parameters, its topics."""
     serial = str(programs.folder / "tty")
-    can = {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}
     return {
         "watson_imu": (partial(device, plug_watson, programs.folder / "tty"), {"serial_port": serial}),
         "sick_pls": (partial(device, plug_sick, programs.folder / "tty"), {"serial_port": serial}),
@@ -71,10 +70,9 @@ def are_stamped(messages, began_ns):
 
 def is_healthy(healths, node):
     """The last of its entries is OK and has a rate."""
-    mine = [status for status in healths if status.name == node]
-    if not mine or mine[-1].level != b"\0":
+    if getattr(last_of(healths, node), "level", None) != b"\0":
         return False
-    values = {pair.key: pair.value for pair in mine[-1].values}
+    values = last_values(healths, node)
     return float(values["rate (Hz)"]) > 0.0 and values["reconnects"] == "0"
 
 
@@ -140,8 +138,7 @@ def test_refused_password_is_reported(programs, observer, device):
     observer.wait(
         lambda: any(h.name == "sick_pls: password" and h.level == b"\x02" for h in healths), "its refusal"
     )
-    node = [h for h in healths if h.name == "sick_pls"][-1]
-    assert {pair.key: pair.value for pair in node.values}["scan: password refused"] == "1"
+    assert last_values(healths, "sick_pls")["scan: password refused"] == "1"
 
 
 def test_the_status_of_the_scanner_is_reported(programs, observer, device):
@@ -158,7 +155,7 @@ def test_the_status_of_the_scanner_is_reported(programs, observer, device):
         return {h.name.partition(": ")[2]: h.level for h in healths[healths.index(last[0]) :]} if last else {}
 
     observer.wait(lambda: parts.items() <= levels().items(), "all of its status")
-    fatal = [h for h in healths if h.name == "sick_pls: status"][-1]
+    fatal = last_of(healths, "sick_pls: status")
     assert fatal.message == "scanner reports: fatal"
     assert fatal.hardware_id == str(path)
     status["byte"] = 0
@@ -263,7 +260,7 @@ def knows(status):
 
 
 def reconnects(status):
-    return int({pair.key: pair.value for pair in status.values}.get("reconnects", 0))
+    return int(values_of(status).get("reconnects", 0))
 
 
 @pytest.mark.parametrize("node", TOPIC)
@@ -303,14 +300,14 @@ def test_lifecycle(bench, programs, observer, node):
 
 def test_autostart_ends_in_active(bench, programs, observer):
     programs.node("watson_imu", **bench["watson_imu"][1])
-    observer.wait(lambda: observer.state("watson_imu") == "active", "watson_imu to be active")
+    observer.wait_until_active("watson_imu")
 
 
 @pytest.mark.parametrize("priority", [7, 0])
 def test_realtime_priority(bench, programs, observer, priority):
     """All threads of the process have it, or the node reports that the host refuses."""
     program = programs.node("can_driver", **bench["can_driver"][1], realtime_priority=priority)
-    observer.wait(lambda: observer.state("can_driver") == "active", "can_driver to be active")
+    observer.wait_until_active("can_driver")
     threads = [int(path.name) for path in Path(f"/proc/{program.process.pid}/task").iterdir()]
 
     def settled():

@@ -12,10 +12,9 @@ SENSED = ("sprockets", "hydraulics")
 
 
 def test_machine_is_switched_on_once_all_nodes_that_it_waits_for_are_active(
-    programs: Any, observer: Any, udp_port: int
+    programs: Any, observer: Any, can: dict[str, Any]
 ) -> None:
     space = ("-r", "__ns:=/digger1")
-    can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
     healths = observer.healths()
     truth = {name: observer.subscribe(f"/digger1/truth/{name}", f"truth/{name}") for name in TRUTH}
     sensed = {name: observer.subscribe(f"/digger1/{name}", name) for name in SENSED}
@@ -56,6 +55,6 @@ def test_machine_that_waits_can_be_deactivated_and_activated_again(programs: Any
     programs.node(
         "emulator", start_after=["nobody"], device_directory=str(programs.folder / "dev"), scenario="straight"
     )
-    observer.wait(lambda: observer.state("/emulator") == "active", "the emulator to be active")
+    observer.wait_until_active("/emulator")
     for transition in ("deactivate", "activate", "deactivate", "cleanup", "configure"):
         assert observer.change("/emulator", transition), transition

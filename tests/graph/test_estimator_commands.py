@@ -2,62 +2,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reset, freeze, a given pose, new gates, a jumping clock on the live node; the bag gives it all back."""
 
-import json
 import signal
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
-from sensor_msgs.msg import JointState
+from fixtures.observer import values_of
+from fixtures.sensor_messages import pose, sprockets
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trackslip_msgs.msg import MeasurementReport as R
 
-MS = 1_000_000
-BEGIN_NS = 1_700_000_000_000 * MS
 SPEED, RADIUS = 1.5, 0.159  # rad/s, m
 SET_POSE = "slip_estimator/set_pose"
 
 
-def stamped(kind, at_ms):
-    message = kind()
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(BEGIN_NS + at_ms * MS, 1000 * MS)
+def driven_pose(at_ms):
+    return pose(at_ms, SPEED * RADIUS * at_ms * 1e-3)
+
+
+def pose_now(x):
+    """Without a stamp, as a user gives it."""
+    message = pose(0, x)
+    message.header = Header()
     return message
-
-
-def sprockets(at_ms):
-    message = stamped(JointState, at_ms)
-    message.name = ["left_sprocket", "right_sprocket"]
-    message.position, message.velocity = [SPEED * at_ms * 1e-3] * 2, [SPEED] * 2
-    return message
-
-
-def pose(at_ms, x=None, stamp=True):
-    message = stamped(PoseWithCovarianceStamped, at_ms)
-    if not stamp:
-        message.header.stamp.sec = message.header.stamp.nanosec = 0
-    message.pose.pose.position.x = SPEED * RADIUS * at_ms * 1e-3 if x is None else x
-    message.pose.pose.orientation.w = 1.0
-    message.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
-    return message
-
-
-def number(name, value):
-    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
-
-
-def numbers(name, *values):
-    kind = ParameterType.PARAMETER_DOUBLE_ARRAY
-    return Parameter(name=name, value=ParameterValue(type=kind, double_array_value=values))
 
 
 class Machine:
     """Estimator and recorder, driven by this test."""
 
     def __init__(self, programs, observer, *of_recorder):
-        self.folder, self._programs, self._observer = programs.folder, programs, observer
+        self._programs, self._observer = programs, observer
         self._topics = {
             "sprockets": observer.publisher("sprockets"),
             "box_pose": observer.publisher("box_pose"),
@@ -73,8 +48,7 @@ class Machine:
             observer.wait_for_ends(topic, "slip_estimator", *(["record"] if topic in heard else []))
         observer.wait_for_ends("slip_estimator/parameters", "slip_estimator", "record")
         observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
-        for node in ("record", "slip_estimator"):
-            observer.wait(lambda name=node: observer.state(name) == "active", f"{node} to be active")
+        observer.wait_until_active("record", "slip_estimator")
         outputs = ("odometry", "track_slip", "measurement_reports", "slip_estimator/pose_set")
         observer.wait_for_recorder(self.healths, *outputs, *heard)
 
@@ -87,12 +61,12 @@ class Machine:
 
     def drive(self, start_ms, stop_ms):
         for at_ms in range(start_ms, stop_ms, 20):
-            self.feed("sprockets", sprockets(at_ms))
+            self.feed("sprockets", sprockets(at_ms, SPEED))
             if at_ms % 200 == 0:
-                self.feed("box_pose", pose(at_ms))
+                self.feed("box_pose", driven_pose(at_ms))
 
     def ask(self, service, name, request):
-        return self._observer._ask(service, f"slip_estimator/{name}", request)
+        return self._observer.ask(service, f"slip_estimator/{name}", request)
 
     def health(self, text):
         """The next entry of /diagnostics that says this."""
@@ -105,12 +79,10 @@ class Machine:
         return found()[0]
 
     def end(self):
-        """The bag, and what a replay of it says."""
+        """The summary of a replay of the bag."""
         assert self._recorder.end(signal.SIGINT)[0] == 0
         assert self._estimator.end()[0] == 0
-        program = self._programs.tool("trackslip", "replay", str(self.folder / "bag"), "--json", "found.json")
-        assert program.wait() == 0, program.stderr
-        return json.loads((self.folder / "found.json").read_text(encoding="utf-8"))
+        return self._programs.replay("bag")
 
 
 def test_every_command_of_a_user_is_done_reported_and_answered(programs, observer):
@@ -121,46 +93,39 @@ def test_every_command_of_a_user_is_done_reported_and_answered(programs, observe
 
     answer = machine.ask(SetBool, "freeze", SetBool.Request(data=True))
     assert answer.success
-    assert machine.feed("box_pose", pose(at_ms)) == R.FROZEN
-    assert machine.feed("sprockets", sprockets(at_ms)) == R.ACCEPTED
+    assert machine.feed("box_pose", driven_pose(at_ms)) == R.FROZEN
+    assert machine.feed("sprockets", sprockets(at_ms, SPEED)) == R.ACCEPTED
     assert machine.ask(SetBool, "freeze", SetBool.Request(data=False)).success
     machine.drive(at_ms + 20, 1400)
 
-    assert machine.feed(SET_POSE, pose(0, x=20.0, stamp=False)) == R.ACCEPTED
-    machine.feed("sprockets", sprockets(1400))
+    assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
+    machine.feed("sprockets", sprockets(1400, SPEED))
     observer.wait(lambda: abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.01, "the given pose")
-    assert machine.feed("box_pose", pose(1400)) == R.GATED
+    assert machine.feed("box_pose", driven_pose(1400)) == R.GATED
 
-    half, longer, tread = (
-        number("gate_probability", 0.5),
-        number("sources.box_pose.timeout", 3.0),
-        number("vehicle.kinematics.tread", 0.7),
-    )
-    for wanted, successful in (
-        (half, True),
-        (longer, True),
-        (tread, False),
-        (number("gate_probability", 2.0), False),
+    for name, value, successful in (
+        ("gate_probability", 0.5, True),
+        ("sources.box_pose.timeout", 3.0, True),
+        ("vehicle.kinematics.tread", 0.7, False),
+        ("gate_probability", 2.0, False),
     ):
-        (found,) = machine.ask(
-            SetParameters, "set_parameters", SetParameters.Request(parameters=[wanted])
-        ).results
+        (found,) = observer.set_parameters("slip_estimator", **{name: value})
         assert found.successful is successful, found.reason
-    machine.feed("box_pose", pose(1410))
+    machine.feed("box_pose", driven_pose(1410))
     assert machine.reports[-1].gate < 12.0  # four times the quantile
 
     assert machine.ask(Trigger, "reset", Trigger.Request()).success
-    assert machine.feed("sprockets", sprockets(1420)) == R.WAITING
+    assert machine.feed("sprockets", sprockets(1420, SPEED)) == R.WAITING
     machine.drive(1600, 6000)
     outcomes = [
-        machine.feed("sprockets", sprockets(at)) for at in range(100, 200, 20)
+        machine.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
     ]  # the bag begins again
     assert outcomes == [R.TOO_LATE] * 4 + [R.RESTARTED]
     machine.drive(200, 1500)
 
     silent = machine.health("sprockets silent")
     assert silent.level == DiagnosticStatus.ERROR
-    values = {entry.key: entry.value for entry in silent.values}
+    values = values_of(silent)
     assert values["restarts"] == "1"
     assert int(values["sprockets too_late"]) == 4
     assert "if consistent" in values["box_pose nis"]
@@ -180,7 +145,7 @@ def test_a_pose_whose_publisher_the_recorder_never_met_is_replayed(programs, obs
     """Who sets a pose and ends at once was in no bag, and the replay was another drive."""
     machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")
     machine.drive(200, 600)
-    assert machine.feed(SET_POSE, pose(0, x=20.0, stamp=False)) == R.ACCEPTED
+    assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED
     machine.drive(600, 1000)
     assert abs(machine.odometry[-1].pose.pose.position.x - 20.0) < 0.5
     found = machine.end()

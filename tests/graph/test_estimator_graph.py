@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorder, localizer and estimator live, fed with what they may meet; then the bag gives it all back."""
 
-import json
 import math
 import signal
 import time
@@ -11,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from fixtures.observer import last_values
+from fixtures.sensor_messages import MS, pose, sprockets, stamped
 from rosbags.highlevel import AnyReader
-from sensor_msgs.msg import Imu, JointState, LaserScan
+from sensor_msgs.msg import Imu, LaserScan
 from trackslip_msgs.msg import MeasurementReport
 
 from trackslip_bags.input_filters import InputFilters
@@ -26,29 +26,12 @@ from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
 
-MS = 1_000_000
-BEGIN_NS = 1_700_000_000_000 * MS
 SPEED, RADIUS = 1.5, 0.159  # rad/s, m
 DURATION_MS = 6000
 BURST = 40  # messages; the kernel keeps some 100 for a node that the system does not run
 AGAIN = 10.0  # s; what is only slow is reported on too, after what is sent next
 INPUTS = ("sprockets", "imu/data_raw", "scan", "gnss")
 R = MeasurementReport
-
-
-def stamped(kind, at_ms, frame_id):
-    message = kind()
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(BEGIN_NS + at_ms * MS, 1000 * MS)
-    message.header.frame_id = frame_id
-    return message
-
-
-def sprockets(at_ms):
-    message = stamped(JointState, at_ms, "base_link")
-    message.name = ["left_sprocket", "right_sprocket"]
-    message.position = [SPEED * at_ms * 1e-3] * 2
-    message.velocity = [SPEED] * 2
-    return message
 
 
 def imu(at_ms, rate=0.0):
@@ -59,13 +42,8 @@ def imu(at_ms, rate=0.0):
     return message
 
 
-def pose(at_ms, y=0.0):
-    message = stamped(PoseWithCovarianceStamped, at_ms, "odom")
-    message.pose.pose.position.x = 0.9 * SPEED * RADIUS * at_ms * 1e-3
-    message.pose.pose.position.y = y
-    message.pose.pose.orientation.w = 1.0
-    message.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
-    return message
+def driven_pose(at_ms, y=0.0):
+    return pose(at_ms, 0.9 * SPEED * RADIUS * at_ms * 1e-3, y)
 
 
 def scan(at_ms):
@@ -88,22 +66,22 @@ def ordinary():
     random = np.random.default_rng(3)
     script = [(0.0, "scan", scan(0))]
     for at_ms in range(100, DURATION_MS, 10):
-        script.append((at_ms + random.uniform(0.0, 30.0), "sprockets", sprockets(at_ms)))
+        script.append((at_ms + random.uniform(0.0, 30.0), "sprockets", sprockets(at_ms, SPEED)))
         if at_ms % 80 == 0:
             script.append((at_ms + random.uniform(50.0, 150.0), "imu/data_raw", imu(at_ms + 3)))
         if at_ms % 250 == 0:
-            script.append((at_ms + random.uniform(100.0, 900.0), "gnss", pose(at_ms + 7)))
+            script.append((at_ms + random.uniform(100.0, 900.0), "gnss", driven_pose(at_ms + 7)))
     return sorted(script, key=lambda entry: entry[0])
 
 
 def wrong():
     """What nobody should send, once the drive is over, and what is to become of it."""
-    twice = sprockets(DURATION_MS + 20)
-    lost = sprockets(DURATION_MS + 30)
+    twice = sprockets(DURATION_MS + 20, SPEED)
+    lost = sprockets(DURATION_MS + 30, SPEED)
     lost.velocity = [math.nan, SPEED]
-    nowhere = pose(DURATION_MS + 40)
+    nowhere = driven_pose(DURATION_MS + 40)
     nowhere.pose.pose.position.x = math.nan
-    unsure = pose(DURATION_MS + 50)
+    unsure = driven_pose(DURATION_MS + 50)
     unsure.pose.covariance = np.zeros(36)
     return [
         ("sprockets", twice, R.ACCEPTED),
@@ -112,11 +90,11 @@ def wrong():
         ("imu/data_raw", imu(DURATION_MS + 30, math.inf), R.INVALID),
         ("gnss", nowhere, R.INVALID),
         ("gnss", unsure, R.INVALID),
-        ("gnss", pose(1000), R.TOO_LATE),
-        ("sprockets", sprockets(1000 + 5), R.TOO_LATE),
-        ("gnss", pose(DURATION_MS - 1000 + 1), R.ACCEPTED),  # late, but within the window
-        ("gnss", pose(DURATION_MS + 60, y=50.0), R.GATED),
-        ("sprockets", sprockets(DURATION_MS + 70), R.ACCEPTED),
+        ("gnss", driven_pose(1000), R.TOO_LATE),
+        ("sprockets", sprockets(1000 + 5, SPEED), R.TOO_LATE),
+        ("gnss", driven_pose(DURATION_MS - 1000 + 1), R.ACCEPTED),  # late, but within the window
+        ("gnss", driven_pose(DURATION_MS + 60, y=50.0), R.GATED),
+        ("sprockets", sprockets(DURATION_MS + 70, SPEED), R.ACCEPTED),
     ]
 
 
@@ -145,8 +123,7 @@ class Line:
             observer.wait_for_ends(topic, "record", "box_localizer" if topic == "scan" else "slip_estimator")
         observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
         observer.wait_for_ends("box_pose", "box_localizer", "slip_estimator", "record")
-        for node in ("record", "slip_estimator", "box_localizer"):
-            observer.wait(lambda name=node: observer.state(name) == "active", f"{node} to be active")
+        observer.wait_until_active("record", "slip_estimator", "box_localizer")
         outputs = ("box_pose", "odometry", "track_slip", "measurement_reports")
         inputs = [topic for topic in INPUTS if topic != "scan"]
         observer.wait_for_recorder(self._healths, *outputs, *inputs)
@@ -195,14 +172,13 @@ class Line:
 
     def _is_recorded(self):
         """By the recorder's own count; what waits in its queues when it ends is not in the bag."""
-        counts = [h for h in self._healths if h.name == "record"][-1:]
-        found = {pair.key: pair.value for health in counts for pair in health.values}
+        found = last_values(self._healths, "record")
         wanted = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
         return all(found.get(f"/{topic}") == str(n) for topic, n in wanted.items())
 
 
 def drive(line):
-    line.first("sprockets", sprockets(50))  # before there is a fix
+    line.first("sprockets", sprockets(50, SPEED))  # before there is a fix
     assert line.reports[-1].outcome == R.WAITING
     script = ordinary()
     line.first("scan", script[0][2])
@@ -253,9 +229,7 @@ def test_every_measurement_is_reported_on_and_given_back(programs, observer):
         first = next(raw for _, _, raw in reader.messages([connection]))
         read: Any = reader.deserialize(first, connection.msgtype)
         assert read.pose.pose.position.x == line.odometry[0].pose.pose.position.x
-    program = programs.tool("trackslip", "replay", str(path), "--json", "found.json")
-    assert program.wait() == 0, program.stderr
-    found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
+    found = programs.replay(str(path))
     taken = sum(found["messages"][topic] for topic in ("sprockets", "imu/data_raw", "gnss", "box_pose"))
     assert taken - line.sent_again <= len(line.reports) <= taken
     assert found["final"]["x"] == line.odometry[-1].pose.pose.position.x

@@ -2,38 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters set while the estimator is configured but inactive: it works with them, and so does a replay."""
 
-import json
 import time
 
-import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
+from fixtures.sensor_messages import pose, sprockets
 
-BEGIN_S = 1_700_000_000
 WIDE, NARROW = 0.9999, 0.5
 LOST = 5.0  # s without a report
 
 
 def gate_probability(observer, value):
-    request = SetParameters.Request(
-        parameters=[Parameter("gate_probability", value=value).to_parameter_msg()]
-    )
-    (found,) = observer._ask(SetParameters, "slip_estimator/set_parameters", request).results
+    (found,) = observer.set_parameters("slip_estimator", gate_probability=value)
     assert found.successful, found.reason
-
-
-def at(kind, at_ms):
-    message = kind()
-    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 1_000_000
-    return message
 
 
 @pytest.mark.slow
 def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
-    sprockets, poses = observer.publisher("sprockets"), observer.publisher("box_pose")
+    speeds, poses = observer.publisher("sprockets"), observer.publisher("box_pose")
     reports, texts = (
         observer.subscribe("measurement_reports"),
         observer.subscribe("slip_estimator/parameters"),
@@ -52,14 +37,8 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
     def gate_after(begin_ms):
         """The gate of the last of ten poses, as its report has it."""
         for at_ms in range(begin_ms, begin_ms + 200, 20):
-            message = at(JointState, at_ms)
-            message.name = ["left_sprocket", "right_sprocket"]
-            message.position, message.velocity = [0.0, 0.0], [0.0, 0.0]
-            feed(sprockets, message)
-            pose = at(PoseWithCovarianceStamped, at_ms)
-            pose.pose.pose.orientation.w = 1.0
-            pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
-            feed(poses, pose)
+            feed(speeds, sprockets(at_ms))
+            feed(poses, pose(at_ms))
         return reports[-1].gate
 
     def feed(publisher, message):
@@ -88,7 +67,4 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
 
     assert recorder.end()[0] == 0
     assert estimator.end()[0] == 0
-    program = programs.tool("trackslip", "replay", "bag", "--json", "found.json")
-    assert program.wait() == 0, program.stderr
-    found = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
-    assert found["replay_matches"] is True
+    assert programs.replay("bag")["replay_matches"] is True

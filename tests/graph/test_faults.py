@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from fixtures.observer import values_of
 from std_msgs.msg import String
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -46,8 +47,7 @@ RANDOM_FAULTS = {
 class Rig:
     """Emulator and drivers, watched through their diagnostics."""
 
-    def __init__(self, programs, observer, udp_port, sensors=tuple(NODE)):
-        can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
+    def __init__(self, programs, observer, can, sensors=tuple(NODE)):
         devices = programs.folder / "devices"
         drive = {"scenario": "straight", "duration": LONG, "mode": "thesis", "gnss.device.rate": 10.0}
         self._observer, self._sensors = observer, sensors
@@ -72,7 +72,7 @@ class Rig:
             self._healths[status.name] = status
         self._all.clear()
         status = self._healths.get(name)
-        return None if status is None else (status.level, {pair.key: pair.value for pair in status.values})
+        return None if status is None else (status.level, values_of(status))
 
     def value(self, name, key):
         found = self.latest(name)
@@ -116,8 +116,8 @@ def resident(pid):
 
 
 @pytest.fixture
-def rig(real_time, programs, observer, udp_port):
-    return Rig(programs, observer, udp_port)
+def rig(real_time, programs, observer, can):
+    return Rig(programs, observer, can)
 
 
 def test_sensors_fail_and_come_back(rig):
@@ -144,8 +144,8 @@ def test_sensors_fail_and_come_back(rig):
     assert rig.count("watson_imu", "reconnects") >= 1
 
 
-def test_nonsense_is_refused_and_counted(programs, observer, udp_port):
-    rig = Rig(programs, observer, udp_port, sensors=())
+def test_nonsense_is_refused_and_counted(programs, observer, can):
+    rig = Rig(programs, observer, can, sensors=())
     for text in ("sensor: can", "sensor: can, kind: bus_off, duration: -1", "sensor: sonar, kind: stuck"):
         rig.fault(text)
     rig.wait(lambda: rig.value("emulator", "faults refused") == "3", "three refusals to be counted")
@@ -156,9 +156,9 @@ def test_nonsense_is_refused_and_counted(programs, observer, udp_port):
 @pytest.mark.soak
 @pytest.mark.timeout(1500)
 @pytest.mark.parametrize("failing", [ALL, ("gnss",)], ids=["of all sensors", "of the receiver"])
-def test_a_hundred_faults_in_a_row(programs, observer, udp_port, failing):
+def test_a_hundred_faults_in_a_row(programs, observer, can, failing):
     """None ends a node, none leaks, none leaves a rate below nominal."""
-    rig, choose = Rig(programs, observer, udp_port, failing), random.Random(1)
+    rig, choose = Rig(programs, observer, can, failing), random.Random(1)
     kinds = {kind: sorted({*of} & {*failing}) for kind, (of, _) in RANDOM_FAULTS.items()}
     before = None
     for n in range(100):

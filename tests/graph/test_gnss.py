@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from fixtures.observer import last_of, last_values
 from std_msgs.msg import String
 
 pytestmark = pytest.mark.xdist_group("graph")
@@ -19,7 +20,7 @@ def seconds(message):
 
 
 @pytest.fixture
-def machine(programs, observer, udp_port):
+def machine(programs, observer, can):
     """Emulated excavator with a receiver, the receiver's driver, and a localizer that is told the datum."""
     devices = programs.folder / "devices"
     programs.node(
@@ -29,9 +30,7 @@ def machine(programs, observer, udp_port):
         lead_in=1.0,
         scenario="turn_left",
         duration=600.0,
-        can_interface="udp_multicast",
-        can_channel="239.74.163.2",
-        can_port=udp_port,
+        **can,
     )
     programs.node("nmea_gnss", serial_port=str(devices / "gnss"))
     return programs.node("gnss_localizer", **{f"datum_{name}": value for name, value in ORIGIN.items()})
@@ -74,12 +73,8 @@ def test_faults_of_a_receiver_are_reported_and_pass(machine, observer):
     observer.wait_for_ends("emulator/fault", "emulator")
     observer.wait(lambda: len(poses) > 5, "poses")
 
-    def latest(name):
-        return next((status for status in reversed(healths) if status.name == name), None)
-
     def reports(name, part, value):
-        found = latest(name)
-        return found is not None and getattr(found, part) == value
+        return getattr(last_of(healths, name), part, None) == value
 
     for kind, level in (("unplug", b"\2"), ("wrong_baud", b"\2"), ("no_fix", b"\1")):
         before = len(poses)
@@ -88,6 +83,6 @@ def test_faults_of_a_receiver_are_reported_and_pass(machine, observer):
         observer.wait(lambda: reports("gnss_localizer", "message", "no fixes"), "the localizer to miss them")
         observer.wait(lambda before=before: len(poses) > before + 5, f"poses after {kind}")
         observer.wait(lambda: not reports("gnss_localizer", "message", "no fixes"), "all to be well")
-    values = {pair.key: pair.value for pair in latest("nmea_gnss").values}
+    values = last_values(healths, "nmea_gnss")
     assert int(values["fix: no fix"]) >= 20
     assert int(values["reconnects"]) >= 1

@@ -10,6 +10,7 @@ import pytest
 from fixtures.excavator_bus import CYCLE_NS, FRAMES
 from fixtures.own_node import started
 from fixtures.patience import wait_for
+from fixtures.plugged_devices import MULTICAST
 
 from trackslip_drivers.nodes.can_driver import CanDriverNode
 from trackslip_drivers.records import HydraulicsSample, SprocketSample
@@ -18,7 +19,6 @@ from trackslip_drivers.transports.can_bus import CanBus
 from trackslip_sim.devices.can_device import CanDevice
 
 MS = 1_000_000
-GROUP = "239.74.163.2"
 SPEED = 2.0  # rad/s
 HELD_CYCLES, ALL_CYCLES = (100, 260), 400
 FEW = 20  # samples, by which the cycle is known also where the first frames came late
@@ -44,16 +44,15 @@ class HeldDriver(CanDriverNode):
 
 
 @pytest.fixture
-def driver(real_time, domain, udp_port):
-    options = {"can_interface": "udp_multicast", "can_channel": GROUP, "can_port": udp_port}
-    with started(HeldDriver, domain, **options) as node:
+def driver(real_time, domain, can):
+    with started(HeldDriver, domain, **can) as node:
         yield node
 
 
 def drive(driver, udp_port):
     """Send the frames of a steady drive; system times of each cycle, and of when it had been sent."""
     wait_for(lambda: driver._link is not None and driver._link.state().connected)
-    bus, began_ns = CanBus("udp_multicast", GROUP, {"port": udp_port}), time.time_ns()
+    bus, began_ns = CanBus("udp_multicast", MULTICAST, {"port": udp_port}), time.time_ns()
 
     def sprockets(stamp_ns):
         angle = (stamp_ns - began_ns) * 1e-9 * SPEED

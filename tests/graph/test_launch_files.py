@@ -233,10 +233,7 @@ def test_real_nodes_take_what_the_launch_files_give_them(
     ]
     for node in nodes:
         programs.tool(node.executable, *node.command())
-    for node in started:
-        observer.wait(
-            lambda name=node.name: observer.state(f"/digger1/{name}") == "active", f"{node.name} to be active"
-        )
+    observer.wait_until_active(*(f"/digger1/{node.name}" for node in started))
     (estimator,) = [node for node in nodes if node.executable == "slip_estimator"]
     state = next(p for p in estimator.parameters if isinstance(p, dict))["state_file"]
     assert state == str(programs.folder / "trackslip" / "digger1" / "slip_estimator.yaml")

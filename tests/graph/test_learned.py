@@ -2,20 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the live node learned survives its restart; a replay of the second run is what the node computed."""
 
-import json
 import signal
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from fixtures.commands import json_of
 from fixtures.drawn_machine import Machine, drive
+from fixtures.observer import values_of
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
-from trackslip_common.errors import ExitCode
 from trackslip_estimation.slip.measurements import Sprockets, YawRate
-from trackslip_tools.cli.main import main
 
 EPOCH_NS = 1_700_000_000_000_000_000
 PARAMETERS = {
@@ -60,8 +59,7 @@ class Graph:
         self.estimator = self.programs.node("slip_estimator", **{**PARAMETERS, **changes})
         for topic in self.topics:
             self.observer.wait_for_ends(topic, "record", "slip_estimator")
-        for node in ("record", "slip_estimator"):
-            self.observer.wait(lambda name=node: self.observer.state(name) == "active", f"{node} active")
+        self.observer.wait_until_active("record", "slip_estimator")
         outputs = ("odometry", "track_slip", "measurement_reports", "slip_estimator/parameters")
         self.observer.wait_for_recorder(self.healths, *outputs, *self.topics)
 
@@ -81,18 +79,16 @@ class Graph:
 
         self.observer.wait(found, name)
         entry = found()[-1]
-        return entry, {pair.key: pair.value for pair in entry.values}
+        return entry, values_of(entry)
 
     def ask(self, service):
-        return self.observer._ask(Trigger, f"slip_estimator/{service}", Trigger.Request())
+        return self.observer.ask(Trigger, f"slip_estimator/{service}", Trigger.Request())
 
     def end(self, bag):
         """What a replay of the run says."""
         assert self.recorder.end(signal.SIGINT)[0] == 0
         assert self.estimator.end()[0] == 0
-        folder, summary = self.programs.folder / bag, self.programs.folder / f"{bag}.json"
-        assert main(["replay", str(folder), "--json", str(summary)]) == ExitCode.DONE
-        return json.loads(summary.read_text(encoding="utf-8"))
+        return json_of(self.programs.folder, "replay", self.programs.folder / bag)
 
 
 def later(measurements, by_ns):

@@ -204,8 +204,7 @@ def test_what_a_section_for_many_nodes_holds_for_others_is_no_error(programs, ob
     vehicle = observer.subscribe("vehicle")
     for node in ("slip_estimator", "record"):
         programs.node(node, "--params-file", str(config))
-    for node in ("slip_estimator", "record"):
-        observer.wait(lambda node=node: observer.state(node) == "active", f"{node} to be active")
+    observer.wait_until_active("slip_estimator", "record")
     observer.wait(lambda: vehicle, "the vehicle")
     assert vehicle_of_text(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
 

@@ -51,9 +51,8 @@ class Node:
 class Graph:
     """The whole graph driving; what each node sent last."""
 
-    def __init__(self, programs, observer, udp_port):
+    def __init__(self, programs, observer, can):
         self._programs, self._observer = programs, observer
-        can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
         devices = programs.folder / "devices"
         self._nodes = {
             "can_driver": Node("can_driver", can),
@@ -222,13 +221,13 @@ def _replayed(path):
 def test_who_sent_to_a_killed_node_waited_for_the_lock_of_a_killed_one(programs, observer):
     """It is in the file by which a node hears others in shared memory; reached by UDP it has none."""
     adapter = programs.node("wheel_adapter")
-    observer.wait(lambda: observer.state("wheel_adapter") == "active", "the adapter")
+    observer.wait_until_active("wheel_adapter")
     assert adapter.has_loaded("librmw_fastrtps")
     assert not any(adapter.has_loaded(f"{name}_port") for name in ("fastrtps", "fastdds"))
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_a_hundred_kills_in_a_row(programs, observer, udp_port):
-    graph = Graph(programs, observer, udp_port)
+def test_a_hundred_kills_in_a_row(programs, observer, can):
+    graph = Graph(programs, observer, can)
     _survives(graph, programs, random.Random(int(os.environ.get("TRACKSLIP_SEED", "1"))), KILLS)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from fixtures.ntrip_caster import OK, Caster, rtcm
+from fixtures.observer import last_of, last_values
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import GetParameters, ListParameters
 
@@ -105,8 +106,8 @@ def caster(station: Station) -> Iterator[Caster]:
 
 def parameters_of(observer: Any, node: str) -> str:
     """All parameters of a node with their values, as text."""
-    names = observer._ask(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
-    return str(observer._ask(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names)))
+    names = observer.ask(ListParameters, f"{node}/list_parameters", ListParameters.Request()).result.names
+    return str(observer.ask(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names)))
 
 
 def test_corrections_reach_the_receiver_and_no_credential_leaves_its_file(
@@ -130,12 +131,8 @@ def test_corrections_reach_the_receiver_and_no_credential_leaves_its_file(
         ntrip__gga_interval=0.5,
     )
 
-    def latest() -> tuple[str, dict[str, str]]:
-        mine = [status for status in healths if status.name == "nmea_gnss: corrections"]
-        return (mine[-1].message, {v.key: v.value for v in mine[-1].values}) if mine else ("", {})
-
     def reports(words: str) -> Callable[[], bool]:
-        return lambda: words in latest()[0]
+        return lambda: words in getattr(last_of(healths, "nmea_gnss: corrections"), "message", "")
 
     observer.wait(reports("refuses user or password (401)"), "the refusal")
     observer.wait(lambda: len(fixes) > 10, "fixes without corrections")
@@ -151,7 +148,7 @@ def test_corrections_reach_the_receiver_and_no_credential_leaves_its_file(
     whole = b"".join(rtcm(number=first + k) for k in range(20))
     assert receiver.got.startswith(whole)
     assert b"4808.22" in station.positions
-    _, values = latest()
+    values = last_values(healths, "nmea_gnss: corrections")
     assert float(values["age of corrections (s)"]) < 10.0
     assert int(values["left out"]) == 0
     assert fixes[-1].latitude == pytest.approx(LATITUDE)

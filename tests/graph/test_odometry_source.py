@@ -2,30 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """A camera's odometry beside the sprockets, live: used, counted, recorded, and replayed bit for bit."""
 
-import json
-
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from fixtures.sensor_messages import pose, sprockets, stamped
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import JointState
 
-BEGIN_S, STEP_MS, STEPS, EVERY = 100, 20, 100, 5
+STEP_MS, STEPS, EVERY = 20, 100, 5
 SPEED, RADIUS = 1.5, 0.159  # rad/s, m
 LOST = -1.0  # first element of a covariance that there is not
-
-
-def stamped(kind, at_ms):
-    message = kind()
-    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 1_000_000
-    return message
 
 
 @pytest.mark.slow
 def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     healths = observer.healths()
     reports, found = observer.subscribe("measurement_reports"), observer.subscribe("odometry")
-    sprockets, fixes, camera = (
+    speeds, fixes, camera = (
         observer.publisher(topic, kind)
         for topic, kind in (("sprockets", None), ("box_pose", None), ("camera/odom", "odometry"))
     )
@@ -36,17 +27,11 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     observer.wait_for_recorder(healths, "odometry", "measurement_reports", "camera/odom")
     sent = refused = 0
     for step in range(STEPS):
-        message = stamped(JointState, step * STEP_MS)
-        message.name = ["left_sprocket", "right_sprocket"]
-        message.velocity, message.position = [SPEED] * 2, [SPEED * step * STEP_MS * 1e-3] * 2
-        sprockets.publish(message)
+        speeds.publish(sprockets(step * STEP_MS, SPEED))
         sent += 1
         if step == 0:
-            pose = stamped(PoseWithCovarianceStamped, 0)
-            pose.pose.pose.orientation.w = 1.0
-            pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
             observer.wait(lambda: reports, "a report of the sprockets")
-            fixes.publish(pose)
+            fixes.publish(pose(0))
             sent += 1
         if step % EVERY == 2:
             seen = stamped(Odometry, step * STEP_MS - 7)
@@ -66,9 +51,7 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     wanted = "camera/odom whose covariance says that it has no velocity"
     observer.wait(lambda: any(wanted in {v.key for v in s.values} for s in healths), "its count")
     assert recorder.end()[0] == 0
-    program = programs.tool("trackslip", "replay", "bag", "--json", "found.json")
-    assert program.wait() == 0, program.stderr
-    summary = json.loads((programs.folder / "found.json").read_text(encoding="utf-8"))
+    summary = programs.replay("bag")
     assert summary["replay_matches"] is True
     assert summary["rejected"]["camera/odom"] == {
         "begun": 1,

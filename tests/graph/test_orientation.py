@@ -6,18 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from sensor_msgs.msg import Imu, JointState
+from fixtures.sensor_messages import pose, sprockets, stamped
+from sensor_msgs.msg import Imu
 
 pytestmark = pytest.mark.xdist_group("graph")
 
-BEGIN_S, PITCH = 1_700_000_000, 0.2
-
-
-def at(kind, at_ms):
-    message = kind()
-    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 1_000_000
-    return message
+PITCH = 0.2  # rad
 
 
 @pytest.mark.slow
@@ -36,18 +30,13 @@ def test_one_is_used_and_one_without_a_covariance_is_counted(programs, observer)
         observer.wait(lambda: len(reports) >= expected, f"a report on {topic}")
 
     for at_ms in range(0, 400, 20):
-        pose = at(PoseWithCovarianceStamped, at_ms)
-        pose.pose.pose.orientation.w = 1.0
-        pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
-        sprockets = at(JointState, at_ms)
-        sprockets.name = ["left_sprocket", "right_sprocket"]
-        sprockets.position, sprockets.velocity = [0.0, 0.0], [0.0, 0.0]
-        imu = at(Imu, at_ms)
+        imu = stamped(Imu, at_ms)
         imu.orientation.y, imu.orientation.w = math.sin(PITCH / 2.0), math.cos(PITCH / 2.0)
         if at_ms >= 200:
             imu.orientation_covariance = np.diag([1e-5, 1e-5, 1e-2]).flatten()
-        for topic, message in (("box_pose", pose), ("sprockets", sprockets), ("imu/data_raw", imu)):
-            feed(topic, message)
+        feed("box_pose", pose(at_ms))
+        feed("sprockets", sprockets(at_ms))
+        feed("imu/data_raw", imu)
 
     def counted():
         own = [pair for h in healths for pair in h.values if pair.key == "imu/data_raw no_covariance"]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fixtures.recorded import record_legs
 from fixtures.terminal import on_terminal
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
@@ -17,20 +18,11 @@ from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
 from trackslip_estimation.slip.conversions import pose_fix
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_sim.machine.offline import record_drive
-from trackslip_sim.parameters import load_emulator_parameters
-from trackslip_sim.scenarios.scenario import parse_scenario
-from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.replay.run import replay
 
 pytestmark = pytest.mark.xdist_group("graph")
 
 LEGS = ((1.0, 0.0, 0.0), (3.0, 2.2, 2.2), (3.0, 1.2, 2.2), (1.0, 0.0, 0.0))
-SCENARIO = {
-    "name": "short",
-    "soil": "sandy_loam",
-    "segments": [dict(zip(("duration", "left", "right"), leg, strict=True)) for leg in LEGS],
-}
 # Topics overtake each other by a few ms on their way, so that the first estimate, and with it the state, may
 # have one sprocket sample more or less. A message that was lost, or a stamp that was not the bag's, shows.
 TOLERANCE = 1e-4  # m, rad
@@ -39,9 +31,7 @@ TOLERANCE = 1e-4  # m, rad
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """8 s of driving with a turn; it begins and ends at rest."""
-    made = tmp_path_factory.mktemp("publish") / "bag"
-    record_drive(load_emulator_parameters({"seed": 1}), simulate(parse_scenario(SCENARIO)), made)
-    return made
+    return record_legs(tmp_path_factory.mktemp("publish") / "bag", LEGS)
 
 
 def seconds(stamp):
@@ -54,7 +44,7 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     odometry, clock = observer.subscribe("odometry"), []
     observer.node.create_subscription(Clock, "/clock", clock.append, qos_profile_sensor_data)
     programs.node("slip_estimator")
-    observer.wait(lambda: observer.state("slip_estimator") == "active", "the estimator")
+    observer.wait_until_active("slip_estimator")
     player = programs.tool("trackslip", "replay", str(path), "--publish", "--paused", "--rate", "4")
     for topic in ("sprockets", "imu/data_raw", "box_pose"):
         observer.wait_for_ends(topic, "replay", "slip_estimator")
@@ -65,7 +55,7 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
     assert not odometry  # it is paused
     assert {seconds(message.clock) for message in clock} == {begin}
 
-    answer = observer._ask(SetBool, "replay/pause", SetBool.Request(data=False))
+    answer = observer.ask(SetBool, "replay/pause", SetBool.Request(data=False))
     assert answer.message == "playing"
     observer.wait(lambda: player.process.poll() is not None, "the end of the bag")
     assert player.wait() == 0, player.stderr
@@ -85,19 +75,8 @@ def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
 def test_ctrl_c_and_options(programs, observer, path):
     """It ends at once, reports how far it came, and published only what it should."""
     received, hidden = observer.subscribe("sprockets"), observer.subscribe("hydraulics")
-    options = (
-        "--publish",
-        "--loop",
-        "--start",
-        "2",
-        "--stop",
-        "2.5",
-        "--withhold",
-        "hydraulics",
-        "--rate",
-        "2",
-    )
-    player = programs.tool("trackslip", "replay", str(path), *options)
+    options = "--publish --loop --start 2 --stop 2.5 --withhold hydraulics --rate 2"
+    player = programs.tool("trackslip", "replay", str(path), *options.split())
     observer.wait(lambda: len(received) > 120, "the loop to begin again")
     assert player.end()[0] == 130
     assert "Traceback" not in player.stderr
@@ -124,16 +103,8 @@ def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, pa
 @pytest.mark.slow
 def test_lines_of_the_player_were_put_into_its_bar(path, domain):
     """On a terminal, where nobody listens and the player says so."""
-    command = [
-        sys.executable,
-        "-m",
-        "trackslip_tools.cli.main",
-        "replay",
-        str(path),
-        "--publish",
-        "--rate",
-        "2",
-    ]
+    trackslip = [sys.executable, "-m", "trackslip_tools.cli.main"]
+    command = [*trackslip, "replay", str(path), "--publish", "--rate", "2"]
     shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
     assert shown.code == 0, shown.text
     warnings = [line for line in shown.lines if "nobody subscribes" in line]

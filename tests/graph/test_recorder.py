@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from fixtures.observer import last_of, last_values
 from geometry_msgs.msg import QuaternionStamped
 from mcap.reader import make_reader
 from rclpy.duration import Duration
@@ -102,11 +103,10 @@ class Recorder:
 
     def health(self):
         """Its last report."""
-        reports = [h for h in self._healths if h.name == "record"][-1:]
-        return reports[0] if reports else DiagnosticStatus()
+        return last_of(self._healths, "record") or DiagnosticStatus()
 
     def values(self):
-        return {pair.key: pair.value for pair in self.health().values}
+        return last_values(self._healths, "record")
 
     def wait(self, condition, what):
         self._observer.wait(condition, what)

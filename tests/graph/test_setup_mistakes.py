@@ -70,10 +70,9 @@ MISTAKES = {
 
 @pytest.mark.parametrize("name", list(MISTAKES))
 def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
-    programs: Programs, observer: Observer, udp_port: int, name: str
+    programs: Programs, observer: Observer, can: Values, name: str
 ) -> None:
     mistake = MISTAKES[name]
-    can = {"can_interface": "udp_multicast", "can_channel": "239.74.163.2", "can_port": udp_port}
     devices, drive = programs.folder / "devices", programs.folder / "to_and_fro.yaml"
     drive.write_text(to_and_fro("sand"), encoding="utf-8")
     nodes: dict[str, Values] = {

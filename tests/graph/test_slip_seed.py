@@ -4,30 +4,10 @@
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from sensor_msgs.msg import JointState
+from fixtures.sensor_messages import pose, sprockets, stamped
 from trackslip_msgs.msg import MeasurementReport, TrackSlip
 
-BEGIN_S = 1_700_000_000
-
-
-def stamped(kind, at_ms):
-    message = kind()
-    message.header.stamp.sec, message.header.stamp.nanosec = BEGIN_S + at_ms // 1000, at_ms % 1000 * 10**6
-    return message
-
-
-def sprockets(at_ms):
-    message = stamped(JointState, at_ms)
-    message.name = ["left_sprocket", "right_sprocket"]
-    message.position, message.velocity = [2e-3 * at_ms] * 2, [2.0] * 2
-    return message
-
-
-def pose(at_ms):
-    message = stamped(PoseWithCovarianceStamped, at_ms)
-    message.pose.covariance = np.diag([1e-4] * 6).flatten()
-    return message
+SPEED = 2.0  # rad/s
 
 
 def seed(at_ms, slip):
@@ -43,7 +23,7 @@ def test_the_node_takes_seeds_and_reports_on_them(programs, observer):
     programs.node("slip_estimator", slip_sources=["slip_seed"], model="free_slips")  # slips are its states
     for topic in (*topics, "measurement_reports", "track_slip"):
         observer.wait_for_ends(topic, "slip_estimator")
-    observer.wait(lambda: observer.state("slip_estimator") == "active", "the node to be active")
+    observer.wait_until_active("slip_estimator")
 
     def send(topic, message):
         wanted = len(reports) + 1
@@ -53,14 +33,14 @@ def test_the_node_takes_seeds_and_reports_on_them(programs, observer):
 
     send("box_pose", pose(0))
     for at_ms in range(20, 1000, 20):
-        send("sprockets", sprockets(at_ms))
+        send("sprockets", sprockets(at_ms, SPEED))
     late = send("slip_seed", seed(500, 0.04))
     assert (late.source, late.outcome, late.dof) == ("slip_seed", MeasurementReport.ACCEPTED, 2)
     assert late.header.stamp.nanosec == 500_000_000
     bad = send("slip_seed", seed(600, float("nan")))
     assert (bad.source, bad.outcome) == ("slip_seed", MeasurementReport.INVALID)
     told = len(slips)
-    send("sprockets", sprockets(1000))
+    send("sprockets", sprockets(1000, SPEED))
     observer.wait(lambda: len(slips) > told, "slips")
     assert slips[-1].left_slip == pytest.approx(0.04, abs=0.02)
     assert slips[-1].right_slip == pytest.approx(slips[-1].left_slip, abs=1e-3)

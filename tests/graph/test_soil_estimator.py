@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from trackslip_msgs.msg import MachineState, TrackHydraulics
 
 from trackslip_estimation.slip.motion import Motion
@@ -58,7 +56,7 @@ class Machine:
         self.program = programs.node("soil_estimator", **parameters)
         for topic in (*INPUTS, "track_forces", "soil"):
             observer.wait_for_ends(topic, "soil_estimator")
-        observer.wait(lambda: observer.state("soil_estimator") == "active", "the node to be active")
+        observer.wait_until_active("soil_estimator")
 
     def send(self, inputs):
         """Without waiting for what comes of them."""
@@ -156,14 +154,10 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
 
 def test_only_the_limits_of_the_warning_change_while_it_runs(programs, observer):
     Machine(programs, observer)
-    client = observer.node.create_client(SetParameters, "soil_estimator/set_parameters")
-    observer.wait(client.service_is_ready, "the service")
     for name, value, accepted in (
         ("stuck_time", 2.0, True),
         ("high_slip", 2.0, False),
         ("vehicle.mass.mass", 1.0, False),
     ):
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        answer = client.call_async(request)
-        observer.wait(answer.done, "an answer")
-        assert answer.result().results[0].successful is accepted, name
+        (found,) = observer.set_parameters("soil_estimator", **{name: value})
+        assert found.successful is accepted, name

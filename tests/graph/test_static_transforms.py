@@ -4,23 +4,15 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from sensor_msgs.msg import Imu, JointState
+from fixtures.sensor_messages import pose, sprockets, stamped
+from sensor_msgs.msg import Imu
 from trackslip_msgs.msg import MeasurementReport
 
 PEER = Path(__file__).with_name("tf_peer.py")
 REFUSED = "imu/data_raw of a frame that /tf_static does not join to base_link"
-BEGIN_S, STEP_MS, RATE = 1_700_000_000, 20, 0.4  # RATE: rad/s about the vertical
+STEP_MS, RATE = 20, 0.4  # RATE: rad/s about the vertical
 SPEED = RATE * 0.73 / 2.0 / 0.159  # rad/s of a sprocket of the PC05 that turns on the spot
-
-
-def at(kind, step):
-    message = kind()
-    message.header.stamp.sec = BEGIN_S + step * STEP_MS // 1000
-    message.header.stamp.nanosec = step * STEP_MS % 1000 * 1_000_000
-    return message
 
 
 class Turning:
@@ -34,20 +26,13 @@ class Turning:
     def drive(self, steps):
         """Hand over each step's messages when what came before is done."""
         for _ in range(steps):
-            pose = at(PoseWithCovarianceStamped, self._step)
-            heading = RATE * self._step * STEP_MS * 1e-3
-            pose.pose.pose.orientation.z, pose.pose.pose.orientation.w = (
-                np.sin(heading / 2.0),
-                np.cos(heading / 2.0),
-            )
-            pose.pose.covariance = np.diag([1e-4, 1e-4, 1.0, 1.0, 1.0, 1e-3]).flatten()
-            sprockets = at(JointState, self._step)
-            sprockets.name, sprockets.velocity = ["left_sprocket", "right_sprocket"], [-SPEED, SPEED]
-            imu = at(Imu, self._step)
-            imu.header.frame_id, imu.angular_velocity.z = "imu_link", -RATE
+            at_ms = self._step * STEP_MS
+            imu = stamped(Imu, at_ms, "imu_link")
+            imu.angular_velocity.z = -RATE
             expected = len(self.reports) + 2
-            for topic, message in (("box_pose", pose), ("imu/data_raw", imu), ("sprockets", sprockets)):
-                self._publishers[topic].publish(message)
+            self._publishers["box_pose"].publish(pose(at_ms, yaw=RATE * at_ms * 1e-3))
+            self._publishers["imu/data_raw"].publish(imu)
+            self._publishers["sprockets"].publish(sprockets(at_ms, -SPEED, SPEED))
             self._observer.wait(lambda n=expected: len(self.reports) >= n, "reports of a step")
             self._step += 1
 

@@ -53,8 +53,7 @@ def test_command_starts_its_nodes_where_only_its_own_directories_can_be_written(
     programs: Any, observer: Any, unit: str
 ) -> None:
     program = started(programs, unit, COPY_KERNELS)
-    for node in NODES[unit]:
-        observer.wait(lambda node=node: observer.state(f"/{node}") == "active", f"{node} to be active")
+    observer.wait_until_active(*NODES[unit])
     assert "Traceback" not in program.stderr
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from fixtures.observer import values_of
 from fixtures.own_node import NoParameters, started
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -65,7 +66,7 @@ def test_what_is_not_sent_is_counted_and_reported_and_the_node_lives_on(speaker,
 
     def outputs() -> list[tuple[bytes, str, dict[str, str]]]:
         reported = [health for health in healths if health.name == "speaker: outputs"]
-        return [(h.level, h.message, {v.key: v.value for v in h.values}) for h in reported]
+        return [(h.level, h.message, values_of(h)) for h in reported]
 
     speaker.publish_health()
     speaker.publish_health()

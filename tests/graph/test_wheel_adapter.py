@@ -13,7 +13,7 @@ WHEELS = ["fl", "fr", "rl", "rr"]
 def send(observer, kind, topic, message, received):
     publisher = observer.node.create_publisher(kind, topic, 10)
     observer.wait_for_ends(topic, "wheel_adapter")
-    observer.wait(lambda: observer.state("wheel_adapter") == "active", "the adapter")
+    observer.wait_until_active("wheel_adapter")
 
     def answered():
         publisher.publish(message)
