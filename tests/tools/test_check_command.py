@@ -14,7 +14,7 @@ from fixtures.setup_drives import make_drive
 
 from trackslip_common.errors import ExitCode
 from trackslip_estimation.setup_check.log import Log
-from trackslip_tools.cli import machine_options
+from trackslip_tools.cli import shared_options
 from trackslip_tools.cli.main import main
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -151,6 +151,6 @@ def test_an_import_ends_with_distances_turns_and_the_next_command(
 @pytest.mark.parametrize("files", [[], ["a.yaml"], ["a.yaml", "b.yaml"]])
 def test_the_next_command_has_all_parameter_files(files: list[str]) -> None:
     given = Namespace(vehicle="pc05", namespace="", set=["slip_estimator.max_gap=3"], params=files)
-    words = machine_options.stated(given)
+    words = shared_options.stated(given)
     assert words[:4] == ["--vehicle", "pc05", "--set", "slip_estimator.max_gap=3"]
     assert words[4:] == (["--params", *files] if files else [])

@@ -17,7 +17,7 @@ from trackslip_sim.scenarios.terrains import terrain_names
 from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import MODES, duration_of, simulate_in_pieces
-from trackslip_tools.cli import machine_options
+from trackslip_tools.cli import shared_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME|FILE",
         help=f"{', '.join(scenario_names())}, or a YAML file",
     )
-    machine_options.add_vehicle(parser, "none")
+    shared_options.add_vehicle(parser, "none")
     parser.add_argument("--soil", metavar="S", help="soil outside the scenario's patches; default: its own")
     parser.add_argument(
         "--terrain", metavar="NAME|FILE", help=f"{', '.join(terrain_names())}; default: the scenario's own"
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mode", choices=tuple(MODES), default="shear", help="which truth (default: shear)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensors' noise in the bag")
     parser.add_argument("--output", type=Path, metavar="BAG", help="write what the sensors would see")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the summary as JSON")
+    shared_options.add_json(parser, "the summary")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ from trackslip_sim.study.engine import BEGINNING, Study
 from trackslip_sim.study.slip.parameters import FILTERS, TRUTHS
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
-from trackslip_tools.cli import machine_options, worker_options
+from trackslip_tools.cli import shared_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.outputs import PNG, refuse_foreign, require_writable, write_json
 from trackslip_tools.cli.progress import shown
@@ -49,10 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seeds", type=int, metavar="N", help="runs of each cell")
     add("--scenario", nargs="+", metavar="NAME|FILE", help="what is driven; slip: one")
     add("--terrain", nargs="+", metavar="NAME|FILE", help="on what ground; default: the scenario's own")
-    machine_options.add_vehicle(parser, "none")
+    shared_options.add_vehicle(parser, "none")
     add("--duration", type=float, metavar="S", help="the scenario repeated or cut to S seconds")
     add("--settling", type=float, metavar="S", help="slip: seconds at the start that are not scored")
-    add("--set", metavar="node.param=value", action="append", default=[], help="one of the estimator's")
+    shared_options.add_set(parser, "one of the estimator's")
     worker_options.add_options(parser)
     add("--cache", type=Path, metavar="FILE", default=_cache_file(), help="what is finished (%(default)s)")
     add("--fresh", action="store_true", help="compute also what is in the cache")
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="write study_table.md and figures/, or soil_table.md, there",
     )
-    add("--json", type=Path, metavar="FILE", help="write the rows as JSON")
+    shared_options.add_json(parser, "the rows")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from trackslip_tools.calibration.calibrate import calibrate
 from trackslip_tools.calibration.output import BEGINNING, summary, text, write_parameters
 from trackslip_tools.calibration.recording import read_recording
 from trackslip_tools.check.bag import check_bag, finding
-from trackslip_tools.cli import machine_options, replay_options
+from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.outputs import refuse_foreign, require_writable, write_json
 from trackslip_tools.cli.progress import counted, in_shares
 
@@ -33,11 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="of the same machine; on the same ground for κ and i₀",
     )
-    add(
-        "--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the first bag's own"
-    )
-    machine_options.add_vehicle(parser, "the first bag's")
-    machine_options.add_namespace(parser)
+    shared_options.add_params(parser, "the first bag's")
+    shared_options.add_vehicle(parser, "the first bag's")
+    shared_options.add_namespace(parser)
     add("--gyro", metavar="TOPIC", help="the gyro; default: the first of yaw_rate_sources")
     add("--poses", metavar="TOPIC", help=f"fixes; default: the first of pose_sources, or {_REFERENCE}")
     add(
@@ -47,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--all", action="store_true", help="write also values whose interval holds the present one")
     add("--output", metavar="YAML", type=Path, help="write the parameters for the nodes, with the evidence")
-    add("--json", metavar="FILE", type=Path, help="write everything that was found as JSON")
+    shared_options.add_json(parser, "everything that was found")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,12 +4,11 @@
 
 import argparse
 import shlex
-from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, show
 from trackslip_tools.check.bag import check_bag, settings, whole
-from trackslip_tools.cli import machine_options, replay_options
+from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted
 
@@ -18,15 +17,12 @@ EXAMPLE = "trackslip check out/demo/bag --json check.json"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
-    add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
-    add(
-        "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
-    )
-    machine_options.add_vehicle(parser, "the bag's")
-    machine_options.add_namespace(parser)
-    add("--json", metavar="FILE", type=Path, help="write what was found as JSON")
+    shared_options.add_bag(parser)
+    shared_options.add_params(parser)
+    shared_options.add_set(parser)
+    shared_options.add_vehicle(parser, "the bag's")
+    shared_options.add_namespace(parser)
+    shared_options.add_json(parser, "what was found")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,7 +42,5 @@ def run(args: argparse.Namespace) -> int:
         write_json(args.json, result.as_dict())
     elif result.is_plausible or settings(result):
         remedies = [word for setting in settings(result) for word in ("--set", setting)]
-        show(
-            f"next: trackslip replay {shlex.join([str(args.bag), *machine_options.stated(args), *remedies])}"
-        )
+        show(f"next: trackslip replay {shlex.join([str(args.bag), *shared_options.stated(args), *remedies])}")
     return ExitCode.DONE if result.is_plausible else ExitCode.FAILED

@@ -21,7 +21,7 @@ from trackslip_common.whole_file import write_whole
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE
 from trackslip_tools.check.bag import check_bag, finding
-from trackslip_tools.cli import machine_options, replay_options
+from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted
 from trackslip_tools.replay.inputs import SPROCKETS
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="columns and units, or topics; a path or a file of config/ (docs/import.md); "
         "none: a first one is written for a CSV log, from the names of its columns",
     )
-    machine_options.add_vehicle(parser, "the mapping's")
+    shared_options.add_vehicle(parser, "the mapping's")
     add("--output", metavar="BAG", type=Path, help="directory to create; needed with --mapping")
 
 

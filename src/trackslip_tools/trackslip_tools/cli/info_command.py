@@ -3,11 +3,10 @@
 """``trackslip info``: what a bag holds."""
 
 import argparse
-from pathlib import Path
 
 from trackslip_bags.reader import open_bag
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.cli import machine_options
+from trackslip_tools.cli import shared_options
 from trackslip_tools.cli.description import describe
 
 EXAMPLE = "trackslip info out/demo/bag"
@@ -15,8 +14,8 @@ EXAMPLE = "trackslip info out/demo/bag"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="rosbag2 directory, .mcap or .db3 file")
-    machine_options.add_namespace(parser)
+    shared_options.add_bag(parser)
+    shared_options.add_namespace(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,7 +18,7 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError, collected, show
 from trackslip_estimation.setup_check.finding import Result
 from trackslip_tools.check.bag import check_bag, finding
-from trackslip_tools.cli import machine_options, publish, replay_options
+from trackslip_tools.cli import publish, replay_options, shared_options
 from trackslip_tools.cli.nodes import node_module
 from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         help="what browsers may ask for, beside the address itself",
     )
-    machine_options.add_namespace(parser)
+    shared_options.add_namespace(parser)
     of_bag = parser.add_argument_group("over a bag")
     of_bag.add_argument("--rate", metavar="R", type=publish.rate, help="times real time (default: 1)")
-    machine_options.add_vehicle(of_bag, "the bag's")
+    shared_options.add_vehicle(of_bag, "the bag's")
     of_bag.add_argument("--start", metavar="S", type=float, help="seconds from the bag's first message")
 
 

@@ -64,16 +64,25 @@ def refuse_foreign(option: str, path: Path, *beginnings: str | bytes) -> None:
         )
 
 
+def write_file(option: str, path: Path, content: str) -> None:
+    """Write the file that an option names.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    try:
+        write_whole(path, content)
+    except OSError as error:
+        raise InputError(f"--{option}: '{path}' cannot be written ({error.strerror})") from error
+
+
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Write a summary; what is no finite number becomes null, for JSON has neither.
 
     Raises:
         InputError: the file cannot be written.
     """
-    try:
-        write_whole(path, json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
-    except OSError as error:
-        raise InputError(f"--json: '{path}' cannot be written ({error.strerror})") from error
+    write_file("json", path, json.dumps(_without_nan(content), indent=2, allow_nan=False) + "\n")
 
 
 def _without_nan(value: Any) -> Any:

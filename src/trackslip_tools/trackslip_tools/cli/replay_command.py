@@ -11,7 +11,7 @@ from pathlib import Path
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.cli import fleet_command, machine_options, publish, replay_options, worker_options
+from trackslip_tools.cli import fleet_command, publish, replay_options, shared_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted, following
@@ -36,11 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file; several, or a folder: a table",
     )
-    add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
+    shared_options.add_params(parser)
     replay_options.add_options(parser)
     replay_options.add_force(parser)
     add("--output", metavar="BAG", type=Path, help="write the estimates to a new bag")
-    add("--json", metavar="FILE", type=Path, help="write the summary as JSON; of many bags a list")
+    shared_options.add_json(parser, "the summary, of many bags a list,")
     worker_options.add_options(parser)
     publish.add_options(parser)
 
@@ -82,7 +82,7 @@ def _next(args: argparse.Namespace, *, has_failed: bool) -> str:
         bag = shlex.quote(str(args.bags[0]))
         return f"next: trackslip report {bag}, with --params as one file: it compares several"
     command, output = ("check", []) if has_failed else ("report", ["--output", f"{args.bags[0].stem}.html"])
-    words = [command, str(args.bags[0]), *machine_options.stated(args), *output]
+    words = [command, str(args.bags[0]), *shared_options.stated(args), *output]
     return f"next: trackslip {shlex.join(words)}"
 
 

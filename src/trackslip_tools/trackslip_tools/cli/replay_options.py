@@ -29,7 +29,7 @@ from trackslip_estimation.slip.parameters import (
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
-from trackslip_tools.cli import machine_options
+from trackslip_tools.cli import shared_options
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _KINDS: Mapping[str, type[Parameters]] = {NODE: SlipEstimatorParameters, SOIL_NODE: SoilEstimatorParameters}
@@ -81,11 +81,9 @@ def options_of(args: argparse.Namespace) -> ReplayOptions:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare all of them but the parameter files."""
     add, usual = parser.add_argument, ReplayOptions()
-    add(
-        "--set", metavar="node.param=value", action="append", default=[], help="one parameter, over all files"
-    )
-    machine_options.add_vehicle(parser, "the bag's")
-    machine_options.add_namespace(parser)
+    shared_options.add_set(parser)
+    shared_options.add_vehicle(parser, "the bag's")
+    shared_options.add_namespace(parser)
     add("--remap", metavar="from:=to", action="append", default=[], help="read topic 'from' as 'to'")
     add("--start", metavar="S", type=float, default=usual.start, help="seconds from the bag's first message")
     add("--stop", metavar="S", type=float, default=usual.stop, help="seconds from the bag's first message")

@@ -11,12 +11,11 @@ import numpy as np
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.errors import ExitCode, InputError, show
-from trackslip_common.whole_file import write_whole
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.check.bag import finding
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
-from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable
+from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable, write_file
 from trackslip_tools.cli.progress import counted, following, in_shares
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
@@ -93,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
                 runs.append(_run(args, bag, name, recordings.get(path), label, watch))
             recordings[path] = runs[-1].recording
     page = _page(runs, limits)
-    _write(args.output, page)
+    write_file("output", args.output, page)
     for one in runs:
         show((f"{one.label}: " if len(runs) > 1 else "") + finding(one.replay.setup))
     show(f"report: {args.output} ({len(page) / 1e6:.1f} MB)")
@@ -169,10 +168,3 @@ def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
 
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that others recorded
         return render(runs, limits)
-
-
-def _write(path: Path, page: str) -> None:
-    try:
-        write_whole(path, page)
-    except OSError as error:
-        raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error

@@ -10,7 +10,7 @@ from pathlib import Path
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.errors import ExitCode, show
-from trackslip_tools.cli import replay_options
+from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.elapsed import waited_s
 from trackslip_tools.cli.outputs import require_writable, write_json
 from trackslip_tools.cli.progress import counted
@@ -22,12 +22,12 @@ EXAMPLE = "trackslip smooth out/demo/bag --withhold box_pose:20:30 --output out/
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="rosbag2 directory (MCAP or SQLite), .mcap or .db3 file")
-    add("--params", metavar="FILE", nargs="+", default=[], help="ROS parameter files over the bag's own")
+    shared_options.add_bag(parser)
+    shared_options.add_params(parser)
     replay_options.add_options(parser)
-    add("--output", metavar="BAG", type=Path, help="write smoothed/odometry and smoothed/track_slip there")
-    add("--json", metavar="FILE", type=Path, help="write the errors of filter and smoother as JSON")
+    about = "write smoothed/odometry and smoothed/track_slip there"
+    parser.add_argument("--output", metavar="BAG", type=Path, help=about)
+    shared_options.add_json(parser, "the errors of filter and smoother")
 
 
 def run(args: argparse.Namespace) -> int:

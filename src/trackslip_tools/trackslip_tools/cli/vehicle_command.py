@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trackslip_common.errors import ExitCode, InputError, printable, show
 from trackslip_common.vehicle_files import vehicle_names
-from trackslip_common.whole_file import write_whole
+from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.machine.draft import ANTENNA, HOW, MASS, NEEDED, draft, options
 
 EXAMPLE = "trackslip vehicle new --name digger --mass 20000 --tread 2.4"
@@ -63,10 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         if path.exists():
             raise InputError(f"'{path}' exists; accepted: another --name or --output")
     for path, text in zip(paths, made.files.values(), strict=True):
-        try:
-            write_whole(path, text)
-        except OSError as error:
-            raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error
+        write_file("output", path, text)
     for name in made.guessed:
         show(f"guessed: {name} {made.values[name]:g}: {HOW[name]}")
     for line in made.missing:

@@ -1,10 +1,33 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options that say which machine a bag is of; they load nothing."""
+"""Options that several commands have: bag, machine, parameters; they load nothing."""
 
 import argparse
+from pathlib import Path
 
 from trackslip_common.vehicle_files import ASSUMED
+
+
+def add_bag(parser: argparse.ArgumentParser) -> None:
+    """Declare the one bag of a command."""
+    about = "rosbag2 directory (MCAP or SQLite), .mcap or .db3 file"
+    parser.add_argument("bag", metavar="BAG", type=Path, help=about)
+
+
+def add_params(parser: argparse.ArgumentParser, of: str = "the bag's") -> None:
+    """Declare ``--params``."""
+    about = f"ROS parameter files over {of} own"
+    parser.add_argument("--params", metavar="FILE", nargs="+", default=[], help=about)
+
+
+def add_set(parser: argparse.ArgumentParser, about: str = "one parameter, over all files") -> None:
+    """Declare ``--set``."""
+    parser.add_argument("--set", metavar="node.param=value", action="append", default=[], help=about)
+
+
+def add_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare ``--json``."""
+    parser.add_argument("--json", metavar="FILE", type=Path, help=f"write {what} as JSON")
 
 
 def add_vehicle(parser: argparse._ActionsContainer, default: str) -> None:
