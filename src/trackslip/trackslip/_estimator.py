@@ -152,11 +152,7 @@ def _columns(tree: Any) -> Iterator[str]:
 
 
 def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
-    """The columns of these names, of a frame of any kind, as they can be written to a table of text.
-
-    Raises:
-        InputError: it is no frame, or lacks a column, or one has no value for each row.
-    """
+    """The columns of these names, of a frame of any kind, as they can be written to a table of text."""
     if isinstance(frame, pl.LazyFrame):
         frame = frame.collect()
     if not isinstance(frame, Mapping) and not hasattr(frame, "columns"):
@@ -177,11 +173,7 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
 
 
 def _cells(name: str, column: object) -> NDArray[Any]:
-    """(n,) numbers or text of a column of any kind.
-
-    Raises:
-        InputError: it has not one value a row, or values that no text states.
-    """
+    """(n,) numbers or text of a column of any kind."""
     column = np.ma.filled(column.astype(object), None) if isinstance(column, np.ma.MaskedArray) else column
     cells = np.asarray(column)
     if cells.ndim != 1:

@@ -81,11 +81,7 @@ def _geojson(estimates: "Estimates", datum: Datum | None) -> str:
 
 
 def _check_datum(datum: Datum) -> None:
-    """It is a place on the Earth.
-
-    Raises:
-        InputError: it is none.
-    """
+    """It is a place on the Earth."""
     with suppress(TypeError, ValueError):
         latitude, longitude, altitude = map(float, datum)
         if abs(latitude) <= _POLE and abs(longitude) <= 2.0 * _POLE and math.isfinite(altitude):

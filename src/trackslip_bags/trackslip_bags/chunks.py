@@ -103,11 +103,7 @@ def _one_by_one(bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int)
 def _by_chunk(
     files: Collection[Path], types: Mapping[str, str], start_ns: int, stop_ns: int
 ) -> Iterator[Stretch]:
-    """The same from common files.
-
-    Raises:
-        Exception: a file is of another form, or damaged; what was read until then is whole.
-    """
+    """The same from common files."""
     if not files:
         raise ValueError("no common file")
     with ExitStack() as stack:

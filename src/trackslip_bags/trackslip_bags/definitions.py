@@ -59,10 +59,6 @@ def _collect(type_name: str, texts: dict[str, str]) -> None:
     """Add a type's definition to the texts, and then those inside it, in the order of its fields.
 
     They are without comments and defaults, with full names, constants first: as rosbags prints them.
-
-    Raises:
-        KeyError: one of them has no file.
-        ValueError: one of them cannot be parsed.
     """
     path = msg_file(type_name)
     if path is None:

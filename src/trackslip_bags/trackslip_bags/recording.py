@@ -179,11 +179,7 @@ class Recording:
 
 
 def _next_bag(settings: RecordParameters) -> BagWriter:
-    """The bag asked for; with _2, _3, … where a recorder, this one or one before it, has used that name.
-
-    Raises:
-        InputError: something else has the name that was asked for.
-    """
+    """The bag asked for; with _2, _3, … where a recorder, this one or one before it, has used that name."""
     path = Path(settings.output or time.strftime("trackslip_%Y%m%d_%H%M%S"))
     number, candidate = 1, path
     while True:

@@ -35,11 +35,6 @@ class NtripParameters(Parameters):
     )
 
     def __post_init__(self) -> None:
-        """Check also what belongs together.
-
-        Raises:
-            InputError: a value is refused, or a caster has no mountpoint.
-        """
         super().__post_init__()
         if self.host and not re.fullmatch(r"[\w.-]+", self.mountpoint, re.ASCII):
             raise InputError(

@@ -37,11 +37,6 @@ class SickParameters(Parameters):
     )
 
     def __post_init__(self) -> None:
-        """Check what concerns one field, then what concerns several.
-
-        Raises:
-            InputError: a value is out of range, or the scanner has no such rate.
-        """
         super().__post_init__()
         if self.serial_baud not in BAUD_CODES:
             rates = ", ".join(str(rate) for rate in sorted(BAUD_CODES))

@@ -38,11 +38,6 @@ class WheelParameters(WithVehicle):
     wheel_separation: float = parameter("as the base controller has it configured", unit="m", gt=0.0)
 
     def __post_init__(self) -> None:
-        """Check what concerns one field, then what concerns several.
-
-        Raises:
-            InputError: a value is out of range, or a joint is on both sides.
-        """
         super().__post_init__()
         names = [*self.left_joints, *self.right_joints]
         if not (self.left_joints and self.right_joints) or len(set(names)) < len(names) or "" in names:

@@ -54,11 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate, print, and write what was asked for; returns the exit code.
-
-    Raises:
-        InputError: scenario or soil is refused, or a file cannot be written.
-    """
+    """Simulate, print, and write what was asked for; returns the exit code."""
     if arguments.duration is not None and not 0.0 < arguments.duration <= _LONGEST:
         raise InputError(
             f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"

@@ -32,7 +32,7 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.slip.sources import Refusal
-from trackslip_tools.replay.arrivals import velocity_reader
+from trackslip_tools.replay.arrivals import reader_of
 
 FloatArray = NDArray[np.float64]
 
@@ -245,7 +245,7 @@ def test_table_of_a_bag_has_the_bits_of_live_conversions() -> None:
         measurements.append(one)
         read[k]["stamp_ns"], read[k]["v_x"], read[k]["v_y"] = 5 * S + k, *velocity
         read[k]["covariance"] = np.diag(variances)
-    rows, expected = velocity_reader(stated).rows(read), to_records(measurements, {SOURCE: 0})
+    rows, expected = reader_of(stated).rows(read), to_records(measurements, {SOURCE: 0})
     for name in ("kind", "stamp_ns", "value", "noise"):
         assert rows[name].tobytes() == expected[name].tobytes(), name
 

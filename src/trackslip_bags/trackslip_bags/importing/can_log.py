@@ -86,11 +86,7 @@ def read_can_logs(
 def _frames(
     path: Path, given: CanSection, notes: list[str], channels: set[str]
 ) -> Iterator[tuple[int, bytes, int, str]]:
-    """(id as the driver has it, payload, ns, channel) of each data frame of a log; its channels are added.
-
-    Raises:
-        InputError: it cannot be read, or a time is none.
-    """
+    """(id as the driver has it, payload, ns, channel) of each data frame of a log; its channels are added."""
     _, words = kind_of(path)
     count = 0
     try:
@@ -136,11 +132,7 @@ def _open(path: Path, words: str, notes: list[str]) -> Any:
 
 
 def _open_mf4(path: Path) -> Any:
-    """A reader by asammdf, which is optional.
-
-    Raises:
-        InputError: it is not installed, or the file is damaged.
-    """
+    """A reader by asammdf, which is optional."""
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it finds wrong is raised, too
     hook = sys.unraisablehook
 

@@ -132,11 +132,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
 
 
 def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
-    """Times that lost their last digits are refused where one is left, and noted where rows share some.
-
-    Raises:
-        InputError: all rows have one time.
-    """
+    """Times that lost their last digits are refused where one is left, and noted where rows share some."""
     distinct = len(np.unique(stamps_ns))
     if len(stamps_ns) >= _SEVERAL and distinct == 1:
         seconds = stamps_ns[0] * 1e-9
@@ -243,11 +239,7 @@ def _variance(table: Table, spread: Spread) -> FloatArray:
 
 
 def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, IntArray]:
-    """(rows,) stamps and times of arrival; NO_TIME where the row has none.
-
-    Raises:
-        InputError: a time is before 0 or beyond what a stamp can hold, or times go back.
-    """
+    """(rows,) stamps and times of arrival; NO_TIME where the row has none."""
     times_ns = _checked(table, topic.time, start_ns)
     known = times_ns != NO_TIME
     if topic.received is None:
@@ -305,11 +297,7 @@ def _new_rows(table: Table, topic: CsvTopic) -> Rows:
 
 
 def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> Rows:
-    """(rows,) whether a receiver without a fix wrote zeros.
-
-    Raises:
-        InputError: a latitude or longitude is none.
-    """
+    """(rows,) whether a receiver without a fix wrote zeros."""
     for name, limit in (("latitude", 90.0), ("longitude", 180.0)):
         degrees = np.degrees(columns[name])
         bad = np.flatnonzero(np.abs(degrees) > limit)

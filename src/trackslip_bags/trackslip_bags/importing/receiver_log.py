@@ -99,11 +99,7 @@ def read_receiver_logs(
 
 
 def _messages(path: Path) -> Iterator[_Timed]:
-    """Whole messages of a file, and its noise, which the stream counts.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """Whole messages of a file, and its noise, which the stream counts."""
     cutter = FrameCutter(0)
     try:
         for piece in _pieces(path):

@@ -84,11 +84,7 @@ def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda 
 
 
 def _parts(path: Path, recovery: Recovery) -> list[Part]:
-    """What each file of a bag holds.
-
-    Raises:
-        InputError: there is no bag, or nothing of it can be read.
-    """
+    """What each file of a bag holds."""
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)

@@ -166,11 +166,7 @@ def _is_switch(name: str) -> bool:
 
 
 def _parameter_file(given: str) -> str:
-    """The path given, empty where none is. Launch itself only warns, and starts all nodes without it.
-
-    Raises:
-        InputError: there is no such file.
-    """
+    """The path given, empty where none is. Launch itself only warns, and starts all nodes without it."""
     path = Path(given).expanduser()
     if given and not path.is_file():
         raise InputError(f"params_file: '{given}' is not a file; accepted: the path of a ROS parameter file")

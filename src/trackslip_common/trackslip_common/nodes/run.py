@@ -150,11 +150,7 @@ def _request_priority(priority: int) -> bool:
 
 
 def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None) -> TrackslipNode[Any]:
-    """The node.
-
-    Raises:
-        InputError: it, or rcl, refused the arguments; rcl's reason has places in its source added.
-    """
+    """The node."""
     set_logger_level("rcl", LoggingSeverity.FATAL)  # it would write the same in a line of its own
     warnings.simplefilter("ignore", RuntimeWarning)  # of rcl, where it gives up half a node
     try:

@@ -226,11 +226,7 @@ class Binder:
 
 
 def _level(where: str, text: str, unit: Unit) -> float:
-    """A pressure of the roles file, in the signal's unit.
-
-    Raises:
-        InputError: it is none.
-    """
+    """A pressure of the roles file, in the signal's unit."""
     number, _, name = text.strip().partition(" ")
     own = UNITS.get(name.strip()) if name else unit
     try:

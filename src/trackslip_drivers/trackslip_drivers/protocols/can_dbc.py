@@ -91,11 +91,7 @@ def _blank(found: re.Match[str]) -> str:
 
 
 def _check(where: str, text: str) -> None:
-    """Look at a text without strings and comments.
-
-    Raises:
-        InputError: a number in it is of no CAN bus.
-    """
+    """Look at a text without strings and comments."""
     if (digits := _DIGITS.search(text)) is not None:
         raise InputError(f"{where}: a number of {len(digits[0])} digits; accepted: up to {_LONGEST_NUMBER}")
     for number in _EXPONENT.finditer(text):

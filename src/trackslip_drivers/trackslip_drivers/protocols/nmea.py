@@ -377,11 +377,7 @@ def _number(value: Any) -> float:
 
 
 def _angle(text: str, letter: str, letters: str, limit: float) -> float:
-    """Degrees of dddmm.m, positive on the side of the first letter; nan where no place has them.
-
-    Raises:
-        ValueError: it is no such angle, or has no letter.
-    """
+    """Degrees of dddmm.m, positive on the side of the first letter; nan where no place has them."""
     found = _ANGLE.fullmatch(text)
     if found is None or len(letter) != 1 or letter not in letters:
         raise ValueError(text)

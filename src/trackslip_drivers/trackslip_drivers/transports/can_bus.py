@@ -89,11 +89,7 @@ class CanBus:
 
 
 def _keep_on_host(descriptor: int, group: str) -> None:
-    """Send and receive on the loopback device alone: nobody on the network can speak as the machine.
-
-    Raises:
-        OSError: the group is no multicast address of IPv4, or the system forbids it.
-    """
+    """Send and receive on the loopback device alone: nobody on the network can speak as the machine."""
     with socket.socket(fileno=os.dup(descriptor)) as shared:
         home = socket.inet_aton("127.0.0.1")
         shared.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")

@@ -185,11 +185,7 @@ class Link(Generic[T]):
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _arrivals(self, port: Port[T]) -> Iterator[tuple[T, int]]:
-        """Everything that arrives until the link is stopped.
-
-        Raises:
-            _Silence: nothing came for too long.
-        """
+        """Everything that arrives until the link is stopped."""
         received_s = time.monotonic()
         while not self._stopping.is_set():
             is_silent = True

@@ -198,11 +198,7 @@ class NtripClient:
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _receive(self) -> None:
-        """One connection, until it ends.
-
-        Raises:
-            _Fault, OSError, HTTPException: why it does.
-        """
+        """One connection, until it ends."""
         position = self._position()
         if self._stopping.is_set():
             return

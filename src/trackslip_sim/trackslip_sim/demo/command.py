@@ -31,11 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the commands, each printed before; returns the exit code of the first that fails.
-
-    Raises:
-        InputError: an option is refused, or the directory exists.
-    """
+    """Run the commands, each printed before; returns the exit code of the first that fails."""
     output: Path = arguments.output
     if output.exists():
         raise InputError(f"--output: '{output}' exists; accepted: a directory that does not")

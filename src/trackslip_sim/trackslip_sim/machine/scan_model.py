@@ -45,11 +45,6 @@ class SiteParameters(Parameters):
     posts: tuple[float, ...] = parameter("three numbers per post or person: x, y, radius", unit="m")
 
     def __post_init__(self) -> None:
-        """Check ranges, then that each wall and post is whole.
-
-        Raises:
-            InputError: a value is out of range or a wall or post is incomplete.
-        """
         super().__post_init__()
         for name, numbers, size in (("walls", self.walls, 4), ("posts", self.posts, 3)):
             if len(numbers) % size:

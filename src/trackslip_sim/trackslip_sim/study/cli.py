@@ -66,11 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the study, print its table, write what was asked for; returns the exit code.
-
-    Raises:
-        InputError: an option is refused, or a file cannot be written.
-    """
+    """Run the study, print its table, write what was asked for; returns the exit code."""
     study = _study(args)
     _prepare(args, study.files())
     workers = partial(worker_options.chosen, args, most=len(study))

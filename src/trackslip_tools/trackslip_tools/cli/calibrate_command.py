@@ -49,11 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate, print what was found, write what was asked for.
-
-    Raises:
-        InputError: a bag, a parameter or an option cannot be used.
-    """
+    """Calibrate, print what was found, write what was asked for."""
     require_writable(output=args.output, json=args.json)
     if args.output is not None:
         refuse_foreign("output", args.output, BEGINNING)

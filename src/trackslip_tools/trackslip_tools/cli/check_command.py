@@ -26,11 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check, print what was found; exit code 1 where a cause was.
-
-    Raises:
-        InputError: the bag, a parameter or an option cannot be used.
-    """
+    """Check, print what was found; exit code 1 where a cause was."""
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
         replay_options.note_damage(bag)

@@ -7,7 +7,11 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """One command; its module has EXAMPLE, add_arguments and run."""
+    """One command; its module has EXAMPLE, ``add_arguments`` and ``run``.
+
+    ``run`` returns the exit code. It raises ``InputError`` where an argument, or what it names, cannot be
+    used.
+    """
 
     module: str
     description: str

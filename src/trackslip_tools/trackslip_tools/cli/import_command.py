@@ -53,11 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import and show what the bag holds; without a mapping, write a first one.
-
-    Raises:
-        InputError: the log, the mapping or the output cannot be used.
-    """
+    """Import and show what the bag holds; without a mapping, write a first one."""
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
     if args.mapping is None:
         return _write_mapping(args.logs, args.vehicle)

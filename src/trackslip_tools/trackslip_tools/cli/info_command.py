@@ -19,11 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the table.
-
-    Raises:
-        InputError: the bag cannot be read.
-    """
+    """Print the table."""
     with open_bag(args.bag, args.namespace) as bag:
         show(describe(bag))
     return ExitCode.DONE

@@ -47,11 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until Ctrl-C; over the graph this is the node ``live``.
-
-    Raises:
-        InputError: the bag, or an option, cannot be used, or ROS is not there.
-    """
+    """Serve until Ctrl-C; over the graph this is the node ``live``."""
     given = {"host": args.host, "port": args.port, "origins": args.origin and tuple(args.origin)}
     given = {name: value for name, value in given.items() if value is not None}
     if args.bag is not None:

@@ -24,11 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Recover, list what was lost, and show what the new bag holds.
-
-    Raises:
-        InputError: there is no bag, or the output exists or cannot be written.
-    """
+    """Recover, list what was lost, and show what the new bag holds."""
     damaged = args.bag.resolve()
     output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
     refuse_existing(output)

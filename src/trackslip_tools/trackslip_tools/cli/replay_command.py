@@ -46,11 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, print the summary, write what was asked for; or give the bag to a live graph.
-
-    Raises:
-        InputError: the bag, a parameter or an option cannot be used.
-    """
+    """Replay, print the summary, write what was asked for; or give the bag to a live graph."""
     filters = replay_options.options_of(args).filters()  # refused before the work
     if fleet_command.is_fleet(args.bags):
         if not args.publish:

@@ -64,11 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, write the page, print where it is.
-
-    Raises:
-        InputError: a bag, a parameter or an option cannot be used.
-    """
+    """Replay, write the page, print where it is."""
     replay_options.options_of(args).filters()  # refused before the work, like the limits
     limits = load_limits(args.limits or ())
     files = args.params or [_OWN]

@@ -31,11 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Smooth, print the errors, write what was asked for.
-
-    Raises:
-        InputError: the bag, a parameter or an option cannot be used.
-    """
+    """Smooth, print the errors, write what was asked for."""
     options = replay_options.options_of(args)
     options.filters()  # refused before the work
     refuse_existing(args.output)

@@ -60,11 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tune, print the evidence, write it.
-
-    Raises:
-        InputError: a bag, a parameter or an option cannot be used.
-    """
+    """Tune, print the evidence, write it."""
     plan = read_plan(config_file(args.plan))
     for name, beginning in BEGINNINGS.items():
         refuse_foreign("output", args.output / name, beginning)

@@ -40,11 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List, or make the files and print what was guessed and what comes next.
-
-    Raises:
-        InputError: a number is refused, too little is known, or a file is there.
-    """
+    """List, or make the files and print what was guessed and what comes next."""
     if arguments.action == "list":
         show("\n".join(vehicle_names()))
         return ExitCode.DONE

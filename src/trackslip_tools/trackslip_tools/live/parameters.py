@@ -73,11 +73,7 @@ def _bracketed(host: str) -> str:
 
 
 def _with_port(origin: str, port: int) -> str:
-    """Lower case, as browsers write it.
-
-    Raises:
-        InputError: it is no HOST or HOST:PORT.
-    """
+    """Lower case, as browsers write it."""
     name = origin.strip().lower()
     if not name or any(c in name for c in "/*@ ?#"):
         raise InputError(f"origin '{origin}' is refused; {_ACCEPTED}")

@@ -97,32 +97,22 @@ POSE_READER = SourceReader(POSE, PoseFields)
 SLIP_READER = SourceReader(SLIPS, SlipFields)
 
 
-def yaw_rate_reader(imu: YawRateSource) -> SourceReader:
-    """Of an IMU that is a source of yaw rates."""
-    return SourceReader(YAW_RATE, ImuFields, imu, ("variance_x", Refusal.NO_RATE))
-
-
-def heading_reader(type_name: str, compass: HeadingSource) -> SourceReader:
-    """Of a source of headings, whose messages are of this type."""
-    if type_name == HEADING_MESSAGES["imu"]:
-        return SourceReader(HEADING, OrientationFields, compass, ("absent", Refusal.NO_ORIENTATION))
-    return SourceReader(HEADING, QuaternionFields, compass)
-
-
-def swing_reader(angle: SwingSource) -> SourceReader:
-    """Of a sensor of the swing."""
-    return SourceReader(ON_SWING, SwingFields, angle)
-
-
-def odometry_reader(odometry: OdometrySource) -> SourceReader:
-    """Of the odometry of a laser or camera; the numbers of frames are still to be filled in."""
-    _, field, refusal = ODOMETRY_FIELDS[odometry.covariance]
-    return SourceReader(ODOMETRY, OdometryPoseFields, odometry, (field, refusal) if field else None)
-
-
-def velocity_reader(velocity: VelocitySource) -> SourceReader:
-    """Of a receiver's or a radar's velocity."""
-    return SourceReader(VELOCITY, VelocityFields, velocity, ("absent", Refusal.NO_VELOCITY))
+def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
+    """Of a source by its group of parameters; ``type_name``: that of its messages, of a source of headings."""
+    match stated:
+        case YawRateSource():
+            return SourceReader(YAW_RATE, ImuFields, stated, ("variance_x", Refusal.NO_RATE))
+        case HeadingSource() if type_name == HEADING_MESSAGES["imu"]:
+            return SourceReader(HEADING, OrientationFields, stated, ("absent", Refusal.NO_ORIENTATION))
+        case HeadingSource():
+            return SourceReader(HEADING, QuaternionFields, stated)
+        case SwingSource():
+            return SourceReader(ON_SWING, SwingFields, stated)
+        case OdometrySource():  # the numbers of frames are still to be filled in
+            _, field, refusal = ODOMETRY_FIELDS[stated.covariance]
+            return SourceReader(ODOMETRY, OdometryPoseFields, stated, (field, refusal) if field else None)
+        case VelocitySource():
+            return SourceReader(VELOCITY, VelocityFields, stated, ("absent", Refusal.NO_VELOCITY))
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:

@@ -55,11 +55,7 @@ from trackslip_tools.replay.arrivals import (
     SPROCKET_READER,
     Rows,
     SourceReader,
-    heading_reader,
-    odometry_reader,
-    swing_reader,
-    velocity_reader,
-    yaw_rate_reader,
+    reader_of,
 )
 from trackslip_tools.replay.comparable import LINE
 from trackslip_tools.replay.filtering import Filtering
@@ -290,12 +286,8 @@ class _ParameterChanges:
 def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
     """Of each source; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
-    readers |= {topic: yaw_rate_reader(imu) for topic, imu in p.gyros().items()}
-    for topic, compass in p.compasses().items():
-        readers[topic] = heading_reader(types.get(topic, ""), compass)
-    readers |= {topic: swing_reader(angle) for topic, angle in p.angles().items()}
-    readers |= {topic: odometry_reader(odometry) for topic, odometry in p.odometries().items()}
-    readers |= {topic: velocity_reader(velocity) for topic, velocity in p.velocities().items()}
+    for stated in (p.gyros(), p.compasses(), p.angles(), p.odometries(), p.velocities()):
+        readers |= {topic: reader_of(one, types.get(topic, "")) for topic, one in stated.items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 

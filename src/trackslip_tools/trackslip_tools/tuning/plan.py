@@ -41,11 +41,6 @@ class Bounds(Parameters):
     scale: str = parameter("whether equal steps are equal differences or ratios", choices=("linear", "log"))
 
     def __post_init__(self) -> None:
-        """Check also what belongs together.
-
-        Raises:
-            InputError: a value is refused, or two do not go together.
-        """
         super().__post_init__()
         if not self.low < self.high:
             raise InputError(f"low: {self.low:g} is out of range; accepted: < {self.high:g}, which is high")

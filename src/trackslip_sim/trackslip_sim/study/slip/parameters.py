@@ -33,11 +33,6 @@ class StudyParameters(GridParameters):
     sigma_omega: tuple[float, ...] = parameter("noise of the gyro", unit="rad/s", gt=0.0, le=100.0)
 
     def __post_init__(self) -> None:
-        """Check also what belongs together.
-
-        Raises:
-            InputError: a value is refused, or nothing is left to score.
-        """
         super().__post_init__()
         if self.settling > self.duration - _SHORTEST:
             accepted = f"up to {_SHORTEST:g} s less than the duration, {self.duration:g} s"

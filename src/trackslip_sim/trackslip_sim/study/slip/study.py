@@ -142,11 +142,7 @@ class _Drives:
 
 
 def _above(p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool) -> StudyParameters:
-    """Parameters for sensors above, of whose truths there is one; ``chosen``: whether these were asked for.
-
-    Raises:
-        InputError: others were, or a terrain.
-    """
+    """Parameters for sensors above, whose truth is one; ``chosen``: whether truths were asked for."""
     topics = ", ".join(topic for topic, source in estimator.mounted().items() if source.above)
     above = f"cells with {topics} above are on"
     if others := [truth for truth in p.truths if truth != SHEAR and chosen]:
