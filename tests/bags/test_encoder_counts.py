@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackslip_bags.importing.encoder_counts import encoder_resolution
+from trackslip_bags.importing.importer import encoder_resolution
 from trackslip_bags.importing.samples import Samples
 
 T = np.arange(0.0, 60.0, 0.02)  # s

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from trackslip_bags import unpacking
 from trackslip_bags.chunks import read_stretches
-from trackslip_bags.importing.ros1 import Ros1Bags
+from trackslip_bags.importing.robot_bags import Ros1Bags
 from trackslip_bags.messages import make
 from trackslip_bags.reader import open_bag
 from trackslip_bags.unpacking import LARGEST, message, unpack_file, unpacked

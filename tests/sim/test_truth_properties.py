@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.ground import Ground, Patch, build_ground
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import Column
 from trackslip_sim.truth.settings import TruthSettings, load_settings
 from trackslip_sim.truth.shear import ShearDrive

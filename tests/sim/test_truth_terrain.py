@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import Vehicle
@@ -22,7 +23,7 @@ from trackslip_sim.truth.contact import Tracks, element_positions
 from trackslip_sim.truth.ground import build_ground
 from trackslip_sim.truth.load import Load, press
 from trackslip_sim.truth.pose import body_rates, move
-from trackslip_sim.truth.record import FloatArray, Truth
+from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.rows import Column
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.shear import ShearDrive

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trackslip_common.arrays import Rows
 from trackslip_common.topics import ODOMETRY
 from trackslip_tools.replay.comparison import WAITING_NS, LiveComparer, LiveComparison
-from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 
 STEP_NS = 10_000_000

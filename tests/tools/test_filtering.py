@@ -9,8 +9,8 @@ import pytest
 from fixtures.arrival_rows import rows_of
 
 from trackslip_bags.input_filters import InputFilters, Thin, Withhold
+from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.measurements import PoseFix, Sprockets, YawRate
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.filtering import Filtering
 
 MS = 1_000_000

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from fixtures.arrival_rows import rows_of
 
+from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.measurements import YawRate
 from trackslip_estimation.slip.records import YAW_RATE
-from trackslip_tools.replay.arrivals import IS_COMMAND, Rows
+from trackslip_tools.replay.arrivals import IS_COMMAND
 from trackslip_tools.replay.comparable import LINE
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts, LiveOrder
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors
-from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.scoring import (
     Score,
     moving_slips,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
+from trackslip_common.arrays import Rows
 from trackslip_common.errors import ExitCode, InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log
@@ -21,7 +22,6 @@ from trackslip_estimation.slip.measurements import SET_POSE, Measurement, PoseFi
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_tools.cli.main import main
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
 
 FloatArray = NDArray[np.float64]

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from fixtures.tuning_plans import FLOORS, plan_of
 
+from trackslip_common.arrays import Rows
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.dead_reckoning import Path as Track
 from trackslip_tools.replay.scoring import nees_of_each, path_of, score
 from trackslip_tools.tuning.evidence import PARAMETERS, TABLE, numbers, write_evidence

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from trackslip._values import as_name, as_text, as_texts, json_text
-from trackslip_bags.importing.tree import section
 from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
+from trackslip_common.yaml_tree import section
 from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined
 from trackslip_tools.check.bag import check_bag, whole
 from trackslip_tools.cli import replay_options

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from trackslip._files import SUFFIXES, write
 from trackslip._frames import to_pandas
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Datum
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _AXES = {
     "pose": ("x", "y", "yaw"),

@@ -16,11 +16,11 @@ from trackslip._values import json_text
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
 from trackslip_bags.importing.roles import QUATERNION, ROLE_OF_TOPIC
-from trackslip_bags.importing.tree import section
 from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import InputError, collected, suggestion
 from trackslip_common.parameters import flatten
+from trackslip_common.yaml_tree import section
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.cli.replay_options import ReplayOptions
 

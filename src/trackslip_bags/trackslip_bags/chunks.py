@@ -20,7 +20,6 @@ from mcap.reader import make_reader
 from trackslip_bags.mcap_index import (
     Bytes,
     Indexed,
-    IntArray,
     Located,
     Part,
     chosen,
@@ -32,6 +31,7 @@ from trackslip_bags.mcap_index import (
 )
 from trackslip_bags.metadata import LATEST_NS
 from trackslip_bags.reader import Bag, absolute, require_one_type
+from trackslip_common.arrays import IntArray
 from trackslip_common.errors import InputError
 
 STRETCH_NS = 10_000_000_000  # of log time that is read at once

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 _RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
 _LARGEST_SIGMA = 1e6  # m

@@ -17,8 +17,8 @@ from mcap.well_known import MessageEncoding
 from numpy.typing import NDArray
 
 from trackslip_bags.unpacking import plain
+from trackslip_common.arrays import IntArray
 
-IntArray = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 _HEAD = Struct("<BQ")  # of a record: what it is, bytes that follow

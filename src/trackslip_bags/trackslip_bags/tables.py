@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.chunks import read_stretches
-from trackslip_bags.mcap_index import Bytes, IntArray
+from trackslip_bags.mcap_index import Bytes
 from trackslip_bags.reader import Bag, absolute
 from trackslip_bags.types import fields_by
+from trackslip_common.arrays import IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
 from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import IntArray
 from trackslip_common.message_reading import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
 
 CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
@@ -25,7 +26,6 @@ CDR_SLACK = 64  # bytes accepted behind a message
 ANY = -1  # length of a sequence
 
 Bytes = NDArray[np.uint8]
-IntArray = NDArray[np.int64]
 
 _NUMBERS = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"}
 _NUMBERS |= {f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)}

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-
+from trackslip_common.arrays import FloatArray
 
 UNKNOWN_STDDEV = 1.8  # rad; of a heading that may be any it is π/√3 = 1.81
 

@@ -11,10 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trackslip_common.arrays import FloatArray, IntArray
 
 _SLACK = 0.002  # of a turn, by which an angle may lie beyond it, rounded
 _NEARLY = 0.75  # of a turn: a jump of an angle that has not been seen to wrap

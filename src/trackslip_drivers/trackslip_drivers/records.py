@@ -8,10 +8,8 @@ A stamp is the time of the measurement on the host's clock, not of the arrival o
 from enum import IntEnum
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from trackslip_common.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 

@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from trackslip_bags.importing.bag_fields import NO_JOINTS, READERS, Row, sides_of
-from trackslip_bags.importing.bag_values import refusals, values_of
+from trackslip_bags.importing.bag_rows import NO_JOINTS, READERS, Row, refusals, sides_of, values_of
 from trackslip_bags.importing.joints import PARTIAL, JointsByStamp
 from trackslip_bags.importing.local import LocalFrame
-from trackslip_bags.importing.logged import Logged, RobotLog, Ros2Bag
 from trackslip_bags.importing.mapping_topics import JOINT, SIDES, BagTopic
+from trackslip_bags.importing.robot_bags import Logged, RobotLog, Ros1Bags, Ros2Bag
 from trackslip_bags.importing.roles import JOINTS, ROLES
-from trackslip_bags.importing.ros1 import Ros1Bags
 from trackslip_bags.importing.samples import Samples
 from trackslip_bags.importing.times import LIMIT_NS
 from trackslip_bags.metadata import METADATA

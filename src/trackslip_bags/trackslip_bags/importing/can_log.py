@@ -15,8 +15,7 @@ from typing import Any
 import can
 import numpy as np
 
-from trackslip_bags.importing.asc_log import open_asc
-from trackslip_bags.importing.blf_log import BlfLog
+from trackslip_bags.importing.bus_readers import BlfLog, open_asc
 from trackslip_bags.importing.log_kinds import encoding_of_mark, kind_of
 from trackslip_bags.importing.recorded_devices import CanSection
 from trackslip_bags.importing.roles import ROLES

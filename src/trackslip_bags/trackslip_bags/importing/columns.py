@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from trackslip_bags.importing.tree import check_keys, number, positive, section, texts
 from trackslip_common.errors import InputError, did_you_mean
 from trackslip_common.units import UNITS, factor_to_si
+from trackslip_common.yaml_tree import check_keys, flag, number, positive, section, texts
 
 ISO = "iso8601"
 FIRST = "first"  # as an origin: the first value of the column
@@ -76,19 +76,13 @@ def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
         origin=FIRST if origin == FIRST else number(f"{where}.origin", origin),
         turn=math.tau / factor if quantity == "angle" else 0.0,
         missing=_missing(f"{where}.missing", tree.get("missing", [])),
-        increments=_flag(f"{where}.increments", tree.get("increments", False)),
+        increments=flag(f"{where}.increments", tree.get("increments", False)),
     )
 
 
 def _missing(where: str, value: Any) -> tuple[float, ...]:
     """A number, or a list of them."""
     return tuple(number(where, one) for one in (value if isinstance(value, list) else [value]))
-
-
-def _flag(where: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
-    return value
 
 
 def read_time(where: str, value: Any) -> TimeColumn:

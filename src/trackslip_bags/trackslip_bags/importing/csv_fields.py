@@ -10,15 +10,15 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import (
-    FloatArray,
-    IntArray,
     Values,
     differences,
     headings,
+    level_turns,
     track_speeds,
     without_heading,
     yaw_of,
 )
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_estimation.slip.measurements import UNOBSERVED
 
 _NO_FIX = 0  # quality of a GGA sentence
@@ -106,8 +106,7 @@ def _turn(columns: Values, count: int) -> FloatArray:
     """(n, 4) quaternions."""
     if "qw" in columns:
         return np.column_stack([columns[name] for name in QUATERNION])
-    level, yaw = np.zeros(count), _yaw(columns, count)
-    return np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0)))
+    return level_turns(_yaw(columns, count))
 
 
 def _heading(columns: Values, spreads: Values) -> Values:

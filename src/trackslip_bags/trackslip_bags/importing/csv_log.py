@@ -17,8 +17,9 @@ from trackslip_bags.importing.csv_table import NO_TIME, Table, Wanted, read_tabl
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
-from trackslip_bags.importing.samples import FloatArray, IntArray, Samples, Values, yaw_of
+from trackslip_bags.importing.samples import Samples, Values, yaw_of
 from trackslip_bags.importing.times import LIMIT_NS, too_late
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
 

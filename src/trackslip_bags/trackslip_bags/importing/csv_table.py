@@ -33,10 +33,8 @@ from trackslip_bags.importing.csv_text import (
 )
 from trackslip_bags.importing.log_kinds import refuse_other_kinds
 from trackslip_bags.importing.times import accepted, time_ns
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError, did_you_mean
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NO_TIME = np.iinfo(np.int64).min
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from trackslip_bags.importing.log_kinds import encoding_of_mark, utf16_without_mark
-from trackslip_bags.importing.tree import check_keys, choice, section, texts
 from trackslip_common.errors import InputError
+from trackslip_common.yaml_tree import check_keys, choice, section, texts
 
 LONGEST = 1 << 20  # characters of a line
 COMMENT = "#"

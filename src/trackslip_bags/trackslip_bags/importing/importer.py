@@ -17,7 +17,6 @@ import numpy as np
 from trackslip_bags.importing.bag_log import is_bag, read_bag_log
 from trackslip_bags.importing.can_log import read_can_logs
 from trackslip_bags.importing.csv_log import read_csv_logs
-from trackslip_bags.importing.encoder_counts import encoder_resolution
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import LogKind, kind_of
 from trackslip_bags.importing.mapping import LogMapping
@@ -35,6 +34,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.gnss.localizer import Datum
+from trackslip_estimation.setup_check.counts import angle_of_count
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV = (".csv", ".txt", ".tsv", ".dat")
@@ -206,6 +206,12 @@ def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[
         yield VEHICLE, vehicle_text(mapping.vehicle)
     if parameters := {**found, **mapping.parameters}:
         yield PARAMETERS_TOPIC, parameters_text(parameters, SLIP_NODE)
+
+
+def encoder_resolution(samples: Sequence[Samples]) -> float:
+    """Angle of one count of the sprockets, rad; 0 without sprockets, of speeds, and without counts."""
+    positions = [one.values["position"] for one in samples if one.role == "sprockets"]
+    return angle_of_count(positions[0]) if positions else 0.0
 
 
 def _from_zero(one: Samples) -> Samples:

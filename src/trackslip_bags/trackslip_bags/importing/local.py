@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, why_far
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 _MOST_TRIED = 100  # positions, as a datum

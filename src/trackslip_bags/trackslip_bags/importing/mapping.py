@@ -24,13 +24,13 @@ from trackslip_bags.importing.columns import FIRST
 from trackslip_bags.importing.mapping_topics import FROM, BagTopic, CsvTopic, Geometry, read_topic
 from trackslip_bags.importing.recorded_devices import CanSection, GnssSection, read_can, read_gnss
 from trackslip_bags.importing.roles import ROLE_OF_TOPIC
-from trackslip_bags.importing.tree import check_keys, nanoseconds, number, section, text
 from trackslip_bags.old_parameters import current_names
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import flatten
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle, vehicle_layer, vehicle_of
+from trackslip_common.yaml_tree import check_keys, nanoseconds, number, section, text
 from trackslip_estimation.gnss.localizer import Datum
 from trackslip_estimation.gnss.parameters import HIGHEST_LATITUDE
 from trackslip_estimation.slip.parameters import load_slip_parameters

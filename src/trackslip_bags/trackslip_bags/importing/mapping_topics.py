@@ -16,9 +16,11 @@ from trackslip_bags.importing.columns import (
 )
 from trackslip_bags.importing.csv_text import Dialect, read_dialect
 from trackslip_bags.importing.roles import ROLE_OF_TOPIC, ROLES, Role
-from trackslip_bags.importing.tree import (
+from trackslip_common.errors import InputError, did_you_mean
+from trackslip_common.yaml_tree import (
     check_keys,
     choice,
+    flag,
     nanoseconds,
     number,
     positive,
@@ -26,7 +28,6 @@ from trackslip_bags.importing.tree import (
     text,
     texts,
 )
-from trackslip_common.errors import InputError, did_you_mean
 
 SIDES, JOINT = ("left", "right"), "joint"  # keys of the joints of sprockets, and of a swing
 USES = ("both", "positions", "velocities")  # of the joints of sprockets
@@ -176,7 +177,7 @@ def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
         uses=choice(f"{where}.use", tree.get("use", uses), USES),
         stamped=choice(f"{where}.stamp", tree.get("stamp", "header"), ("header", "log")) == "header",
         child_frame=text(f"{where}.child_frame", tree["child_frame"]) if "child_frame" in tree else None,
-        position_only=_flag(f"{where}.position_only", tree.get("position_only", False)),
+        position_only=flag(f"{where}.position_only", tree.get("position_only", False)),
         convention=choice(f"{where}.convention", tree.get("convention", CONVENTIONS[0]), CONVENTIONS),
         sign=_sign(f"{where}.sign", tree.get("sign", 1)),
     )
@@ -239,9 +240,3 @@ def _own_geometry(where: str, value: Any) -> Geometry:
     tree = section(where, value)
     check_keys(where, tree, Geometry._fields, ())
     return Geometry(*(positive(f"{where}.{name}", tree[name]) for name in Geometry._fields))
-
-
-def _flag(where: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
-    return value

@@ -20,8 +20,9 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.log_kinds import encoding_of_mark
 from trackslip_bags.importing.recorded_devices import GnssSection
 from trackslip_bags.importing.roles import ROLES
-from trackslip_bags.importing.samples import FloatArray, IntArray, Samples, headings, without_heading
+from trackslip_bags.importing.samples import Samples, headings, level_turns, without_heading
 from trackslip_bags.importing.times import LIMIT_NS
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.tally import Tally
@@ -294,10 +295,8 @@ def _headings(found: Sequence[HeadingSample], given: GnssSection, source: str) -
         return
     stamps_ns = _stamps(found, given)
     yaw, stddev = np.array([(one.yaw, one.stddev) for one in found]).T
-    level = np.zeros(len(yaw))
-    turn = np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0)))
     covariance = np.zeros((len(yaw), 3, 3))
     covariance[:, 2, 2] = stddev**2
-    values = headings(turn, covariance)
+    values = headings(level_turns(yaw), covariance)
     frame = [ROLES["heading"].frame]
     yield Samples("heading", "heading", frame, stamps_ns, stamps_ns, values, source=source)

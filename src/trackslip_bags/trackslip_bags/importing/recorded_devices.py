@@ -12,9 +12,9 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from trackslip_bags.importing.tree import check_keys, nanoseconds, number, section, text
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import InputError
+from trackslip_common.yaml_tree import check_keys, nanoseconds, number, section, text
 
 _ANY = "*"
 

@@ -23,17 +23,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.importing.mapping_topics import Geometry
 from trackslip_bags.importing.roles import ROLES
 from trackslip_bags.messages import header, make
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_estimation.slip.conversions import pose_with_covariance
 from trackslip_estimation.slip.measurements import UNOBSERVED, PoseFix
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Values = dict[str, FloatArray]
 
 UNKNOWN = -1.0  # first element of a covariance whose quantity was not measured
@@ -87,6 +85,12 @@ def yaw_of(qx: FloatArray, qy: FloatArray, qz: FloatArray, qw: FloatArray) -> Fl
     """(n,) rotation about z, rad; nan where there is no rotation (all zero)."""
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
     return np.where(qx * qx + qy * qy + qz * qz + qw * qw > 0.0, yaw, np.nan)
+
+
+def level_turns(yaw: FloatArray) -> FloatArray:
+    """(n, 4) quaternions x, y, z, w of (n,) rotations about z, rad."""
+    level = np.zeros(len(yaw))
+    return np.column_stack((level, level, np.sin(yaw / 2.0), np.cos(yaw / 2.0)))
 
 
 def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
+from trackslip_common.parameter_spec import Spec, coerced
+from trackslip_common.yaml_tree import check_keys, section
 from trackslip_drivers.protocols.can_codec import CHECKSUMS, Protection
 from trackslip_drivers.protocols.units import Quantity
 
@@ -75,9 +77,9 @@ def read_roles(path: Path) -> RolesFile:
     """
     tree = read_yaml(path)
     where = f"roles_file {path}"
-    _known(where, "section", tree, ("roles", "frames"))
-    given, frames = (_mapping(where, name, tree.get(name) or {}) for name in ("roles", "frames"))
-    _known(where, "role", given, ROLES)
+    check_keys(where, tree, (), ("roles", "frames"), "section")
+    given, frames = (section(f"{where}: {name}", tree.get(name) or {}) for name in ("roles", "frames"))
+    check_keys(where, given, (), ROLES, "role")
     roles = {name: _role(f"{where}: role '{name}'", name, entry) for name, entry in given.items()}
     _check_sides(where, roles)
     protections = {name: _protection(f"{where}: frame '{name}'", entry) for name, entry in frames.items()}
@@ -103,7 +105,7 @@ def _check_sides(where: str, roles: Mapping[str, Role]) -> None:
 def _role(where: str, name: str, entry: Any) -> Role:
     if isinstance(entry, str):
         entry = {"signal": entry}
-    entry = _mapping(where, "", entry)
+    entry = section(where, entry)
     if "signal" not in entry:
         raise InputError(f"{where}: 'signal' is missing; {_SHORT}FRAME.SIGNAL of the DBC")
     is_turned = ROLES[name] == _TURNED
@@ -113,14 +115,13 @@ def _role(where: str, name: str, entry: Any) -> Role:
         entry = {**entry, **levels}
     else:
         hidden += _SPOOL_ONLY
-    _known(where, "key", entry, [key for key in Role._fields if key not in hidden])
+    check_keys(where, entry, (), [key for key in Role._fields if key not in hidden])
     if is_turned and "minus" in entry:
         raise InputError(
             f"{where}: minus: a position is one signal; {_SHORT}'minus' of pressures, speeds, flows"
         )
     defaults = Role._field_defaults | {"signal": ""}
-    values = {key: _typed(f"{where}: {key}", value, type(defaults[key])) for key, value in entry.items()}
-    role = Role(**values)
+    role = Role(**{key: _typed(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
     if role.sign not in (1, -1):
         raise InputError(f"{where}: sign: {role.sign} is out of range; {_SHORT}1 or -1")
     for key in ("ratio", *_TURNED_ONLY):
@@ -131,16 +132,10 @@ def _role(where: str, name: str, entry: Any) -> Role:
     return role
 
 
-_PROTECTION_KEYS = ("counter", "checksum", "checksum_type", "unused_bits_zero", "j1939")
-
-
 def _protection(where: str, entry: Any) -> Protection:
-    entry = _mapping(where, "", entry)
-    _known(where, "key", entry, _PROTECTION_KEYS)
-    defaults = Protection._field_defaults
-    found = Protection(
-        **{key: _typed(f"{where}: {key}", value, type(defaults[key])) for key, value in entry.items()}
-    )
+    entry, defaults = section(where, entry), Protection._field_defaults
+    check_keys(where, entry, (), Protection._fields)
+    found = Protection(**{key: _typed(f"{where}: {key}", entry[key], defaults[key]) for key in entry})
     if found.checksum and found.checksum_type not in CHECKSUMS:
         raise InputError(
             f"{where}: checksum_type: '{found.checksum_type}' is unknown; {_SHORT}{', '.join(CHECKSUMS)}"
@@ -148,22 +143,6 @@ def _protection(where: str, entry: Any) -> Protection:
     return found
 
 
-def _typed(where: str, value: Any, kind: type) -> Any:
-    if kind is float and type(value) is int:
-        value = float(value)
-    if type(value) is not kind:
-        words = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
-        raise InputError(f"{where}: {value!r} is not {words[kind]}")
-    return value
-
-
-def _mapping(where: str, name: str, value: Any) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise InputError(f"{where}: {name + ': ' if name else ''}expected names and values (a YAML mapping)")
-    return value
-
-
-def _known(where: str, what: str, given: Mapping[str, Any], known: Any) -> None:
-    for name in given:
-        if name not in known:
-            raise InputError(f"{where}: unknown {what} '{name}'; {_SHORT}{', '.join(known)}")
+def _typed(where: str, value: Any, default: Any) -> Any:
+    """Of the type of the key's default."""
+    return coerced(where, value, type(default), Spec(""))

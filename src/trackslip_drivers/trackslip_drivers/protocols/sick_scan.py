@@ -18,9 +18,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_drivers.protocols.sick_commands import ReplyCode, Severity
 from trackslip_drivers.protocols.sick_telegram import Telegram
-from trackslip_drivers.records import FloatArray, ScanSample
+from trackslip_drivers.records import ScanSample
 from trackslip_drivers.sick_parameters import SickParameters
 
 UintArray = NDArray[np.uint16]

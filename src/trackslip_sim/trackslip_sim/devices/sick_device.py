@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols import sick_commands as commands
@@ -31,7 +31,6 @@ from trackslip_drivers.protocols.sick_telegram import (
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_sim.devices.line import BaudLine
 
-FloatArray = NDArray[np.float64]
 Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 
 _ACK_DELAY_NS = 5_000_000

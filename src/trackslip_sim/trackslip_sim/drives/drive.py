@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.soils import load_soils
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
@@ -17,7 +18,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.slip.window import Records
 from trackslip_sim.drives.route import drive_at_random
-from trackslip_sim.machine.drawn import DrawnMachine, FloatArray, draw_machine, interpolated
+from trackslip_sim.machine.drawn import DrawnMachine, draw_machine, interpolated
 from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.truth.ground import build_ground
 from trackslip_sim.truth.settings import load_settings

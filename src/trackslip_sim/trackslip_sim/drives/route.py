@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
-from trackslip_sim.machine.drawn import DrawnMachine, FloatArray, MotionErrors, integrated
+from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
 from trackslip_sim.truth.ground import Ground
 from trackslip_sim.truth.rows import Column
 from trackslip_sim.truth.settings import TruthSettings

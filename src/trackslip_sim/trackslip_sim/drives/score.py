@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.log import make_log, run_log
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS
 from trackslip_sim.drives.drive import RandomDrive
-from trackslip_sim.machine.drawn import FloatArray
 
 LARGE = 30.0  # NEES
 _SILENCE = 10.0  # s without fixes that count as such

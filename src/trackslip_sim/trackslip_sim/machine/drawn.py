@@ -18,10 +18,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
 
 STEADY, STEADY_TURN, CHANGING = 0.0024, 0.001, 0.042  # shares of V and of d
 CORRELATION = 0.14  # s, τ

@@ -6,9 +6,7 @@ import math
 from collections.abc import Callable
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.parameters import Parameters
 from trackslip_common.units import GRAVITY
@@ -37,7 +35,6 @@ from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.record import Truth, TruthWindow
 from trackslip_sim.truth.simulate import simulate
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T", bound=Parameters)
 
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, Vector
 from trackslip_sim.machine import faults as f
 from trackslip_sim.machine.faults import Faults
 from trackslip_sim.machine.sensors import MachineSensors
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 
 _NEAR = 0.5  # m, distance of what covers the laser

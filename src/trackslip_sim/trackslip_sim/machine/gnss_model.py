@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pymap3d
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_drivers.protocols.nmea import heading_of_yaw
 from trackslip_drivers.protocols.nmea_sentences import Position
@@ -25,8 +25,6 @@ from trackslip_sim.devices.nmea_device import FIXED, FLOAT, SINGLE, NmeaDevicePa
 from trackslip_sim.machine import faults as f
 from trackslip_sim.machine.faults import Faults
 from trackslip_sim.machine.placement import Placement
-
-FloatArray = NDArray[np.float64]
 
 _FIXED_SPREAD = 0.5  # of the error of a fixed solution that lasts, as a share; the rest is white
 _FIXED_TIME = 5.0  # s

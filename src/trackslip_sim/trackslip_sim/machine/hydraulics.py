@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import MotionParameters, MotionState, Speeds, classify
 from trackslip_estimation.soil.records import (
@@ -22,7 +23,7 @@ from trackslip_estimation.soil.records import (
     SoilInput,
 )
 from trackslip_estimation.soil.tracks import frame_speeds
-from trackslip_sim.truth.record import FloatArray, Truth
+from trackslip_sim.truth.record import Truth
 
 START_NS = 10_000_000_000
 _PERIOD_NS = 10_000_000

@@ -15,13 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.vehicle import Box
 
-FloatArray = NDArray[np.float64]
 Poses = tuple[FloatArray, FloatArray, FloatArray]
 
 BEAMS = 361

@@ -17,16 +17,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import UPPER, VehicleParameters
 from trackslip_drivers.records import HydraulicsSample, ImuSample, SprocketSample, SwingSample
 from trackslip_sim.machine.placement import Placement, about_z, upper_poses
 from trackslip_sim.truth.record import Truth, TruthWindow
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

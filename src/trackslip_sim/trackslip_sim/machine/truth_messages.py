@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import Make, header
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
@@ -17,7 +18,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.classes import limit_of
 from trackslip_sim.machine.emulation import FORCES_NS, SITE_FRAME, TRUTH_NS
 from trackslip_sim.machine.message_columns import Columns
-from trackslip_sim.truth.record import FloatArray, Truth
+from trackslip_sim.truth.record import Truth
 
 _STANDING = 1e-3  # rad/s, both sprockets
 _STRAIGHT = 0.02  # of the faster sprocket

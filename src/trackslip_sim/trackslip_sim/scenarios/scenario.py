@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
 from trackslip_sim.scenarios.checks import each, load, named, number, refuse_unknown, text
 from trackslip_sim.scenarios.terrains import load_terrain
 from trackslip_sim.truth.ground import Patch
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.terrain import FLAT, Terrain
 
 _KEYS = ("name", "soil", "patches", "terrain", "segments", "relief_pressure", "faults", "vehicle")

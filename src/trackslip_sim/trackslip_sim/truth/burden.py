@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import UpperStructure, Vehicle
 from trackslip_sim.scenarios.scenario import Scenario
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.settings import TruthSettings
 
 

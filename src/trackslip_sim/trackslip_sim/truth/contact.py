@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
 from trackslip_sim.truth.ground import SoilMap, soil_at
-from trackslip_sim.truth.record import FloatArray, IntArray
 
 MAX_SHEAR = 10.0  # |j| is kept below this many K: all strength is mobilised there (5e-5 short of it)
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError, suggestion
 from trackslip_common.soils import Soil
-from trackslip_sim.truth.record import FloatArray, IntArray
 from trackslip_sim.truth.terrain import FLAT, Terrain
 
 

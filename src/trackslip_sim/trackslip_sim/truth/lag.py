@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.settings import TruthSettings
 
 

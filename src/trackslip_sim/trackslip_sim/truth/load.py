@@ -16,10 +16,10 @@ the contacts; what acceleration adds to that is limited to them. N is without vÂ
 import math
 from typing import NamedTuple
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_sim.truth.contact import Tracks
-from trackslip_sim.truth.record import FloatArray
 
 _LAST = 0.499  # of l and of B: how far the centre of pressure goes before the machine tips over
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_sim.truth.contact import Shear, ShearSums, Tracks, shear_sums
-from trackslip_sim.truth.record import FloatArray
 
 SIZE = 5
 TOLERANCE = 8e-11  # of the weight, N, left unbalanced: a few times what rounding leaves of stiff ground

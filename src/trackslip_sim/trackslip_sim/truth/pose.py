@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.terrain import TerrainMap, shape_at
 
 

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trackslip_common.arrays import FloatArray, IntArray
+
 KEPT = 20.0  # s behind that time which can still be looked at
 _AHEAD = 3  # samples: derivatives at the two about a time need one more
 

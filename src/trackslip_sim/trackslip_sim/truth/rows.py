@@ -7,10 +7,11 @@ from enum import IntEnum
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import pressure_of_thrust
 from trackslip_sim.truth.ground import SoilMap, soil_at
-from trackslip_sim.truth.record import FloatArray, Truth
+from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import TruthSettings
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
@@ -40,7 +41,6 @@ from trackslip_sim.truth.motion import (
     solve_step,
 )
 from trackslip_sim.truth.pose import attitude_of, body_rates, move, pose_rates
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, Terrain, TerrainMap, shape_at

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError, suggestion
 from trackslip_common.soils import load_soils
 from trackslip_common.vehicle import UpperStructure, Vehicle
@@ -17,7 +18,7 @@ from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.burden import Burden
 from trackslip_sim.truth.ground import Ground, build_ground
-from trackslip_sim.truth.record import FloatArray, Truth, joined
+from trackslip_sim.truth.record import Truth, joined
 from trackslip_sim.truth.rows import Recorder
 from trackslip_sim.truth.settings import TruthSettings, load_settings
 from trackslip_sim.truth.shear import ShearDrive

@@ -18,9 +18,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
-from trackslip_sim.truth.record import FloatArray
 
 STEEPEST = math.radians(45.0)  # of one feature
 _PLANE, _RAMP, _HILL = 0.0, 1.0, 2.0

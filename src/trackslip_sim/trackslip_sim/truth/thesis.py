@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import Vehicle
@@ -27,7 +28,6 @@ from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_sim.truth.ground import Ground, SoilMap, soil_at
 from trackslip_sim.truth.lag import Valves, spools, valves_of
 from trackslip_sim.truth.pose import move
-from trackslip_sim.truth.record import FloatArray
 from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, TerrainMap

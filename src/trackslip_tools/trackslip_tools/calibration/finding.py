@@ -4,7 +4,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -32,17 +31,6 @@ class Finding:
     def rounded(self) -> float | None:
         """The value, with the digits that its interval gives a meaning."""
         return None if self.value is None else rounded(self.value, self.decimals)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For a JSON file."""
-        interval = None if self.interval is None else list(self.interval)
-        return {
-            "value": self.value,
-            "interval": interval,
-            "unit": self.unit,
-            "basis": self.basis,
-            "reason": self.reason,
-        }
 
 
 def rounded(value: float, decimals: int) -> float:

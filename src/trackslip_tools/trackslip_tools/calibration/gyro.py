@@ -25,14 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording, Series
 from trackslip_tools.calibration.regression import Fit, Increments, clustered, of_increments
 from trackslip_tools.calibration.spans import blocks, spans, unbroken
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LEAST_TURN = 1.0  # rad in all, below which turns determine nothing
 _LARGEST_DELAY = 1.0  # s

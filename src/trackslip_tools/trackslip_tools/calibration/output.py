@@ -3,16 +3,16 @@
 """A calibration as a table for people, and as a parameter file for the nodes with its evidence in it."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from trackslip_common.config_files import nested
-from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_whole
 from trackslip_tools.calibration.calibrate import Calibration
 from trackslip_tools.calibration.finding import Finding, rounded
+from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.terminal_text import WIDTH, wrapped
 
 BEGINNING = "# from "  # of the parameter file
@@ -34,7 +34,7 @@ def summary(calibration: Calibration, bags: Sequence[str]) -> dict[str, Any]:
     """The contents of ``--json``."""
     return {
         "bags": list(bags),
-        "findings": {name: finding.as_dict() for name, finding in calibration.findings.items()},
+        "findings": {name: asdict(finding) for name, finding in calibration.findings.items()},
         "parameters": {node: dict(values) for node, values in calibration.parameters.items()},
     }
 
@@ -49,10 +49,7 @@ def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) 
     content = {node: {"ros__parameters": nested(v)} for node, v in calibration.parameters.items()}
     heads = [*(f"{BEGINNING}{bag}" for bag in bags), *(f"# {line}" for line in evidence)]
     lines = [*heads, yaml.safe_dump(content, sort_keys=False)]
-    try:
-        write_whole(path, "\n".join(lines))
-    except OSError as error:
-        raise InputError(f"--output: '{path}' cannot be written ({error.strerror})") from error
+    write_file("output", path, "\n".join(lines))
 
 
 def _lines(name: str, finding: Finding) -> list[str]:

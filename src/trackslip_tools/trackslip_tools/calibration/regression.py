@@ -25,8 +25,7 @@ from scipy.linalg import LinAlgError, cholesky_banded, solve_banded
 from scipy.optimize import minimize
 from scipy.special import stdtrit
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trackslip_common.arrays import FloatArray, IntArray
 
 CONFIDENCE = 0.95
 _GONE = 12.0  # of −2 log likelihood above the lowest

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording, Series
 from trackslip_tools.calibration.regression import clustered
 from trackslip_tools.calibration.spans import blocks, spans
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_BLOCKS = 3
 _CLOSED = 0.02  # of a spool's stroke

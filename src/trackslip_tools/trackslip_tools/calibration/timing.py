@@ -14,15 +14,12 @@ weak the yaw rate does not follow the tracks, and the delay cannot be found.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording
 from trackslip_tools.calibration.regression import Fit, clustered
 from trackslip_tools.calibration.spans import blocks, spans, unbroken
-
-FloatArray = NDArray[np.float64]
 
 GROUND_LAG = 0.03  # s at most by which firm ground answers later than the tracks turn
 _SHORTEST = 1.5  # s, of a turn

@@ -21,13 +21,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording
 from trackslip_tools.calibration.regression import Increments, clustered, of_increments
 from trackslip_tools.calibration.spans import Span, spans, unbroken
-
-FloatArray = NDArray[np.float64]
 
 LEAST_WAY = 3.0  # m of straights in all
 LEAST_TURNS = 3

@@ -10,6 +10,7 @@ import numpy as np
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
+from trackslip_common.arrays import Rows
 from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
@@ -20,7 +21,6 @@ from trackslip_tools.cli.progress import counted, following, in_shares
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
 from trackslip_tools.fleet.pages import INDEX, make_folder, write_pages
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.parts import Watch, together
 from trackslip_tools.replay.result import Replay

@@ -6,8 +6,8 @@ import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.message_fields import (
     ForceFields,
     OdometryFields,
@@ -19,8 +19,6 @@ from trackslip_common.message_fields import (
 from trackslip_common.message_reading import At, RecordClass
 from trackslip_common.orientations import heading_of
 from trackslip_common.topics import ATTITUDE, DIAGNOSTICS, FORCES, ODOMETRY, SOIL, TOPICS, TRACK_SLIP
-
-FloatArray = NDArray[np.float64]
 
 SWING, VEHICLE = "swing", "vehicle"
 PARAMETERS = "slip_estimator/parameters"

@@ -5,15 +5,13 @@
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import ODOMETRY
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.report.plan_shapes import box_outline, ellipses, machine_size, placed, rectangle
-
-FloatArray = NDArray[np.float64]
 
 NAMES = ("ellipse", "machine", "nose", "upper", "box")
 

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_tools.report.panel import BLUE, Curve, Form, Panel
 from trackslip_tools.report.quantities import QUANTITIES, SHAPES, Columns, Quantity, Shape, Shown
-
-FloatArray = NDArray[np.float64]
 
 MOTION = "motion"  # name of the columns from odometry and slips; other columns have that of their topic
 ROWS = 1920  # moments that are kept: four minutes

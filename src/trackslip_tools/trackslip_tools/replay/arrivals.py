@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import Rows
 from trackslip_common.message_fields import (
     ABSENT,
     ImuFields,
@@ -58,8 +58,6 @@ from trackslip_estimation.slip.sources import (
     YawRateSource,
 )
 
-Rows = NDArray[np.void]
-
 # More kinds: its source is the command; new parameters; the estimator is started again.
 IS_COMMAND, IS_RELOAD, IS_START = VELOCITY + 1, VELOCITY + 2, VELOCITY + 3
 
@@ -98,7 +96,7 @@ SLIP_READER = SourceReader(SLIPS, SlipFields)
 
 
 def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
-    """Of a source by its group of parameters; ``type_name``: that of its messages, of a source of headings."""
+    """Of a source by its group of parameters; ``type_name``: of the messages of a source of headings."""
     match stated:
         case YawRateSource():
             return SourceReader(YAW_RATE, ImuFields, stated, ("variance_x", Refusal.NO_RATE))
@@ -111,7 +109,7 @@ def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
         case OdometrySource():  # the numbers of frames are still to be filled in
             _, field, refusal = ODOMETRY_FIELDS[stated.covariance]
             return SourceReader(ODOMETRY, OdometryPoseFields, stated, (field, refusal) if field else None)
-        case VelocitySource():
+        case _:
             return SourceReader(VELOCITY, VelocityFields, stated, ("absent", Refusal.NO_VELOCITY))
 
 

@@ -13,13 +13,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import BoolArray, IntArray, Rows
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_tools.replay.growing import Rows
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LINE = np.dtype(
     [

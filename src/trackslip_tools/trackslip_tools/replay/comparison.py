@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import IntArray, Rows
 from trackslip_common.orientations import headings_of, tilts_of
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_by
-from trackslip_tools.replay.comparable import Comparability, ComparablePart, IntArray
-from trackslip_tools.replay.growing import Rows
+from trackslip_tools.replay.comparable import Comparability, ComparablePart
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import in_order
 

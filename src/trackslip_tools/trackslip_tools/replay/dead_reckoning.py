@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.series import series_of
-
-FloatArray = NDArray[np.float64]
 
 _REORDERED_NS = 2_000_000_000  # by which stamps may be out of order: the estimator's window
 _SILENT_NS = 60_000_000_000  # of the gyro, after which its rate is held

@@ -5,14 +5,11 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.scoring import Score, errors_of, moving_slips, nees_of_each, path_of, slip_errors
 from trackslip_tools.replay.series import Series, in_order, series_of
-
-FloatArray = NDArray[np.float64]
 
 _RECENT_NS = 1_000_000_000  # a truth of the same time may be logged so much later
 

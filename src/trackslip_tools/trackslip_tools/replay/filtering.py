@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, Thin
+from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.records import POSE
-from trackslip_tools.replay.arrivals import Rows
 
 
 class Filtering:

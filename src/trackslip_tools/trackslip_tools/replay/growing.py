@@ -3,9 +3,8 @@
 """Records that come piece by piece, in an array that grows in place: joining parts takes twice the memory."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Rows = NDArray[np.void]
+from trackslip_common.arrays import Rows
 
 MOST_DRAWN = 300_000  # records of what is kept for pictures, not for scores: 50 min of 100 Hz
 _FIRST, _GROWTH = 4096, 1.1  # records; share of those there are

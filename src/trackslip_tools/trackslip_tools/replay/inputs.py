@@ -29,6 +29,7 @@ from trackslip_bags.parameters import (
 )
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
+from trackslip_common.arrays import Rows
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, SwingFields
 from trackslip_common.message_reading import frame_number
@@ -53,7 +54,6 @@ from trackslip_tools.replay.arrivals import (
     POSE_READER,
     SLIP_READER,
     SPROCKET_READER,
-    Rows,
     SourceReader,
     reader_of,
 )

@@ -17,14 +17,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import BoolArray, IntArray, Rows
 from trackslip_estimation.slip.measurements import RELOAD
-from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_START, Rows
+from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_START
 from trackslip_tools.replay.comparable import LINE, OUT_OF_ORDER, Comparability, ComparablePart, JournalRuns
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 HORIZON_NS = 60_000_000_000  # of log time between an input and its line; a repair by DDS takes 5 s at most
 _COPY_NS = 5_000_000_000  # of log time between a line and its copy in another recording of the same run

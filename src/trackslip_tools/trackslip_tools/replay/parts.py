@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import Rows
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.explanations import Explained, Happened
@@ -15,7 +16,7 @@ from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.measurements import Command
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import RESULT
-from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, IS_START, Rows, to_measurements
+from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, IS_START, to_measurements
 from trackslip_tools.replay.inputs import InputStream, Logged
 
 _PIECE = 512  # arrivals between looks at what was learned: seconds

@@ -4,10 +4,11 @@
 
 import numpy as np
 
+from trackslip_common.arrays import Rows
 from trackslip_common.vehicle import Kinematics
 from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
 from trackslip_tools.replay.errors import PathErrors
-from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows, Rows
+from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.scoring import Score
 
 _PATH = np.dtype([("stamp_ns", np.int64), ("pose", np.float64, (3,))])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trackslip_common.arrays import Rows
 from trackslip_common.tally import Tally
 from trackslip_common.topics import (
     LOCAL_ODOMETRY,
@@ -24,7 +25,6 @@ from trackslip_estimation.slip.explanations import Happened
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.comparison import (
     TILT,
     LiveComparer,

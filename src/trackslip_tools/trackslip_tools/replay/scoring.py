@@ -16,11 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_tools.replay.dead_reckoning import Path
-from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.series import Series
-
-FloatArray = NDArray[np.float64]
 
 MOVING = 0.05  # m/s of the faster track's frame, and of the track itself, below which slip is not scored
 _SINGULAR = 1e-12  # eigenvalue of correlations at which rounding hides what a covariance states

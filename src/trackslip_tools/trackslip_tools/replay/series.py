@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.orientations import headings_of
 from trackslip_estimation.slip.events import UNKNOWN_HEADING
-from trackslip_tools.replay.growing import GrowingRows, Rows
-
-FloatArray = NDArray[np.float64]
+from trackslip_tools.replay.growing import GrowingRows
 
 _MOTION = ("v_x", "v_y", "yaw_rate")
 _SLIPS = ("left_slip", "right_slip", "slip_angle")

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
+from trackslip_common.arrays import Rows
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import stamp_order
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import MEASUREMENT, SPROCKETS
 from trackslip_tools.replay.arrivals import IS_COMMAND, to_measurements
-from trackslip_tools.replay.growing import GrowingRows, Rows
+from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import InputStream
 from trackslip_tools.replay.series import Series, SeriesCollector
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.messages import make
 from trackslip_bags.tables import TopicTable
+from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.message_reading import dtype_of, read
 from trackslip_common.tally import Tally
@@ -29,12 +29,9 @@ from trackslip_estimation.soil.records import (
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 from trackslip_tools.replay.comparable import Comparability
-from trackslip_tools.replay.growing import GrowingRows, Rows
+from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.series import Series, SeriesCollector
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # that a replay reads
 _END_NS = int(np.iinfo(np.int64).max)

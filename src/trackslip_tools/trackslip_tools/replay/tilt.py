@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from trackslip_common.arrays import Rows
 from trackslip_common.orientations import tilts_of
 from trackslip_tools.replay.errors import Pairs
-from trackslip_tools.replay.growing import Rows
 
 
 class TiltErrors:

@@ -5,10 +5,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import Rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import POSE
 from trackslip_estimation.soil.stall import Trouble
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.report.spells import Spell, spells
 
 SIDES = ("left", "right")

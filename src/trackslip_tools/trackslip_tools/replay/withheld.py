@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, Withhold
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_tools.replay.errors import PathErrors
-from trackslip_tools.replay.growing import Rows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.scoring import Score
 from trackslip_tools.replay.series import reduced
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,14 @@
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import IntArray, Rows
 from trackslip_estimation.slip.explanations import Explained
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
-from trackslip_tools.replay.arrivals import ARRIVAL, Rows
+from trackslip_tools.replay.arrivals import ARRIVAL
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.parts import Part
-
-IntArray = NDArray[np.int64]
 
 REPORT = np.dtype(
     [

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.troubles import SIDES
@@ -21,9 +21,6 @@ from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 _GAP_S = 1.0  # a longer time between two estimates is nobody's
 _NONE = "–"
 _LASTING_S = 0.5  # s for which a slip must last
-
-
-FloatArray = NDArray[np.float64]
 
 
 class Travel(NamedTuple):

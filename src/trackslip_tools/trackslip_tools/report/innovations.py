@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.sources import PoseSource
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.report.panel import (
     BLUE,
     GREEN,
@@ -32,8 +32,6 @@ from trackslip_tools.report.panel import (
     colour_in,
 )
 from trackslip_tools.report.run import Run
-
-FloatArray = NDArray[np.float64]
 
 WINDOW = 25  # innovations in a moving mean
 _TAIL = 0.025  # of χ², either side of the band for that mean

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.orientations import is_heading_known
 from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_tools.replay.scoring import moving_slips
@@ -26,8 +26,6 @@ from trackslip_tools.report.panel import (
 )
 from trackslip_tools.report.quantities import QUANTITIES, Quantity
 from trackslip_tools.report.run import Run, States, recordings
-
-FloatArray = NDArray[np.float64]
 
 _DEGREES = 180.0 / np.pi
 

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.tables import TopicTable
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.message_fields import SoilFields
 from trackslip_common.message_reading import RecordClass, dtype_of, read
-
-FloatArray = NDArray[np.float64]
-Rows = NDArray[np.void]
 
 _BLOCK = 10_000  # messages that wait to become rows
 

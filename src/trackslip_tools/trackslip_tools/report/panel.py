@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from trackslip_common.arrays import FloatArray
 
 if TYPE_CHECKING:  # the live page uses these panels without a replay
     from trackslip_tools.report.run import Run, States
 
-FloatArray = NDArray[np.float64]
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY)  # of runs, or of alike curves of one run

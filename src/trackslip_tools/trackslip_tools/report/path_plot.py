@@ -19,6 +19,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.report import plan_shapes
@@ -26,8 +27,6 @@ from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE,
 from trackslip_tools.report.plan_shapes import machine_size
 from trackslip_tools.report.plots import dress, extremes
 from trackslip_tools.report.run import Run, States, recordings
-
-FloatArray = NDArray[np.float64]
 
 _HEIGHT = 620
 BOX_SOURCE = "box_pose"

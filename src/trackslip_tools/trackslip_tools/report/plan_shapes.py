@@ -3,12 +3,10 @@
 """Outlines in the plane, of reports and of the live page: ellipses of uncertainty, and rectangles."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Box, VehicleParameters
 from trackslip_tools.report.panel import SIGMAS
-
-FloatArray = NDArray[np.float64]
 
 _TURN = np.linspace(0.0, 2.0 * np.pi, 33)
 _CIRCLE = np.stack((np.cos(_TURN), np.sin(_TURN)))  # (2, 33)

@@ -24,6 +24,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import printable
 from trackslip_tools.report.panel import GRID, INK, PAPER, Curve, Form, Panel
 from trackslip_tools.report.spells import Look, Spell, Strip
@@ -31,7 +32,6 @@ from trackslip_tools.report.spells import Look, Spell, Strip
 if TYPE_CHECKING:
     from trackslip_tools.report.recording import Recording
 
-FloatArray = NDArray[np.float64]
 
 _HEIGHT = 230
 _DASHES = {Form.LINE: "solid", Form.DASHED: "dashed", Form.DOTTED: "dotted"}

@@ -10,12 +10,11 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import FORCES, SOIL, TRUE_ODOMETRY, TRUE_SLIP, TRUE_SOIL
 from trackslip_tools.report.panel import BLUE, ORANGE, Form, within
 
-FloatArray = NDArray[np.float64]
 Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one moment or of many
 Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
 

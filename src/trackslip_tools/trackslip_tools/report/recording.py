@@ -13,6 +13,7 @@ from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
+from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
@@ -20,8 +21,6 @@ from trackslip_estimation.box.parameters import DEFAULT_FILES, NODE, BoxNodePara
 from trackslip_tools.report.events import Event, LightLog
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
 from trackslip_tools.report.spells import Spell
-
-FloatArray = NDArray[np.float64]
 
 SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}

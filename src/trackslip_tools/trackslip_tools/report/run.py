@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.result import Replay
 from trackslip_tools.replay.scoring import path_of
@@ -23,8 +23,6 @@ from trackslip_tools.replay.soil_output import soil_messages
 from trackslip_tools.report.details import Details
 from trackslip_tools.report.numbers import Numbers, NumbersCollector
 from trackslip_tools.report.recording import Recording
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.errors import printable
 from trackslip_common.topics import SOIL
@@ -24,8 +23,6 @@ from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE,
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run, recordings
 from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, spells, total_duration
-
-FloatArray = NDArray[np.float64]
 
 _THERE, _MISSING = Look(BLUE, "messages"), Look(ORANGE, "missing")
 _CALM_S = 5.0  # without a refusal, after which the gate has calmed down

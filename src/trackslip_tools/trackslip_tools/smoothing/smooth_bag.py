@@ -14,6 +14,7 @@ from trackslip_bags.messages import make, serialize
 from trackslip_bags.parameters import PARAMETERS_TOPIC, PARAMETERS_TYPE
 from trackslip_bags.reader import Bag, absolute
 from trackslip_bags.writer import BagWriter
+from trackslip_common.arrays import Rows
 from trackslip_common.config_files import parameters_text
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
@@ -22,7 +23,6 @@ from trackslip_estimation.slip.estimator import make_estimate
 from trackslip_estimation.slip.log import make_log
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_tools.replay.arrivals import Rows
 from trackslip_tools.replay.errors import PathErrors, SlipErrors
 from trackslip_tools.replay.output import message_of
 from trackslip_tools.replay.run import own_reference

@@ -17,16 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError, suggestion
 from trackslip_common.parameter_spec import Spec
 from trackslip_common.parameters import Parameters, flat_fields, from_flat, parameter, to_flat
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import KINDS
-
-FloatArray = NDArray[np.float64]
 
 LIKELIHOOD, POSE, POSITION = "likelihood", "pose", "position"
 _AT_READING = "sources.*.stddev"  # goes into the measurements when a bag is read

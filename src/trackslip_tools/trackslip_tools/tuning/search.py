@@ -10,13 +10,12 @@ scores alone, so one worker finds what a hundred find, and a search that begins 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution, minimize
 from scipy.stats import qmc
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 
-FloatArray = NDArray[np.float64]
 Costs = Callable[[FloatArray], FloatArray]
 """(k, d) points → (k,) costs."""
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.topics import TRUE_ODOMETRY
 from trackslip_estimation.slip.log import Log, make_log, run_log
@@ -34,8 +35,6 @@ from trackslip_tools.replay.run import own_reference
 from trackslip_tools.replay.scoring import nees_of_each, path_of_series, score
 from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.tuning.plan import changed
-
-FloatArray = NDArray[np.float64]
 
 _WRONG = 1e-3  # ε
 _AREA, _RATES = 1e4, 2.0 * math.pi  # m², rad/s: where wrong measurements lie

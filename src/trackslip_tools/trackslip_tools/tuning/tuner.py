@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_tools.tuning.journal import Journal
 from trackslip_tools.tuning.plan import POSE, POSITION, Plan, value_of
 from trackslip_tools.tuning.search import search
 from trackslip_tools.tuning.task import Job, Score, Task
-
-FloatArray = NDArray[np.float64]
 
 Work = Callable[[Sequence[Job]], Iterator[Score]]
 """Scores of the jobs, in their order."""

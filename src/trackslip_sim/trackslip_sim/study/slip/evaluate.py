@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.log import run_whole
 from trackslip_estimation.slip.models.model import POSE
@@ -19,7 +19,6 @@ from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParamet
 from trackslip_sim.study.slip.results import IGNORING, Row, Sums, summary, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, of_machine
 
-FloatArray = NDArray[np.float64]
 _UNKNOWN = "unknown_source"  # of fixes: nobody says how they are stamped
 
 

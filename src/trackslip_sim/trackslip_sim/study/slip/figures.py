@@ -13,10 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_sim.study.engine import words
 from trackslip_sim.study.plots import BAND, COLOURS, STYLE, save
-from trackslip_sim.study.slip.drive import FloatArray, make_drive
+from trackslip_sim.study.slip.drive import make_drive
 from trackslip_sim.study.slip.evaluate import Trace, make_setting, trace
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import Row

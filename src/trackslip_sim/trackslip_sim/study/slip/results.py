@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from trackslip_common.arrays import FloatArray
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.parameters import Cell, StudyParameters
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Interval = tuple[float, float]
 
 CONFIDENCE = 0.95

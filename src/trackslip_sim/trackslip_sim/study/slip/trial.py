@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.linear_algebra import root
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.levers import to_sensor
@@ -32,8 +32,6 @@ from trackslip_sim.machine.sensors import tilt_readings
 from trackslip_sim.study.slip.drive import Drive, fix_deviations
 from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw, nearest, slips_of
 from trackslip_sim.study.slip.parameters import DRAWN, MATCHED, SHEAR, Cell
-
-FloatArray = NDArray[np.float64]
 
 _DRAWN = 19  # numbers of a state that noise is drawn for; of what lies behind, a study has nothing
 

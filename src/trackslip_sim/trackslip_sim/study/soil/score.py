@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.parameter_record import record_of
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
@@ -37,8 +37,6 @@ from trackslip_sim.study.soil.trial import (
 from trackslip_sim.truth.record import Truth
 from trackslip_tools.replay.scoring import MOVING
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Interval = tuple[float, float]
 
 RECOGNISED = 0.8  # probability of a class that is regarded as certain

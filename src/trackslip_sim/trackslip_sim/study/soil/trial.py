@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle_files import vehicle_layer
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
@@ -30,8 +30,6 @@ from trackslip_sim.study.soil.parameters import SoilStudyParameters, load_soil_s
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.settings import load_settings
 from trackslip_sim.truth.simulate import simulate
-
-FloatArray = NDArray[np.float64]
 
 START_NS = 1_000_000_000  # the stamp at time 0 of the truth
 

@@ -1,25 +1,67 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of ROS 1 (format 2.0), one or several of one recording."""
+"""Bags of other robots: of ROS 2, and of ROS 1 (format 2.0), one or several of one recording."""
 
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from rosbags.rosbag1 import Reader
 from rosbags.rosbag1.reader import decompressors
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackslip_bags import unpacking
-from trackslip_bags.importing.logged import Logged
-from trackslip_bags.reader import absolute
+from trackslip_bags.reader import Bag, absolute
 from trackslip_bags.sources import error_line
 from trackslip_bags.types import check_finite
 from trackslip_common.errors import InputError
 
 decompressors.update(unpacking.of_ros1())  # those of rosbags have no limit
+
+
+class Logged(NamedTuple):
+    """One message."""
+
+    topic: str
+    log_time_ns: int
+    content: Any
+
+
+class RobotLog(Protocol):
+    """An open bag."""
+
+    path: Path
+
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Topic → type name."""
+
+    def read(self, topics: Sequence[str]) -> Iterator[Logged]:
+        """Messages in log order."""
+
+
+class Ros2Bag:
+    """A bag of ROS 2."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.path, self._bag = bag.path, bag
+
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Topic → type name."""
+        return {absolute(topic): info.type_name for topic, info in self._bag.topics.items()}
+
+    def read(self, topics: Sequence[str]) -> Iterator[Logged]:
+        """Messages in log order.
+
+        Raises:
+            InputError: the bag is damaged inside.
+        """
+        for message in self._bag.messages(topics):
+            content = self._bag.deserialize(message.raw, message.type_name)
+            yield Logged(absolute(message.topic), message.log_time_ns, content)
 
 
 class Ros1Bags:

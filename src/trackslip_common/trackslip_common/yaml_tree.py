@@ -12,9 +12,13 @@ _LONGEST = 2.0**31  # s
 
 
 def check_keys(
-    where: str, tree: Mapping[str, Any], required: Collection[str], optional: Collection[str]
+    where: str,
+    tree: Mapping[str, Any],
+    required: Collection[str],
+    optional: Collection[str],
+    what: str = "key",
 ) -> None:
-    """All required keys are there, and no unknown ones.
+    """All required keys are there, and no unknown ones; ``what`` they are called.
 
     Raises:
         InputError: a key is unknown or missing.
@@ -23,10 +27,10 @@ def check_keys(
     for key in tree:
         if key not in known:
             like = did_you_mean(str(key), known)
-            raise InputError(f"{where}: unknown key '{key}'{like}; accepted: {', '.join(known)}")
+            raise InputError(f"{where}: unknown {what} '{key}'{like}; accepted: {', '.join(known)}")
     for key in required:
         if key not in tree:
-            raise InputError(f"{where}: key '{key}' is missing; accepted: {', '.join(known)}")
+            raise InputError(f"{where}: {what} '{key}' is missing; accepted: {', '.join(known)}")
 
 
 def section(where: str, value: Any) -> Mapping[str, Any]:
@@ -59,6 +63,17 @@ def texts(where: str, value: Any) -> tuple[str, ...]:
     """
     values = value if isinstance(value, list) and value else [value]
     return tuple(text(where, one) for one in values)
+
+
+def flag(where: str, value: Any) -> bool:
+    """True or false.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
+    return value
 
 
 def number(where: str, value: Any) -> float:
