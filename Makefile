@@ -39,10 +39,10 @@ demo: setup ## drive the emulated excavator, record, replay, score; results in o
 		$(if $(SCENARIO),--scenario '$(SCENARIO)') $(if $(OUTPUT),--output '$(OUTPUT)') $(if $(filter 0,$(LIVE)),--no-live)
 
 bars: setup ## errors on drives like the demo's on four soils, with and without laser and gyro, beside their limits
-	@$(ENTER) exec $(VENV)/python -m trackslip_sim.demo.bars
+	@$(ENTER) cd tests && exec ../$(VENV)/python -m fixtures.demo_bars
 
 drives: setup ## forty random drives of random machines, in and out of the laser's sight, against their bars (SEEDS=40)
-	@$(ENTER) exec $(VENV)/python -m trackslip_sim.drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
+	@$(ENTER) cd tests && exec ../$(VENV)/python -m fixtures.random_drives.main $(if $(SEEDS),--seeds '$(SEEDS)')
 
 cases: setup ## drives with injected faults, scored beside those of a baseline, and their bars (ARGS='--only marmotte --json FILE')
 	@$(ENTER) exec $(VENV)/python tests/fixtures/fault_cases/main.py $(ARGS)

@@ -5,8 +5,7 @@
 from pathlib import Path
 
 import pytest
-
-from trackslip_sim.demo.bars import SOILS, TRIALS, Trial, main, measure
+from fixtures.demo_bars import SOILS, TRIALS, Trial, main, measure
 
 
 @pytest.mark.slow

@@ -4,11 +4,11 @@
 
 import numpy as np
 import pytest
+from fixtures.demo_bars import LIMITS, header
+from fixtures.random_drives.drive import random_drive
+from fixtures.random_drives.main import missed_bars, parameters, row, scored
+from fixtures.random_drives.score import Score
 
-from trackslip_sim.demo.bars import LIMITS, header
-from trackslip_sim.drives.drive import random_drive
-from trackslip_sim.drives.main import missed_bars, parameters, row, scored
-from trackslip_sim.drives.score import Score
 from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
 
 
