@@ -29,7 +29,7 @@ from trackslip_common.vehicle_files import IS_ASSUMED, load_vehicle, vehicle_tex
 from trackslip_tools.cli.main import main
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.find import find_bags, is_folder
-from trackslip_tools.fleet.table import names, text
+from trackslip_tools.fleet.table import named, text
 from trackslip_tools.terminal_text import WIDTH
 from trackslip_tools.workers import workers
 
@@ -188,7 +188,7 @@ def test_the_table_names_what_is_missing_and_fits() -> None:
         Entry("/data/monday/morning/one", ExitCode.BAD_INPUT, "bag cannot be read"),
         Entry("/data/monday/two", ExitCode.FAILED, "no fix came", summary=SUMMARY, distance=12.34),
     ]
-    assert names(entries) == ["morning/one", "two"]
+    assert [name for name, _ in named(entries)] == ["morning/one", "two"]
     shown = text(entries)
     assert "morning/one: bag cannot be read" in shown
     assert "two: no fix came" in shown

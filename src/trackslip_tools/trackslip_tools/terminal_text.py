@@ -43,6 +43,21 @@ def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence
     return "\n\n".join(parts)
 
 
+def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]], keys: int) -> list[str]:
+    """Lines of a Markdown table that is also one to the eye; ``keys`` columns stand left, numbers right."""
+    lines = [list(heading), *map(list, rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    rule = ["-" * w if k < keys else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
+    first, *others = (
+        [
+            cell.ljust(w) if k < keys else cell.rjust(w)
+            for k, (cell, w) in enumerate(zip(line, widths, strict=True))
+        ]
+        for line in lines
+    )
+    return [f"| {' | '.join(line)} |" for line in (first, rule, *others)]
+
+
 def for_terminal(markdown: str) -> str:
     """Markdown with its tables folded and its lines wrapped.
 

@@ -13,15 +13,17 @@ from typing import Any, ClassVar, Generic, TypeVar
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.whole_file import write_whole
 from trackslip_sim.study.cache import Cache, key_of
+from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.workers import Map
 from trackslip_tools.workers import workers as workers_of
 
 BEGINNING = "<!-- Written by trackslip study. -->\n"  # of a file of tables
-Workers = Callable[[Any], AbstractContextManager[Map]]
+Workers = Callable[[Any], AbstractContextManager[Map]]  # opens workers for what all pieces share
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 NOTHING = "–"  # there was no such thing
 Columns = Mapping[str, Callable[[Any], str]]
+"""Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +38,6 @@ class GridParameters(Parameters):
     sprocket_rate: float = parameter("sprocket samples", unit="Hz", ge=1.0, le=1000.0)
     gyro_rate: float = parameter("yaw rates", unit="Hz", ge=1.0, le=1000.0)
     fix_rate: float = parameter("poses", unit="Hz", ge=1.0, le=1000.0)
-
-
-"""Opens workers for what all pieces share."""
 
 
 def alone(shared: Any) -> AbstractContextManager[Map]:
@@ -131,22 +130,10 @@ class Study(ABC, Generic[Piece, Result]):
         return key_of({"piece": asdict(piece), **self.rests_on(piece)}, *self.SOURCES)
 
 
-"""Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
-
-
 def table(columns: Columns, rows: Sequence[Any], text_columns: int) -> list[str]:
     """The lines; text stands left in its columns, which are the first ones, numbers right."""
-    lines = [[head.rstrip() for head in columns], *([show(row) for show in columns.values()] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    rule = ["-" * w if k < text_columns else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
-    first, *others = (
-        [
-            text.ljust(width) if k < text_columns else text.rjust(width)
-            for k, (text, width) in enumerate(zip(line, widths, strict=True))
-        ]
-        for line in lines
-    )
-    return ["| " + " | ".join(line) + " |" for line in (first, rule, *others)]
+    heading = [head.rstrip() for head in columns]
+    return markdown_table(heading, [[show(row) for show in columns.values()] for row in rows], text_columns)
 
 
 def words(name: str) -> str:

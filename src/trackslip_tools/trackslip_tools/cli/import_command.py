@@ -11,20 +11,16 @@ from typing import Any
 from trackslip_bags.importing.first_mapping import first_mapping
 from trackslip_bags.importing.importer import Imported, import_log
 from trackslip_bags.importing.mapping import read_mapping
-from trackslip_bags.input_filters import relative
-from trackslip_bags.reader import Bag, open_bag
+from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import refuse_existing
 from trackslip_common.config_files import config_file, node_parameters, read_yaml
-from trackslip_common.errors import ExitCode, InputError, collected, show
+from trackslip_common.errors import ExitCode, InputError, show
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_common.whole_file import write_whole
-from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import NODE
-from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import replay_options, shared_options
 from trackslip_tools.cli.description import describe
 from trackslip_tools.cli.progress import counted
-from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.terminal_text import wrapped
 
 _VEHICLE = "excavator_20t"
@@ -64,9 +60,7 @@ def run(args: argparse.Namespace) -> int:
     with counted(None, "importing"):
         imported = import_log(args.logs, mapping, args.output)
     with open_bag(args.output) as bag:
-        setup = _check(bag)
-        if setup is not None:
-            show(finding(setup))
+        setup = replay_options.setup_of(bag)
         show(describe(bag))
     for line in _notes(imported):
         show(line)
@@ -113,15 +107,6 @@ def _priors(vehicle: str | None) -> dict[str, Any]:
     path = Path(vehicle)
     priors = path.with_name(f"{path.stem}_estimator.yaml")
     return node_parameters(read_yaml(priors), NODE, str(priors)) if priors.is_file() else {}
-
-
-def _check(bag: Bag) -> Result | None:
-    """Of what was imported; None where it has no tracks."""
-    if not any(relative(topic) == SPROCKETS for topic in bag.topics):
-        return None
-    with collected():  # which vehicle it is stands in the list of topics
-        p = replay_options.parameters_of(bag, [], [])
-    return check_bag(bag, p)
 
 
 def _notes(imported: Imported) -> Iterator[str]:

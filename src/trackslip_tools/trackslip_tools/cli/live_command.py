@@ -12,17 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from trackslip_bags.input_filters import InputFilters, relative
+from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.config_files import load_parameters
-from trackslip_common.errors import InputError, collected, show
+from trackslip_common.errors import InputError, show
 from trackslip_estimation.setup_check.finding import Result
-from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import publish, replay_options, shared_options
 from trackslip_tools.cli.nodes import node_module
 from trackslip_tools.cli.progress import counted, following
 from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
-from trackslip_tools.replay.inputs import SPROCKETS
 
 EXAMPLE = "trackslip live out/demo/bag --rate 5"
 
@@ -54,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
         p.allowed(p.port)  # refused before a bag is replayed
         with open_bag(args.bag, args.namespace) as bag:
-            setup = _setup_of(bag, args.vehicle)
+            setup = replay_options.setup_of(bag, args.vehicle) or Result()
             with with_estimates(bag, args.vehicle) as whole:
                 return _serve(whole, p, args, setup)
     if any(given is not None for given in (args.rate, args.start, args.vehicle)):
@@ -63,17 +61,6 @@ def run(args: argparse.Namespace) -> int:
     options += ["-r", f"__ns:=/{args.namespace.strip('/')}"] if args.namespace else []
     code: int = node_module("trackslip_tools.nodes.live", "live").live(["--ros-args", *options])
     return code
-
-
-def _setup_of(bag: Bag, vehicle: str | None) -> Result:
-    """What the setup check of a bag finds, shown; nothing of a bag without the tracks."""
-    if not any(relative(topic) == SPROCKETS for topic in bag.topics):
-        return Result()
-    with collected():
-        p = replay_options.parameters_of(bag, [], [], vehicle)
-    result = check_bag(bag, p)
-    show(finding(result))
-    return result
 
 
 def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result) -> int:

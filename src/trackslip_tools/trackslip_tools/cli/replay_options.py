@@ -14,12 +14,13 @@ from trackslip_bags.old_parameters import SOURCE_LISTS, current_names
 from trackslip_bags.parameters import bag_vehicle, namespaces, stated_parameters
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_common.config_files import config_file, node_defaults, node_parameters, read_yaml
-from trackslip_common.errors import InputError, show, suggestion
+from trackslip_common.errors import InputError, collected, show, suggestion
 from trackslip_common.parameters import Parameters, flat_fields, known_names
 from trackslip_common.topics import TOPICS
 from trackslip_common.vehicle_files import IS_ASSUMED, load_vehicle, names_vehicle, vehicle_layer
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.yaml_text import parse_yaml
+from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.slip.parameters import (
     GNSS_POSE,
     NODE,
@@ -29,6 +30,7 @@ from trackslip_estimation.slip.parameters import (
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import NODE as SOIL_NODE
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
+from trackslip_tools.check.bag import check_bag, finding
 from trackslip_tools.cli import shared_options
 from trackslip_tools.replay.inputs import SPROCKETS
 
@@ -242,6 +244,17 @@ def setting_of(
     p = parameters_of(bag, files, settings, vehicle)
     require_named(bag, p, filters, reference)
     return p, filters, reference
+
+
+def setup_of(bag: Bag, vehicle: str | None = None) -> Result | None:
+    """What the setup check of a whole bag finds, shown; None where it has no tracks."""
+    if not any(relative(topic) == SPROCKETS for topic in bag.topics):
+        return None
+    with collected():  # which vehicle it is, is shown with the rest
+        p = parameters_of(bag, [], [], vehicle)
+    result = check_bag(bag, p)
+    show(finding(result))
+    return result
 
 
 def note_damage(bag: Bag) -> None:

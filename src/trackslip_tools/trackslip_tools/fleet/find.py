@@ -39,6 +39,14 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
     return list(found)
 
 
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Of bags, without the folders that all are in."""
+    common = 0
+    while all(len(path.parts) > common + 1 for path in paths) and len({p.parts[common] for p in paths}) == 1:
+        common += 1
+    return [str(Path(*path.parts[common:])) for path in paths]
+
+
 def _inside(folder: Path) -> list[Path]:
     bags = []
     for name, folders, _ in os.walk(folder, onerror=_refuse):

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A folder of pages, one of each bag, and an index with the table of all."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from trackslip_common.errors import InputError
-from trackslip_common.whole_file import write_whole
+from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.fleet.entry import Entry
-from trackslip_tools.fleet.table import COLUMNS, names
+from trackslip_tools.fleet.table import COLUMNS, named
 
 INDEX = "index.html"
 
@@ -34,21 +34,11 @@ def write_pages(entries: Sequence[Entry], folder: Path) -> None:
     from jinja2 import Environment, PackageLoader  # not for a replay without pages
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
-    rows = []
-    try:
-        for name, file, entry in _named(entries):
-            if entry.page:
-                write_whole(folder / file, entry.page)
-            cells = [show(entry) for show in COLUMNS.values()]
-            rows.append((name, file if entry.page else "", cells, entry.error))
-        page = environment.get_template("index.html").render(heads=list(COLUMNS), rows=rows)
-        write_whole(folder / INDEX, page)
-    except OSError as error:
-        raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
-
-
-def _named(entries: Sequence[Entry]) -> Iterator[tuple[str, str, Entry]]:
-    """What each is called, and the file of its page; files are numbered, for names may be anybody's."""
-    digits = len(str(len(entries)))
-    for number, (name, entry) in enumerate(zip(names(entries), entries, strict=True), start=1):
-        yield name, f"{number:0{digits}}.html", entry
+    rows, digits = [], len(str(len(entries)))
+    for number, (name, entry) in enumerate(named(entries), start=1):
+        file = f"{number:0{digits}}.html" if entry.page else ""  # numbered, for names may be anybody's
+        if entry.page:
+            write_file("output", folder / file, entry.page)
+        rows.append((name, file, [show(entry) for show in COLUMNS.values()], entry.error))
+    page = environment.get_template("index.html").render(heads=list(COLUMNS), rows=rows)
+    write_file("output", folder / INDEX, page)

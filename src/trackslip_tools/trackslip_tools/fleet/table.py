@@ -9,6 +9,7 @@ from typing import Any
 
 from trackslip_common.errors import ExitCode
 from trackslip_tools.fleet.entry import Entry
+from trackslip_tools.fleet.find import short_names
 from trackslip_tools.replay.soil_output import is_certain
 from trackslip_tools.terminal_text import table, wrapped
 
@@ -64,22 +65,13 @@ COLUMNS: Mapping[str, Callable[[Entry], str]] = {
 _TEXTS = {"soil", "exit"}
 
 
-def names(entries: Sequence[Entry]) -> list[str]:
-    """Of the bags, without the folders that all are in."""
-    paths = [Path(entry.bag) for entry in entries]
-    common = 0
-    while all(len(path.parts) > common + 1 for path in paths) and len({p.parts[common] for p in paths}) == 1:
-        common += 1
-    return [str(Path(*path.parts[common:])) for path in paths]
-
-
 def text(entries: Sequence[Entry]) -> str:
     """The table, and below it why bags have no numbers, and which vehicles drove."""
     heading = ("bag", *COLUMNS)
-    rows = [(name, *(show(entry) for show in COLUMNS.values())) for name, entry in _named(entries)]
+    rows = [(name, *(show(entry) for show in COLUMNS.values())) for name, entry in named(entries)]
     right = [False, *(name not in _TEXTS for name in COLUMNS)]
     lines = [table(heading, rows, right)]
-    lines += [wrapped(f"{name}: {entry.error}") for name, entry in _named(entries) if entry.error]
+    lines += [wrapped(f"{name}: {entry.error}") for name, entry in named(entries) if entry.error]
     vehicles = Counter(entry.vehicle for entry in entries if entry.vehicle)
     of_each = ", ".join(f"{name} ({count})" for name, count in sorted(vehicles.items()))
     return "\n".join([*lines, *([wrapped(f"vehicles: {of_each}")] if vehicles else [])])
@@ -87,10 +79,11 @@ def text(entries: Sequence[Entry]) -> str:
 
 def notes(entries: Sequence[Entry]) -> Iterator[str]:
     """One line for each note on a bag."""
-    for name, entry in _named(entries):
+    for name, entry in named(entries):
         for note in entry.notes:
             yield f"{name}: {note}"
 
 
-def _named(entries: Sequence[Entry]) -> Iterator[tuple[str, Entry]]:
-    yield from zip(names(entries), entries, strict=True)
+def named(entries: Sequence[Entry]) -> Iterator[tuple[str, Entry]]:
+    """Each with the name of its bag, without the folders that all are in."""
+    yield from zip(short_names([Path(entry.bag) for entry in entries]), entries, strict=True)

@@ -6,16 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from bokeh.models import (
-    BoxZoomTool,
-    ColumnDataSource,
-    DataRange1d,
-    GlyphRenderer,
-    PanTool,
-    ResetTool,
-    SaveTool,
-    WheelZoomTool,
-)
+from bokeh.models import BoxZoomTool, ColumnDataSource, DataRange1d, GlyphRenderer
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -25,7 +16,7 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.report import plan_shapes
 from trackslip_tools.report.panel import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, colour_in, name_in
 from trackslip_tools.report.plan_shapes import machine_size
-from trackslip_tools.report.plots import dress, extremes
+from trackslip_tools.report.plots import dress, extremes, tools
 from trackslip_tools.report.run import Run, States, recordings
 
 _HEIGHT = 620
@@ -55,15 +46,7 @@ def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
         match_aspect=True,
         height=_HEIGHT,
         sizing_mode="stretch_width",
-        tools=[
-            BoxZoomTool(match_aspect=True),
-            WheelZoomTool(modifiers={"ctrl": True}),
-            PanTool(),
-            ResetTool(),
-            SaveTool(),
-        ],
-        active_drag=None,  # as in plots.time_figure
-        active_scroll=None,
+        **tools(BoxZoomTool(match_aspect=True)),
         x_axis_label="x, m",
         y_axis_label="y, m",
         min_border_left=60,

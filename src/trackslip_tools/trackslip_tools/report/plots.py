@@ -3,7 +3,7 @@
 """Draws plots over time with Bokeh: one x axis for all of them, and no more samples than a screen shows."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from bokeh.core.properties import value
@@ -107,21 +107,21 @@ def time_figure(
         y_axis_type="log" if logarithmic else "linear",
         height=height,
         sizing_mode="stretch_width",
-        tools=[
-            BoxZoomTool(dimensions="width"),
-            WheelZoomTool(dimensions="width", modifiers={"ctrl": True}),
-            PanTool(),
-            ResetTool(),
-            SaveTool(),
-        ],
-        active_drag=None,  # page.js makes them active for a mouse: a finger is to scroll the page
-        active_scroll=None,
+        **tools(BoxZoomTool(dimensions="width"), dimensions="width"),
         y_axis_label=axis,
         min_border_left=_BORDER,
         min_border_right=12,
     )
     plot.js_on_event("doubletap", CustomJS(args={"range": x_range}, code="range.reset()"))
     return plot
+
+
+def tools(box: BoxZoomTool, **of_wheel: str) -> dict[str, Any]:
+    """Those of a plot, as ``figure`` takes them."""
+    wheel = WheelZoomTool(modifiers={"ctrl": True}, **of_wheel)
+    # None is active: page.js makes them so for a mouse, for a finger is to scroll the page.
+    own = [box, wheel, PanTool(), ResetTool(), SaveTool()]
+    return {"tools": own, "active_drag": None, "active_scroll": None}
 
 
 def dress(plot: figure) -> None:

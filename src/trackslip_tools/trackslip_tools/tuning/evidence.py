@@ -3,7 +3,6 @@
 """What a tuning leaves behind: a parameter file that the nodes load, and beside it what it rests on."""
 
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,10 @@ import yaml
 from trackslip_common.config_files import nested
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
-from trackslip_common.whole_file import write_whole
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
+from trackslip_tools.cli.outputs import write_file
+from trackslip_tools.fleet.find import short_names
+from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.tuning.plan import changed, expanded
 from trackslip_tools.tuning.task import Score
 from trackslip_tools.tuning.tuner import Tuning
@@ -41,10 +42,10 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     text += yaml.safe_dump({NODE: {"ros__parameters": nested(found)}}, sort_keys=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / PARAMETERS, text)
-        write_whole(folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")
     except OSError as error:
         raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
+    write_file("output", folder / PARAMETERS, text)
+    write_file("output", folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")
 
 
 def numbers(tuning: Tuning) -> dict[str, Any]:
@@ -81,7 +82,7 @@ def table(tuning: Tuning) -> str:
     sources = sorted({source for score in tuning.before for source in score.nis})
     rows = []
     unseen = {fold.bag: fold.score for fold in tuning.folds}
-    for bag, name in enumerate(_short(tuning.bags)):
+    for bag, name in enumerate(short_names([Path(bag).resolve() for bag in tuning.bags])):
         stages = (("before", tuning.before[bag]), ("after", tuning.after[bag]), ("unseen", unseen.get(bag)))
         rows += [[name, stage, *_cells(score, sources)] for stage, score in stages if score is not None]
     heading = ["bag", "", "ln likelihood", *(f"NIS {source}" for source in sources), "refused"]
@@ -96,20 +97,13 @@ def table(tuning: Tuning) -> str:
         worse = "" if tuning.improves_unseen else "not "
         notes += f"\n\nBags that had no say are {worse}better off on average."
     parts = (
-        _aligned(["parameter", "before", "after", "without one bag"], values, 1),
-        _aligned(heading, rows, 2),
+        *markdown_table(["parameter", "before", "after", "without one bag"], values, 1),
+        "",
+        *markdown_table(heading, rows, 2),
+        "",
         notes,
     )
-    return "\n\n".join(parts)
-
-
-def _short(bags: Sequence[str]) -> list[str]:
-    """Names of bags, without the folders that all of them are in."""
-    if len(bags) == 1:
-        return [Path(bags[0]).name]
-    paths = [Path(bag).resolve() for bag in bags]
-    common = os.path.commonpath(paths)
-    return [str(path.relative_to(common)) for path in paths]
+    return "\n".join(parts)
 
 
 def _cells(score: Score, sources: Sequence[str]) -> list[str]:
@@ -121,16 +115,3 @@ def _cells(score: Score, sources: Sequence[str]) -> list[str]:
 
 def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else ""
-
-
-def _aligned(heading: Sequence[str], rows: Sequence[Sequence[str]], keys: int) -> str:
-    """A Markdown table that is also one to the eye; ``keys`` columns stand left, numbers right."""
-    columns = list(zip(heading, *rows, strict=True))
-    cells = [_padded(column, max(map(len, column)), is_key=k < keys) for k, column in enumerate(columns)]
-    return "\n".join(f"| {' | '.join(line)} |" for line in zip(*cells, strict=True))
-
-
-def _padded(column: Sequence[str], width: int, *, is_key: bool) -> list[str]:
-    rule = "-" * width if is_key else "-" * (width - 1) + ":"
-    heading, *cells = (cell.ljust(width) if is_key else cell.rjust(width) for cell in column)
-    return [heading, rule, *cells]
