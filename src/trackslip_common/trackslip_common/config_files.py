@@ -11,7 +11,7 @@ import yaml
 
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat
-from trackslip_common.yaml_text import LONGEST, parse_yaml
+from trackslip_common.yaml_text import LONGEST, parse_mapping
 
 P = TypeVar("P", bound=Parameters)
 
@@ -48,10 +48,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: no text in UTF-8; accepted: a YAML file in UTF-8") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
-    tree = parse_yaml(text, str(path))
-    if not isinstance(tree, Mapping):
-        raise InputError(f"{path}: expected names and values (a YAML mapping) at the top level")
-    return dict(tree)
+    return parse_mapping(text, str(path))
 
 
 def node_parameters(tree: Mapping[str, Any], node: str, where: str) -> dict[str, Any]:

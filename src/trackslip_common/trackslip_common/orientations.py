@@ -62,6 +62,11 @@ def poses_of(rows: NDArray[np.void]) -> FloatArray:
     return np.column_stack((rows["x"], rows["y"], headings_of(rows)))
 
 
+def wrapped(angles: FloatArray) -> FloatArray:
+    """(n,) in (−π, π]."""
+    return np.asarray(np.angle(np.exp(1j * angles)))
+
+
 def _each(function: Callable[..., float], *arguments: list[float]) -> FloatArray:
     """(n,) of a function of ``math``, from which numpy's own differs in the last bit."""
     return np.fromiter(map(function, *arguments), np.float64, len(arguments[0]))

@@ -15,7 +15,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, flatten, from_flat, to_flat
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_checks import check_together
-from trackslip_common.yaml_text import parse_yaml
+from trackslip_common.yaml_text import parse_mapping
 
 ASSUMED = "pc05"  # where no vehicle is named
 IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # what is said of it then
@@ -74,10 +74,7 @@ def vehicle_of_text(text: str, where: str) -> VehicleParameters:
     Raises:
         InputError: it is no vehicle.
     """
-    tree = parse_yaml(text, where)
-    if not isinstance(tree, Mapping):
-        raise InputError(f"{where}: expected names and values (a YAML mapping)")
-    return vehicle_of("unnamed", flatten(tree), where)
+    return vehicle_of("unnamed", flatten(parse_mapping(text, where)), where)
 
 
 def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehicleParameters:

@@ -90,6 +90,18 @@ def parse_yaml(text: str, where: str) -> Any:
         raise InputError(f"{where}: not YAML ({reason})") from error
 
 
+def parse_mapping(text: str, where: str) -> dict[str, Any]:
+    """The same of a text that holds names and values.
+
+    Raises:
+        InputError: the text is not YAML, beyond the limits, or no mapping.
+    """
+    tree = parse_yaml(text, where)
+    if not isinstance(tree, dict):
+        raise InputError(f"{where}: expected names and values (a YAML mapping) at the top level")
+    return tree
+
+
 def _check_keys(node: yaml.Node) -> None:
     """A key that stands twice in a mapping would be taken once, silently."""
     if isinstance(node, yaml.MappingNode):

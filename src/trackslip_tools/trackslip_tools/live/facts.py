@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from trackslip_common.errors import printable
-from trackslip_common.orientations import heading_text
+from trackslip_common.orientations import heading_text, tilt_of
 from trackslip_common.topics import ATTITUDE, ODOMETRY, TRACK_SLIP
 from trackslip_tools.live import inputs
 from trackslip_tools.live.snapshot import Snapshot
@@ -34,7 +34,7 @@ def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
     attitude = now.get(ATTITUDE, now_s)
     if attitude is not None and attitude.covariance[0] >= 0.0:
         sigmas = SIGMAS * np.sqrt(attitude.covariance)
-        for name, angle, sigma in zip(("roll", "pitch"), inputs.tilt_of(attitude), sigmas, strict=True):
+        for name, angle, sigma in zip(("roll", "pitch"), tilt_of(attitude), sigmas, strict=True):
             facts[name] = _degrees(angle, float(sigma))
     swing = now.get(inputs.SWING, now_s)
     if swing is not None and math.isfinite(swing.angle):

@@ -9,8 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from trackslip_common.config_files import node_parameters
-from trackslip_common.errors import InputError
-from trackslip_common.yaml_text import parse_yaml
+from trackslip_common.yaml_text import parse_mapping
 from trackslip_estimation.slip.silence import Silence
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.live import inputs
@@ -84,7 +83,4 @@ def timeouts_of_text(text: str, where: str) -> dict[str, float]:
     Raises:
         InputError: it is none.
     """
-    tree = parse_yaml(text, where)
-    if not isinstance(tree, Mapping):
-        raise InputError(f"{where}: expected names and values (a YAML mapping)")
-    return timeouts_of(node_parameters(tree, _NODE, where))
+    return timeouts_of(node_parameters(parse_mapping(text, where), _NODE, where))

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which topics the live page looks at, and what it reads of their messages."""
 
-import math
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -61,14 +60,6 @@ EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED)  # of the others the newest does
 def pose_of(record: PoseFields | OdometryFields) -> FloatArray:
     """(3,) x, y, heading."""
     return np.array((record.x, record.y, heading_of(record)))
-
-
-def tilt_of(record: AttitudeFields) -> tuple[float, float]:
-    """Roll and pitch, rad: x forward, y left, z up, turned about z, then y, then x."""
-    w, x, y, z = record.qw, record.qx, record.qy, record.qz
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
-    return roll, pitch
 
 
 def classes_of(message: Any) -> dict[str, float]:

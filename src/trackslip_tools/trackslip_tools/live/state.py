@@ -63,10 +63,6 @@ class Trail:
             self.thinned += 1
         return True
 
-    def columns(self) -> dict[str, list[float]]:
-        """x and y of all points."""
-        return {name: [point[axis] for point in self.points] for axis, name in enumerate("xy")}
-
     def __iter__(self) -> Iterator[tuple[float, float]]:
         return iter(self.points)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import IntArray, Rows
-from trackslip_common.orientations import headings_of, tilts_of
+from trackslip_common.orientations import headings_of, tilts_of, wrapped
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_by
 from trackslip_tools.replay.comparable import Comparability, ComparablePart
@@ -282,7 +282,7 @@ def _difference(a: Rows, b: Rows) -> _Difference:
     for name in (a.dtype.names or ())[1:]:
         apart: NDArray[np.float64] = np.abs(a[name] - b[name])
         if name == "heading":
-            apart = np.abs(np.angle(np.exp(1j * apart)))
+            apart = np.abs(wrapped(apart))
         apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)
         largest = max(largest, _Difference(float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0)), name))
     return largest

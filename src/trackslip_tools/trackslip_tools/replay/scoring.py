@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.orientations import wrapped
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.series import Series
 
@@ -147,7 +148,7 @@ def errors_of(path: Path, reference: Path) -> FloatArray:
     inside = _inside(path, reference)
     stamps_ns = reference.stamps_ns[inside]
     errors: FloatArray = path.at(stamps_ns) - reference.poses[inside]
-    errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
+    errors[:, 2] = wrapped(errors[:, 2])
     return errors
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from trackslip_common.topics import SOIL
 from trackslip_tools.report.numbers import Numbers
-from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, colour_in
+from trackslip_tools.report.panel import COLOURS, INK, Curve, Form, Panel, colour_in, title_in
 from trackslip_tools.report.quantities import PERCENT, SHAPES, Shape, Shown
 from trackslip_tools.report.run import Run, recordings
 
@@ -61,6 +61,5 @@ def _class_panels(runs: Sequence[Run]) -> list[Panel]:
         ]
         if not curves:
             continue
-        title = "Class of soil" if len(runs) == 1 else f"Class of soil, {run.label}"
-        panels.append(Panel(title, "probability, %", curves, from_zero=True))
+        panels.append(Panel(title_in(runs, run, "Class of soil"), "probability, %", curves, from_zero=True))
     return panels

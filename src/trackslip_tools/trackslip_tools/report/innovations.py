@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.orientations import wrapped
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.sources import PoseSource
@@ -163,7 +164,7 @@ def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
     diagonal = np.arange(3)
     R[:, diagonal, diagonal] = np.maximum(R[:, diagonal, diagonal], floors**2)
     d = fixes["value"] - pose
-    d[:, YAW] = _wrapped(d[:, YAW])
+    d[:, YAW] = wrapped(d[:, YAW])
     headed = source.use_heading & (fixes["noise"][:, YAW, YAW] <= source.heading_ceiling**2)
     w = np.full((len(fixes), 3), np.nan)
     for rows, chosen in ((3, headed), (2, ~headed)):
@@ -181,8 +182,3 @@ def _at_sensor(poses: FloatArray, P: FloatArray, source: PoseSource) -> tuple[Fl
     moved[:, :2] += offset
     J[:, 0, YAW], J[:, 1, YAW] = -offset[:, 1], offset[:, 0]
     return moved, J @ P @ np.swapaxes(J, 1, 2)
-
-
-def _wrapped(angles: FloatArray) -> FloatArray:
-    """In (−π, π]."""
-    return np.asarray(np.angle(np.exp(1j * angles)))

@@ -97,6 +97,11 @@ def name_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
     return run.label if what == "estimate" else f"{run.label}, {what}"
 
 
+def title_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
+    """A plot's title, likewise."""
+    return what if len(runs) == 1 else f"{what}, {run.label}"
+
+
 def colour_in(runs: Sequence["Run"], run: "Run", own: str) -> str:
     """The run's colour where there are several, else the curve's own."""
     return own if len(runs) == 1 else COLOURS[runs.index(run)]

@@ -19,7 +19,7 @@ from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.replay.troubles import WORDS
 from trackslip_tools.report.events import Event, Events, without_numbers
 from trackslip_tools.report.lights import Level
-from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY
+from trackslip_tools.report.panel import AMBER, BLUE, GREEN, GREY, GRID, ORANGE, PURPLE, SKY, title_in
 from trackslip_tools.report.recording import Timing
 from trackslip_tools.report.run import Run, recordings
 from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, spells, total_duration
@@ -146,19 +146,17 @@ def strips(runs: Sequence[Run]) -> list[Strip]:
     """How each run moved with its tracks' troubles and lost fixes; the lights of each bag that has them."""
     found = []
     for run in runs:
-        of = "" if len(runs) == 1 else f", {run.label}"
         rows = {"motion": bars(motion_spells(run), _MOTIONS)}
         for side, own in trouble_spells(run).items():
             rows[f"{side} track"] = bars(own, _TROUBLES)
         rows |= {source: bars(own, _LOOK_OF_LOST) for source, own in lost_spells(run).items()}
         rows |= {"explanations": bars(found_, _EXPLAINED)} if (found_ := explained_spells(run)) else {}
         if any(rows.values()):
-            found.append(Strip(f"Motion, tracks in trouble, lost fixes{of}", rows))
+            found.append(Strip(title_in(runs, run, "Motion, tracks in trouble, lost fixes"), rows))
     for run in recordings(runs):
-        of = "" if len(runs) == 1 else f", {run.label}"
         rows = {name: bars(own, _LIGHTS) for name, own in run.recording.lights.items()}
         if rows:
-            found.append(Strip(f"Lights of sensors and nodes{of}", rows))
+            found.append(Strip(title_in(runs, run, "Lights of sensors and nodes"), rows))
     return found
 
 
@@ -166,11 +164,9 @@ def message_strips(runs: Sequence[Run]) -> list[Strip]:
     """Of each bag, where messages of its topics are and where they are missing."""
     found = []
     for run in recordings(runs):
-        of = "" if len(runs) == 1 else f", {run.label}"
         timings = {name: timing for name, timing in run.recording.timings.items() if len(timing.times)}
-        found.append(
-            Strip(f"Messages{of}", {name: _message_bars(timing) for name, timing in timings.items()})
-        )
+        rows = {name: _message_bars(timing) for name, timing in timings.items()}
+        found.append(Strip(title_in(runs, run, "Messages"), rows))
     return found
 
 
