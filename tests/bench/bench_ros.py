@@ -85,14 +85,20 @@ def messages_of(name: str) -> dict[str, Any]:
             HydraulicsSample(0, 1.0, 1.0, 1.0, 1.0, 1.0),
         )
         return {
-            "sprockets": conversions.joint_state(make, sprockets, "base_link"),
-            "hydraulics": conversions.track_hydraulics(make, hydraulics, "base_link"),
+            "sprockets": conversions.fill_joint_state(
+                conversions.blank_joint_state(make, "base_link"), sprockets
+            ),
+            "hydraulics": conversions.fill_track_hydraulics(
+                conversions.blank_track_hydraulics(make, "base_link"), hydraulics
+            ),
         }
     if name == "watson_imu":
         sample = ImuSample(0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), over_range=False)
         return {
-            "imu/data_raw": conversions.imu(make, sample, "imu_link", 0.1, 0.1),
-            "imu/mag": conversions.magnetic_field(make, sample, "imu_link", 0.1),
+            "imu/data_raw": conversions.fill_imu(conversions.blank_imu(make, "imu_link", 0.1, 0.1), sample),
+            "imu/mag": conversions.fill_magnetic_field(
+                conversions.blank_magnetic_field(make, "imu_link", 0.1), sample
+            ),
         }
     if name == "sick_pls":
         scan = ScanSample(0, -1.57, 0.0087, 0.0, 0.04, 0.0, 50.0, np.linspace(2.0, 40.0, 361))

@@ -73,7 +73,9 @@ def test_messages_of_that_bus(tmp_path):
     found = over_virtual_bus(driver, unseen_bus.frames(S, 2 * S), "messages")
     swing = conversions.fill_swing(conversions.blank_swing(make, "base_link"), found[SwingSample][-1])
     assert (list(swing.name), len(swing.position), len(swing.velocity)) == (["swing"], 1, 1)
-    hydraulics = conversions.track_hydraulics(make, found[HydraulicsSample][-1], "base_link")
+    hydraulics = conversions.fill_track_hydraulics(
+        conversions.blank_track_hydraulics(make, "base_link"), found[HydraulicsSample][-1]
+    )
     assert hydraulics.left_pressure == pytest.approx(78.84e5, abs=1e4)  # it was published as 78.84 Pa
 
 

@@ -118,10 +118,11 @@ def test_transforms_filled_in_bytes_are_those_of_their_objects() -> None:
 
 
 def test_a_filled_message_is_as_it_was_filled_last() -> None:
-    buffer = buffer_for_bags(of_sensors.blank_joint_state(make_for_bags, "base_link"))
+    blank = of_sensors.blank_joint_state(make_for_bags, "base_link")
+    buffer = buffer_for_bags(blank)
     for sample in (SPROCKETS._replace(left_position=1.0), SPROCKETS):
         of_sensors.fill_joint_state(buffer.message, sample)
-        assert bytes(buffer) == serialize(of_sensors.joint_state(make_for_bags, sample, "base_link"))
+        assert bytes(buffer) == serialize(of_sensors.fill_joint_state(blank, sample))
     assert buffer.message.header.stamp.nanosec == STAMP_NS % 10**9
 
 

@@ -134,14 +134,17 @@ def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
     swings = [SwingSample(s, *row[:2]) for s, row in zip(stamps, numbers.tolist(), strict=True)]
     lines = [ImuSample(s, a, b, c, over_range=False) for s, (a, b, c) in zip(stamps, vectors, strict=True)]
     stddevs = (WATSON.linear_acceleration_stddev, WATSON.angular_velocity_stddev)
+    joints = conversions.blank_joint_state(make, "base_link")
+    swing = conversions.blank_swing(make, "base_link")
+    levels = conversions.blank_track_hydraulics(make, "base_link")
+    imu = conversions.blank_imu(make, WATSON.frame_id, *stddevs)
+    field = conversions.blank_magnetic_field(make, WATSON.frame_id, WATSON.magnetic_field_stddev)
     expected = {
-        "sprockets": [conversions.joint_state(make, s, "base_link") for s in sprockets],
-        "swing": [conversions.fill_swing(conversions.blank_swing(make, "base_link"), s) for s in swings],
-        "hydraulics": [conversions.track_hydraulics(make, s, "base_link") for s in pressures],
-        "imu/data_raw": [conversions.imu(make, s, WATSON.frame_id, *stddevs) for s in lines],
-        "imu/mag": [
-            conversions.magnetic_field(make, s, WATSON.frame_id, WATSON.magnetic_field_stddev) for s in lines
-        ],
+        "sprockets": [serialize(conversions.fill_joint_state(joints, s)) for s in sprockets],
+        "swing": [serialize(conversions.fill_swing(swing, s)) for s in swings],
+        "hydraulics": [serialize(conversions.fill_track_hydraulics(levels, s)) for s in pressures],
+        "imu/data_raw": [serialize(conversions.fill_imu(imu, s)) for s in lines],
+        "imu/mag": [serialize(conversions.fill_magnetic_field(field, s)) for s in lines],
     }
     records = {
         "swing": swings,
@@ -151,7 +154,7 @@ def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
         "imu/mag": lines,
     }
     for topic, serializer in sensor_serializers(WATSON, "base_link").items():
-        assert list(serializer(records[topic])) == [serialize(message) for message in expected[topic]]
+        assert list(serializer(records[topic])) == expected[topic]
 
 
 def test_columns_of_every_kind_of_field() -> None:

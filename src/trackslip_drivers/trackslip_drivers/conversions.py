@@ -31,20 +31,9 @@ _UNOBSERVED = 1e6  # rad², variance of roll and pitch
 _ABSENT = -1.0  # first element of the covariance of what is not measured (REP-145)
 
 
-def joint_state(make: Make, sample: SprocketSample, frame_id: str) -> Any:
-    """sensor_msgs/JointState of both sprockets."""
-    return fill_joint_state(blank_joint_state(make, frame_id), sample)
-
-
 def blank_joint_state(make: Make, frame_id: str) -> Any:
-    """sensor_msgs/JointState for ``fill_joint_state``."""
-    return make(
-        "sensor_msgs/msg/JointState",
-        header=header(make, 0, frame_id),
-        name=[LEFT_SPROCKET, RIGHT_SPROCKET],
-        position=array.array("d", (0.0, 0.0)),
-        velocity=array.array("d", (0.0, 0.0)),
-    )
+    """sensor_msgs/JointState of both sprockets for ``fill_joint_state``."""
+    return _blank_joints(make, frame_id, LEFT_SPROCKET, RIGHT_SPROCKET)
 
 
 def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
@@ -57,13 +46,7 @@ def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
 
 def blank_swing(make: Make, frame_id: str) -> Any:
     """sensor_msgs/JointState for ``fill_swing``."""
-    return make(
-        "sensor_msgs/msg/JointState",
-        header=header(make, 0, frame_id),
-        name=[SWING_JOINT],
-        position=array.array("d", (0.0,)),
-        velocity=array.array("d", (0.0,)),
-    )
+    return _blank_joints(make, frame_id, SWING_JOINT)
 
 
 def fill_swing(message: Any, sample: SwingSample) -> Any:
@@ -71,11 +54,6 @@ def fill_swing(message: Any, sample: SwingSample) -> Any:
     set_stamp(message, sample.stamp_ns)
     message.position[0], message.velocity[0] = sample.position, sample.velocity
     return message
-
-
-def track_hydraulics(make: Make, sample: HydraulicsSample, frame_id: str) -> Any:
-    """trackslip_msgs/TrackHydraulics."""
-    return fill_track_hydraulics(blank_track_hydraulics(make, frame_id), sample)
 
 
 def blank_track_hydraulics(make: Make, frame_id: str) -> Any:
@@ -91,11 +69,6 @@ def fill_track_hydraulics(message: Any, sample: HydraulicsSample) -> Any:
     message.left_spool, message.right_spool = sample.left_spool, sample.right_spool
     message.supply_pressure = sample.supply_pressure
     return message
-
-
-def imu(make: Make, sample: ImuSample, frame_id: str, acceleration_stddev: float, rate_stddev: float) -> Any:
-    """sensor_msgs/Imu without orientation; a standard deviation of 0 leaves the covariance unknown."""
-    return fill_imu(blank_imu(make, frame_id, acceleration_stddev, rate_stddev), sample)
 
 
 def blank_imu(make: Make, frame_id: str, acceleration_stddev: float, rate_stddev: float) -> Any:
@@ -120,11 +93,6 @@ def fill_imu(message: Any, sample: ImuSample) -> Any:
     _fill_vector(message.angular_velocity, sample.angular_velocity)
     _fill_vector(message.linear_acceleration, sample.acceleration)
     return message
-
-
-def magnetic_field(make: Make, sample: ImuSample, frame_id: str, stddev: float) -> Any | None:
-    """sensor_msgs/MagneticField; None where the unit measured none."""
-    return fill_magnetic_field(blank_magnetic_field(make, frame_id, stddev), sample)
 
 
 def blank_magnetic_field(make: Make, frame_id: str, stddev: float) -> Any:
@@ -212,6 +180,12 @@ def velocity(make: Make, sample: VelocitySample, frame_id: str) -> Any:
         header=header(make, sample.stamp_ns, frame_id),
         twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance.ravel()),
     )
+
+
+def _blank_joints(make: Make, frame_id: str, *names: str) -> Any:
+    zeros = array.array("d", bytes(8 * len(names)))
+    head = header(make, 0, frame_id)
+    return make("sensor_msgs/msg/JointState", header=head, name=[*names], position=zeros, velocity=zeros[:])
 
 
 def _zero_vector(make: Make) -> Any:

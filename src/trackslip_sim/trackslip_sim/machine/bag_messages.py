@@ -60,17 +60,13 @@ def like(blank: Any, columns: Callable[[Sequence[Any]], Columns]) -> Serialize:
 
 def sensor_serializers(watson: WatsonParameters, base_frame: str) -> dict[str, Serialize]:
     """Of the drivers' records; what is the same in all messages comes from the drivers' own conversions."""
-    none = (0.0, 0.0, 0.0)
-    still = ImuSample(0, none, none, none, over_range=False)
     stddevs = (watson.linear_acceleration_stddev, watson.angular_velocity_stddev)
-    joint_state = conversions.blank_joint_state(make, base_frame)
-    hydraulics = conversions.track_hydraulics(make, HydraulicsSample(0, *none, 0.0, 0.0), base_frame)
-    imu = conversions.imu(make, still, watson.frame_id, *stddevs)
-    field = conversions.magnetic_field(make, still, watson.frame_id, watson.magnetic_field_stddev)
+    imu = conversions.blank_imu(make, watson.frame_id, *stddevs)
+    field = conversions.blank_magnetic_field(make, watson.frame_id, watson.magnetic_field_stddev)
     return {
-        "sprockets": like(joint_state, _sprockets),
+        "sprockets": like(conversions.blank_joint_state(make, base_frame), _sprockets),
         "swing": like(conversions.blank_swing(make, base_frame), _swings),
-        "hydraulics": like(hydraulics, _hydraulics),
+        "hydraulics": like(conversions.blank_track_hydraulics(make, base_frame), _hydraulics),
         "imu/data_raw": like(imu, _imu),
         "imu/mag": like(field, _field),
     }
