@@ -23,7 +23,7 @@ _SPROCKETS = "sprockets"
 _FROM_TF = ".mounting_from_tf"
 
 
-def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
+def bag_parameters(bag: Bag) -> dict[str, Any]:
     """Dotted name → value of the parameters that a bag begins with; empty where it holds none.
 
     Later messages state what was changed while the estimator ran.
@@ -31,7 +31,7 @@ def bag_parameters(bag: Bag, node: str = _NODE) -> dict[str, Any]:
     Raises:
         InputError: what is on the topic is no parameter file.
     """
-    return current_names(stated_parameters(bag, node))
+    return current_names(stated_parameters(bag, _NODE))
 
 
 def bag_vehicle(bag: Bag) -> VehicleParameters | None:

@@ -104,7 +104,7 @@ class PoseFields(NamedTuple):
 
 
 class OdometryFields(NamedTuple):
-    """Of nav_msgs/Odometry: the planar part, height, orientation, and how well roll and pitch are known."""
+    """Of nav_msgs/Odometry: the planar part, height and orientation."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
@@ -115,8 +115,6 @@ class OdometryFields(NamedTuple):
     qz: Annotated[float, At("pose.pose.orientation.z")]
     qw: Annotated[float, At("pose.pose.orientation.w")]
     covariance: Plane  # of x, y, heading
-    roll_variance: Annotated[float, At("pose.covariance", (21,))]  # rad²
-    pitch_variance: Annotated[float, At("pose.covariance", (28,))]
     v_x: Annotated[float, At("twist.twist.linear.x")]  # m/s
     v_y: Annotated[float, At("twist.twist.linear.y")]
     yaw_rate: Annotated[float, At("twist.twist.angular.z")]  # rad/s

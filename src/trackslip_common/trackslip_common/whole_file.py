@@ -33,18 +33,13 @@ def write_whole(path: Path, content: str | bytes) -> None:
     replace_whole(path, data)
 
 
-def replace_whole(path: Path, content: str | bytes, mode: int = 0o666) -> None:
-    """Put a file in place of what is there; a link there is replaced, not followed.
-
-    Args:
-        path: where.
-        content: a text is written as UTF-8.
-        mode: permissions, less those that the process' umask takes.
+def replace_whole(path: Path, content: str | bytes) -> None:
+    """Put a file in place of what is there; a link there is replaced, not followed. Texts become UTF-8.
 
     Raises:
         OSError: it cannot be written; what was there is as before.
     """
-    with replacing(path, content, mode=mode):
+    with replacing(path, content):
         pass
 
 
@@ -52,6 +47,7 @@ def replace_whole(path: Path, content: str | bytes, mode: int = 0o666) -> None:
 def replacing(path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool = False) -> Iterator[None]:
     """The same, with something to do when all is written and before it is moved into place.
 
+    ``mode``: permissions, less those that the process' umask takes.
     ``sync``: it is on the disk by then, for a machine whose power may go at any time.
 
     Raises:

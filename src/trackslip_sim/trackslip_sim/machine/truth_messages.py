@@ -13,6 +13,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.make import Make, header
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
+from trackslip_drivers.conversions import blank_imu
 from trackslip_estimation.slip.conversions import blank_odometry
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.classes import limit_of
@@ -55,18 +56,9 @@ def _odometry(make: Make, base_frame: str) -> Any:
 
 def _attitude(make: Make, base_frame: str) -> Any:
     """sensor_msgs/Imu without variance and without acceleration."""
-    absent = np.zeros(9)
-    absent[0] = -1.0
-    return make(
-        "sensor_msgs/msg/Imu",
-        header=header(make, 0, base_frame),
-        orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-        orientation_covariance=np.zeros(9),
-        angular_velocity=make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
-        linear_acceleration_covariance=absent,
-    )
+    message = blank_imu(make, base_frame, acceleration_stddev=0.0, rate_stddev=0.0)
+    message.orientation_covariance[0], message.linear_acceleration_covariance[0] = 0.0, -1.0
+    return message
 
 
 def _odometry_columns(truth: Truth) -> Columns:
