@@ -139,14 +139,6 @@ class Layout:
         )
         return found
 
-    def offset(self, path: str) -> int:
-        """Where the first number of a field is, from the message's first byte.
-
-        Raises:
-            KeyError: the type has no such field.
-        """
-        return self._leaves[path].offset
-
     def column(
         self, place: Place, buffer: Bytes, starts: IntArray, number_of: Callable[[str], int]
     ) -> NDArray[Any] | int | float | bool:

@@ -136,13 +136,7 @@ class EmulatedExcavator:
 
     def step_watson(self, now_ns: int) -> bytes:
         """Characters that have left by now; the last line drains after the end."""
-        if not self._powered(WATSON, now_ns):
-            sent = b""
-        elif now_ns < self.end_ns:
-            sent = self.watson.step(now_ns)
-        else:
-            sent = self._watson_line.read(now_ns)
-        return self._lines[WATSON].transmit(sent, now_ns)
+        return self._sent(WATSON, self.watson, self._watson_line, now_ns)
 
     def step_inertial(self, now_ns: int) -> list[ImuSample]:
         """Samples due by now of a unit that is no Watson; a fault of bytes is none of its."""
@@ -158,13 +152,7 @@ class EmulatedExcavator:
 
     def step_gnss(self, now_ns: int) -> bytes:
         """Characters that have left by now; the last burst drains after the end."""
-        if not self._powered(GNSS, now_ns):
-            sent = b""
-        elif now_ns < self.end_ns:
-            sent = self.gnss.step(now_ns)
-        else:
-            sent = self._gnss_line.read(now_ns)
-        return self._lines[GNSS].transmit(sent, now_ns)
+        return self._sent(GNSS, self.gnss, self._gnss_line, now_ns)
 
     def receive_watson(self, data: bytes, now_ns: int) -> None:
         """What the host has written to the inertial unit."""
@@ -193,6 +181,12 @@ class EmulatedExcavator:
     def _next_inertial_ns(self, now_ns: int, tick_ns: int) -> int:
         next_ns = self.watson.next_ns(now_ns, tick_ns)
         return next_ns if self.inertial is None else min(next_ns, self.inertial.next_ns)
+
+    def _sent(self, sensor: str, device: WatsonDevice | NmeaDevice, line: BaudLine, now_ns: int) -> bytes:
+        sent = b""
+        if self._powered(sensor, now_ns):
+            sent = device.step(now_ns) if now_ns < self.end_ns else line.read(now_ns)
+        return self._lines[sensor].transmit(sent, now_ns)
 
     def _scan(self, stamp_ns: int) -> FloatArray:
         poses = self._poses_of[self._vehicle.mount_of("box")]
