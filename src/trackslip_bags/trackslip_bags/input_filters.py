@@ -8,10 +8,7 @@ Times are seconds from the bag's first message.
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.errors import InputError
 
 _RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
@@ -26,7 +23,7 @@ class Withhold:
     start_s: float = -math.inf
     stop_s: float = math.inf
 
-    def covers(self, t: FloatArray) -> NDArray[np.bool_]:
+    def covers(self, t: FloatArray) -> BoolArray:
         """Which of the times (n,), s, are between the two."""
         return (self.start_s <= t) & (t < self.stop_s)
 

@@ -17,7 +17,7 @@ from mcap.well_known import MessageEncoding
 from numpy.typing import NDArray
 
 from trackslip_bags.unpacking import plain
-from trackslip_common.arrays import IntArray
+from trackslip_common.arrays import BoolArray, IntArray
 
 Bytes = NDArray[np.uint8]
 
@@ -95,7 +95,7 @@ def joined(found: list[Located]) -> Located:
     return Located(*(np.concatenate(columns) for columns in zip(blank, *found, strict=True)))
 
 
-def chosen(rows: Located, which: NDArray[np.bool_] | IntArray) -> Located:
+def chosen(rows: Located, which: BoolArray | IntArray) -> Located:
     """Some of the rows, by a mask or by their numbers."""
     return Located(*(column[which] for column in rows))
 

@@ -21,7 +21,7 @@ from trackslip_bags.chunks import read_stretches
 from trackslip_bags.mcap_index import Bytes
 from trackslip_bags.reader import Bag, absolute
 from trackslip_bags.types import fields_by
-from trackslip_common.arrays import IntArray
+from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
 from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read
@@ -112,9 +112,7 @@ class TopicTable:
                     left = left[~self._fill(rows, kind, layout_of_first, left)]
         return rows
 
-    def _fill(
-        self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray
-    ) -> NDArray[np.bool_]:
+    def _fill(self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray) -> BoolArray:
         """Fill the rows of the messages ``left`` that have this layout; (m,) which they are."""
         starts = self._starts[left]
         alike = layout.matches(self._buffer, starts)

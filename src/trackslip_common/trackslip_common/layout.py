@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import IntArray
+from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.message_reading import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
 
 CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
@@ -132,11 +132,9 @@ class Layout:
 
         return read_one
 
-    def matches(self, buffer: Bytes, starts: IntArray) -> NDArray[np.bool_]:
+    def matches(self, buffer: Bytes, starts: IntArray) -> BoolArray:
         """(n,) which of the messages, of the same length, that begin at ``starts`` have this layout."""
-        found: NDArray[np.bool_] = (buffer[starts[:, np.newaxis] + self._frame] == self._frame_bytes).all(
-            axis=1
-        )
+        found: BoolArray = (buffer[starts[:, np.newaxis] + self._frame] == self._frame_bytes).all(axis=1)
         return found
 
     def column(

@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
 from trackslip_drivers.records import (
@@ -196,6 +196,6 @@ def _fill_vector(vector: Any, values: Vector) -> None:
     vector.x, vector.y, vector.z = values
 
 
-def _isotropic(stddev: float) -> NDArray[np.float64]:
+def _isotropic(stddev: float) -> FloatArray:
     """(9,) row-major."""
     return np.diag(np.full(3, stddev**2)).flatten()

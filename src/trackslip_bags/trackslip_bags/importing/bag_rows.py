@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackslip_bags.importing.local import LocalFrame, Rows
+from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import JOINT, NEEDS_GEOMETRY, SIDES, BagTopic, Joints
 from trackslip_bags.importing.roles import (
     FIX,
@@ -36,7 +36,7 @@ from trackslip_bags.importing.samples import (
     without_heading,
     yaw_of,
 )
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import PLANE_IN_6
 from trackslip_common.topics import LEFT_SPROCKET, RIGHT_SPROCKET, SWING_JOINT
@@ -211,7 +211,7 @@ READERS: Mapping[tuple[str, str], Reader] = {
 
 def refusals(
     rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame
-) -> Iterator[tuple[str, Rows]]:
+) -> Iterator[tuple[str, BoolArray]]:
     """Reasons to leave out some of (n, k) rows that hold the numbers they should; (n,) which.
 
     Raises:
@@ -363,9 +363,9 @@ def _pose_covariance(rows: FloatArray, topic: BagTopic, type_name: str) -> Float
     return covariance
 
 
-def _is_variance(values: FloatArray) -> Rows:
+def _is_variance(values: FloatArray) -> BoolArray:
     """(n,) whether they are finite and above 0."""
-    found: Rows = np.isfinite(values) & (values > 0.0)
+    found: BoolArray = np.isfinite(values) & (values > 0.0)
     return found
 
 

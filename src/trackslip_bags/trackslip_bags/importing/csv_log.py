@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.importing.columns import FIRST, Column, Spread, TimeColumn
 from trackslip_bags.importing.csv_fields import place_of, values_of
@@ -19,11 +18,9 @@ from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import Samples, Values, yaw_of
 from trackslip_bags.importing.times import LIMIT_NS, too_late
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
-
-Rows = NDArray[np.bool_]
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # after which counters restart
 _SEVERAL = 3  # rows of one time, which are too many
@@ -84,7 +81,7 @@ def _wanted(topics: Sequence[CsvTopic]) -> Wanted:
 class _Chosen:
     """The rows that become messages, and why others do not."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: BoolArray) -> None:
         self.rows = rows.copy()
         self.left_out: Counter[str] = Counter()
 
@@ -195,7 +192,7 @@ def _without_restarts(
     name: str,
     values: FloatArray,
     turn: float,
-    timed: Rows,
+    timed: BoolArray,
     stamps_ns: IntArray,
     speeds: FloatArray,
 ) -> FloatArray:
@@ -278,7 +275,7 @@ def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
     return times_ns
 
 
-def _new_rows(table: Table, topic: CsvTopic) -> Rows:
+def _new_rows(table: Table, topic: CsvTopic) -> BoolArray:
     """Which rows hold a new message: all, or those where the marking column changes.
 
     The first row is none of the latter: since when its value has been held is unknown.
@@ -297,7 +294,7 @@ def _new_rows(table: Table, topic: CsvTopic) -> Rows:
     return found
 
 
-def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> Rows:
+def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> BoolArray:
     """(rows,) whether a receiver without a fix wrote zeros."""
     for name, limit in (("latitude", 90.0), ("longitude", 180.0)):
         degrees = np.degrees(columns[name])
@@ -306,5 +303,5 @@ def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]
             place = f"{table.path}: line {table.lines[bad[0]]}, column '{topic.columns[name].names[0]}'"
             accepted = f"-{limit:g} … {limit:g} deg (or another unit in the mapping)"
             raise InputError(f"{place}: {degrees[bad[0]]:g} deg is no {name}; accepted: {accepted}")
-    nowhere: Rows = (columns["latitude"] == 0.0) & (columns["longitude"] == 0.0)
+    nowhere: BoolArray = (columns["latitude"] == 0.0) & (columns["longitude"] == 0.0)
     return nowhere

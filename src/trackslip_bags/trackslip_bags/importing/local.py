@@ -6,15 +6,12 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, why_far
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
-
-Rows = NDArray[np.bool_]
 
 _MOST_TRIED = 100  # positions, as a datum
 
@@ -30,13 +27,13 @@ class LocalFrame:
         limits = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",))
         self._reach = limits.max_distance
 
-    def refusals(self, place: FloatArray, where: str) -> Iterator[tuple[str, Rows]]:
+    def refusals(self, place: FloatArray, where: str) -> Iterator[tuple[str, BoolArray]]:
         """Reasons to leave out some of (n, 3) latitude and longitude, rad, and altitude, m; (n,) which.
 
         Raises:
             InputError: all of them are to be left out.
         """
-        is_none: Rows = (np.abs(place[:, 0]) > math.pi / 2.0) | (np.abs(place[:, 1]) > math.pi)
+        is_none: BoolArray = (np.abs(place[:, 0]) > math.pi / 2.0) | (np.abs(place[:, 1]) > math.pi)
         reasons = {Reason.OUT_OF_RANGE: is_none, Reason.NOT_A_NUMBER: np.isinf(place[:, 2])}
         good = ~(reasons[Reason.OUT_OF_RANGE] | reasons[Reason.NOT_A_NUMBER])
         if good.any():
@@ -76,12 +73,12 @@ class LocalFrame:
             raise InputError(f"{where}: {text}; accepted: datum: {{latitude: …, longitude: …}}")
         return self.datum
 
-    def _far(self, datum: Datum, place: FloatArray) -> Rows:
+    def _far(self, datum: Datum, place: FloatArray) -> BoolArray:
         """(n,) whether positions are beyond the map."""
-        far: Rows = np.hypot(*_east_north(datum, place).T) > self._reach
+        far: BoolArray = np.hypot(*_east_north(datum, place).T) > self._reach
         return far
 
-    def _all_refused(self, first: FloatArray, where: str, reasons: dict[Reason, Rows]) -> str:
+    def _all_refused(self, first: FloatArray, where: str, reasons: dict[Reason, BoolArray]) -> str:
         """Names the first position, and the datum."""
         reason = next(reason for reason, rows in reasons.items() if rows[0])
         latitude, longitude = np.degrees(first[:2]).tolist()

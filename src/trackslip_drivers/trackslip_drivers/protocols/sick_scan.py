@@ -18,7 +18,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_drivers.protocols.sick_commands import ReplyCode, Severity
 from trackslip_drivers.protocols.sick_telegram import Telegram
 from trackslip_drivers.records import ScanSample
@@ -103,7 +103,7 @@ class RawScan:
         return self.values & np.uint16(_DISTANCE_MASK)
 
     @property
-    def glare(self) -> NDArray[np.bool_]:
+    def glare(self) -> BoolArray:
         """(n,) whether a ray was dazzled."""
         return np.bitwise_and(self.values, np.uint16(_GLARE)).astype(np.bool_)
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import ASSUMED
 from trackslip_sim.machine.faults import Fault, read_fault
@@ -148,7 +147,7 @@ class Scenario:
         lasting: FloatArray = np.array(values[1:])[self._segment_at(step, begin, end)]
         return lasting
 
-    def _segment_at(self, step: float, begin: int, end: int) -> NDArray[np.int64]:
+    def _segment_at(self, step: float, begin: int, end: int) -> IntArray:
         """(n,) number of the segment of each step."""
         ends = np.cumsum([segment.duration for segment in self.segments])
         middles = (np.arange(begin, end) + 0.5) * step

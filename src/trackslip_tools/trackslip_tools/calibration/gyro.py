@@ -22,10 +22,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording, Series
@@ -49,7 +48,7 @@ class _Pair(NamedTuple):
     t: FloatArray  # (k,) s
     headings: FloatArray  # (k,) rad
     variances: FloatArray  # (k,)
-    follows: NDArray[np.bool_]  # (k − 1,) whether the next heading follows from it, as the gyro turned
+    follows: BoolArray  # (k − 1,) whether the next heading follows from it, as the gyro turned
     gyro: Series
     angle: CubicHermiteSpline  # Θ
     first: IntArray  # (n,) where those begin of which the mean is taken
@@ -71,7 +70,7 @@ class _Pair(NamedTuple):
         return Increments(z[kept], variances[:-1][kept], variances[1:][kept], walk[kept], joined[kept])
 
     @property
-    def kept(self) -> NDArray[np.bool_]:
+    def kept(self) -> BoolArray:
         """(n − 1,) whether heading follows heading, and the gyro has no gap in between."""
         last = np.append(self.first[2:], len(self.t)) - 1
         margins = self.t[self.first[:-1]] - _LARGEST_DELAY, self.t[last] + _LARGEST_DELAY

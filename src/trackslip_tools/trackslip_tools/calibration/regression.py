@@ -20,12 +20,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky_banded, solve_banded
 from scipy.optimize import minimize
 from scipy.special import stdtrit
 
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 
 CONFIDENCE = 0.95
 _GONE = 12.0  # of −2 log likelihood above the lowest
@@ -52,7 +51,7 @@ class Increments(NamedTuple):
     before: FloatArray  # (n,) variance that the earlier reading claims
     after: FloatArray  # (n,) variance that the later one claims
     walk: FloatArray  # (n,) w
-    joined: NDArray[np.bool_]  # (n,) whether the earlier reading is the later one of the increment before
+    joined: BoolArray  # (n,) whether the earlier reading is the later one of the increment before
 
 
 def half_width(stddev: float, dof: int) -> float:

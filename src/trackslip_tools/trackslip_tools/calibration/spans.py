@@ -5,9 +5,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.recording import Recording
 
@@ -32,14 +31,14 @@ def spans(recording: Recording, motion: Motion, least: float, settling: float = 
     return [span for span in found if span.end - span.begin >= least]
 
 
-def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
+def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
     """Whether readings at ``t`` cover each stretch from begin to end without a gap."""
     if not len(t):
         return np.zeros(len(begins), dtype=np.bool_)
     gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP)
     starts, stops = t[np.concatenate(([0], gaps + 1))], t[np.concatenate((gaps, [len(t) - 1]))]
     piece = np.searchsorted(starts, begins, side="right") - 1
-    covered: NDArray[np.bool_] = (piece >= 0) & (ends <= stops[piece])
+    covered: BoolArray = (piece >= 0) & (ends <= stops[piece])
     return covered
 
 

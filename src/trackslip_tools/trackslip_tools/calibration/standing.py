@@ -5,9 +5,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording, Series
@@ -61,12 +60,12 @@ def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit:
     return found(fit.values[0], fit.spread(), unit, f"{fit.dof + 1} s of standing")
 
 
-def _usual(z: FloatArray, cluster: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _usual(z: FloatArray, cluster: IntArray) -> BoolArray:
     """(n,) whether a reading belongs to a cluster whose mean is like that of most."""
     if not len(z):
         return np.zeros(0, dtype=np.bool_)
     _, of = np.unique(cluster, return_inverse=True)
     means = np.bincount(of, z) / np.bincount(of)
     away = np.abs(means - np.median(means))
-    usual: NDArray[np.bool_] = (away <= _ODD * 1.4826 * np.median(away))[of]
+    usual: BoolArray = (away <= _ODD * 1.4826 * np.median(away))[of]
     return usual

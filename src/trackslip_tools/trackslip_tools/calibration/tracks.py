@@ -19,9 +19,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.finding import Finding, found, refused
 from trackslip_tools.calibration.recording import Recording
@@ -115,7 +114,7 @@ def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, r
     return found(fit.values[0], fit.spread(), "rad/m", f"{len(ways)} straights, {way:.1f} m")
 
 
-def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> NDArray[np.bool_]:
+def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> BoolArray:
     """(n,) of which the gyro was recorded throughout."""
     begins, ends = np.array(stretches).reshape(-1, 2).T
     return unbroken(recording.gyro.t, begins, ends)

@@ -8,7 +8,8 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from trackslip_common.arrays import FloatArray
 
 
 def finite(values: Any) -> Any:
@@ -20,7 +21,7 @@ def finite(values: Any) -> Any:
     return values if math.isfinite(values) else None
 
 
-def outline(points: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+def outline(points: FloatArray) -> tuple[list[float], list[float]]:
     """x and y of (n, 2) points, to the millimetre; none of them where one is not finite."""
     rounded = np.round(points, 3)  # the largest numbers become infinite
     x, y = rounded.T.tolist() if len(rounded) and np.isfinite(rounded).all() else ([], [])

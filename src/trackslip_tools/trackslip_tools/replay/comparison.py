@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import IntArray, Rows
+from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.orientations import headings_of, tilts_of, wrapped
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
 from trackslip_estimation.slip.mounting import quaternion_by
@@ -222,7 +221,7 @@ def tilt_rows(estimates: Rows) -> Rows:
     return rows
 
 
-def carried(estimates: Rows, headings: NDArray[np.float64]) -> Rows:
+def carried(estimates: Rows, headings: FloatArray) -> Rows:
     """(n,) quaternions as messages carry the attitude: equal to live ones to the last bit."""
     tilts = estimates["tilt"]["tilt"]
     halves = [(angles / 2.0).tolist() for angles in (tilts[:, 0], tilts[:, 1], headings)]
@@ -280,7 +279,7 @@ def _difference(a: Rows, b: Rows) -> _Difference:
     """The largest of any column; of headings the short way round. Nothing differs from nothing."""
     largest = _Difference(0.0, "")
     for name in (a.dtype.names or ())[1:]:
-        apart: NDArray[np.float64] = np.abs(a[name] - b[name])
+        apart: FloatArray = np.abs(a[name] - b[name])
         if name == "heading":
             apart = np.abs(wrapped(apart))
         apart = np.where(np.isnan(a[name]) & np.isnan(b[name]), 0.0, apart)

@@ -10,9 +10,8 @@ V          r (ω_L + ω_R)/2        m/s, no slip
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.series import series_of
@@ -26,11 +25,11 @@ _LARGEST = 1e9  # rad, rad/s: beyond it is no measurement
 class Path:
     """Poses over time in the site frame."""
 
-    stamps_ns: NDArray[np.int64]  # (n,) increasing
+    stamps_ns: IntArray  # (n,) increasing
     poses: FloatArray  # (n, 3) x m, y m, heading rad (continuous)
     covariances: FloatArray | None = None  # (n, 3, 3) of the poses, where messages of a reference state them
 
-    def at(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
+    def at(self, stamps_ns: IntArray) -> FloatArray:
         """(k, 3) poses at other stamps, linear between samples; nan outside the path."""
         origin = self.stamps_ns[0]
         t, wanted = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
@@ -141,7 +140,7 @@ def _turned(sprockets: Rows) -> FloatArray:
     return np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0))).T
 
 
-def _integral(gyro: Rows, grid: NDArray[np.int64]) -> FloatArray:
+def _integral(gyro: Rows, grid: IntArray) -> FloatArray:
     """(n,) rad turned since grid[0] by the trapezoidal rule, the rate held before and after the log."""
     stamps, rates = gyro["stamp_ns"], gyro["rate"]
     edges = np.unique(np.concatenate((stamps, grid)))

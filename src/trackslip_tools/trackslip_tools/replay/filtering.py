@@ -5,10 +5,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, Thin
-from trackslip_common.arrays import Rows
+from trackslip_common.arrays import BoolArray, Rows
 from trackslip_estimation.slip.records import POSE
 
 
@@ -61,7 +60,7 @@ class _Thinned:
             rows["noise"][own] = covariances
         return rows[stays]
 
-    def _kept(self, stamps_ns: list[int]) -> NDArray[np.bool_]:
+    def _kept(self, stamps_ns: list[int]) -> BoolArray:
         kept = np.zeros(len(stamps_ns), np.bool_)
         for k, stamp_ns in enumerate(stamps_ns):
             if self._due_ns is None or stamp_ns >= self._due_ns:

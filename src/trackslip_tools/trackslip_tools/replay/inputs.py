@@ -16,7 +16,6 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.manual_poses import input_names
@@ -29,7 +28,7 @@ from trackslip_bags.parameters import (
 )
 from trackslip_bags.reader import Bag, require_one_type, require_topics
 from trackslip_bags.tables import Stretch, TopicTable, read_tables
-from trackslip_common.arrays import Rows
+from trackslip_common.arrays import BoolArray, IntArray, Rows
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import ABSENT, RECORDS, FrameFields, ReportFields, SwingFields
 from trackslip_common.message_reading import frame_number
@@ -69,7 +68,7 @@ _COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but
 class Logged(NamedTuple):
     """Messages of a topic in log order."""
 
-    log_times_ns: NDArray[np.int64]  # (n,)
+    log_times_ns: IntArray  # (n,)
     rows: Rows  # (n,) of the record class that ``message_fields`` has for the type
     table: TopicTable  # for what the rows do not hold
 
@@ -199,7 +198,7 @@ class InputStream:
         rows = np.concatenate((rows, *changes))
         return rows[np.argsort(rows["log_time_ns"], kind="stable")]
 
-    def _in_frame(self, name: str, table: TopicTable) -> NDArray[np.bool_]:
+    def _in_frame(self, name: str, table: TopicTable) -> BoolArray:
         """(n,) which messages are in the frame that a source may send, as the live node has it."""
         wanted = self._frames.get(name)
         if wanted is None:
@@ -209,9 +208,7 @@ class InputStream:
         self.refused.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
         return np.asarray(usable)
 
-    def _present(
-        self, name: str, reader: SourceReader, read: Rows, usable: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
+    def _present(self, name: str, reader: SourceReader, read: Rows, usable: BoolArray) -> BoolArray:
         """(n,) which messages have what the source is for, as the live node has it."""
         if reader.absent is None:
             return usable
@@ -220,7 +217,7 @@ class InputStream:
         self.refused.add(name, reason, int(lacks.sum()))
         return np.asarray(~lacks)
 
-    def _extend(self, stamps_ns: NDArray[np.int64], name: str) -> None:
+    def _extend(self, stamps_ns: IntArray, name: str) -> None:
         if len(stamps_ns) and name != SET_POSE:  # it may have none
             self._first_ns = min(self._first_ns, int(stamps_ns.min()))
             self._last_ns = max(self._last_ns, int(stamps_ns.max()))
@@ -292,10 +289,10 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
 
 
-def _frames(table: TopicTable) -> NDArray[np.int64]:
+def _frames(table: TopicTable) -> IntArray:
     """(n,) the number of each message's frame_id, as the live node has it."""
     numbers = table.rows(FrameFields)["frame"]
-    of_texts: NDArray[np.int64] = np.array([frame_number(text) for text in table.texts], np.int64)
+    of_texts: IntArray = np.array([frame_number(text) for text in table.texts], np.int64)
     return np.asarray(of_texts[numbers])
 
 

@@ -14,9 +14,8 @@ A reference may have no heading, at all or at some samples: nan. Its positions c
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import BoolArray, FloatArray, Rows
 from trackslip_common.orientations import wrapped
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.series import Series
@@ -80,15 +79,13 @@ def nees_of_each(
     return np.where(regular, np.sum(scaled * weighed, axis=1), np.nan), np.where(regular, log_dets, np.nan)
 
 
-def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """(n, m) standard deviations and (n, m, m) correlations of S, and (n,) whether it is regular.
 
     1 and the identity where it is not.
     """
     variances = np.diagonal(S, axis1=1, axis2=2)
-    regular: NDArray[np.bool_] = np.asarray(
-        np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_
-    )
+    regular: BoolArray = np.asarray(np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_)
     deviations = np.sqrt(np.where(regular[:, np.newaxis], variances, 1.0))
     one = np.eye(S.shape[-1])
     C = np.where(regular[:, np.newaxis, np.newaxis], S, one)
@@ -136,8 +133,8 @@ def slip_errors(estimated: Series, true: Series) -> FloatArray:
     return known
 
 
-def _inside(path: Path, reference: Path) -> NDArray[np.bool_]:
-    inside: NDArray[np.bool_] = (reference.stamps_ns >= path.stamps_ns[0]) & (
+def _inside(path: Path, reference: Path) -> BoolArray:
+    inside: BoolArray = (reference.stamps_ns >= path.stamps_ns[0]) & (
         reference.stamps_ns <= path.stamps_ns[-1]
     )
     return inside

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.orientations import headings_of
 from trackslip_estimation.slip.events import UNKNOWN_HEADING
 from trackslip_tools.replay.growing import GrowingRows
@@ -25,9 +25,9 @@ class Series:
     rows: Rows  # (n,)
 
     @property
-    def stamps_ns(self) -> NDArray[np.int64]:
+    def stamps_ns(self) -> IntArray:
         """(n,)."""
-        stamps: NDArray[np.int64] = self.rows["stamp_ns"]
+        stamps: IntArray = self.rows["stamp_ns"]
         return stamps
 
     def __getitem__(self, name: str) -> NDArray[Any]:

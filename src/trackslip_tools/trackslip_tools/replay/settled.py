@@ -5,11 +5,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
-from trackslip_common.arrays import Rows
+from trackslip_common.arrays import IntArray, Rows
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import stamp_order
@@ -76,7 +75,7 @@ class _Clock:
             raise InputError(f"bag '{self._bag.path}': {back}; {accepted}")
 
 
-def _reorder(rows: Rows, order: NDArray[np.int64]) -> None:
+def _reorder(rows: Rows, order: IntArray) -> None:
     """In place, a column after the other: a copy of a long bag's measurements would not fit into memory."""
     if (np.diff(order) == 1).all():
         return

@@ -3,9 +3,8 @@
 """What a user should know of a run besides estimates: tracks in trouble, longest time without fixes."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trackslip_common.arrays import Rows
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import POSE
 from trackslip_estimation.soil.stall import Trouble
@@ -16,7 +15,7 @@ WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
 _LEAST_S = 0.5  # s of a trouble that is worth a line
 
 
-def trouble_spells(times: NDArray[np.float64], forces: Rows) -> dict[str, list[Spell]]:
+def trouble_spells(times: FloatArray, forces: Rows) -> dict[str, list[Spell]]:
     """Side → stretches in which its track was in trouble: states of ``Trouble``; (n,) s of the forces."""
     return {
         side: [spell for spell in spells(times, forces["trouble"][:, k]) if spell.state != Trouble.NONE]

@@ -13,10 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import BoolArray, FloatArray, Rows
 from trackslip_common.orientations import wrapped
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
@@ -45,7 +44,7 @@ class Innovations(NamedTuple):
     nis: FloatArray  # (n,)
     gates: FloatArray  # (n,) limit of nis
     freedoms: FloatArray  # (n,) degrees of freedom
-    refused: NDArray[np.bool_]  # (n,) gated
+    refused: BoolArray  # (n,) gated
 
     @property
     def mean_ratio(self) -> float:

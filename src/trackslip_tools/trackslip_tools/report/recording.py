@@ -7,13 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import Bag
 from trackslip_bags.tables import TopicTable, read_tables
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import DIAGNOSTICS, FORCES, SOIL, TOPICS, TRUE_SOIL
@@ -103,7 +102,7 @@ class Recording:
     lights: dict[str, list[Spell]] = field(default_factory=dict)  # by name, as recorded on /diagnostics
     events: list[Event] = field(default_factory=list)  # that the lights tell, ms
 
-    def seconds(self, stamps_ns: NDArray[np.int64]) -> FloatArray:
+    def seconds(self, stamps_ns: IntArray) -> FloatArray:
         """Times that plots show."""
         return _seconds(stamps_ns, self.zero_ns)
 
@@ -130,7 +129,7 @@ def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Reco
     """
     names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
     start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
-    logged: dict[str, list[NDArray[np.int64]]] = {name: [] for name in names.values()}
+    logged: dict[str, list[IntArray]] = {name: [] for name in names.values()}
     numbers = {name: NumbersCollector(kind, bag.start_ns) for name, kind in _NUMBERS.items()}
     scans = _Scans(sum(info.count for topic, info in bag.topics.items() if names[topic] == SCAN))
     lights = LightLog(namespace)
@@ -209,5 +208,5 @@ def _cloud(scan: Any, laser_yaw: float) -> FloatArray:
     return np.asarray(ranges[:, np.newaxis] * np.stack((np.cos(angles), np.sin(angles)), axis=-1))
 
 
-def _seconds(stamps_ns: Sequence[int] | NDArray[np.int64], start_ns: int) -> FloatArray:
+def _seconds(stamps_ns: Sequence[int] | IntArray, start_ns: int) -> FloatArray:
     return np.asarray((np.asarray(stamps_ns, dtype=np.int64) - start_ns) * 1e-9, dtype=np.float64)

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
-from trackslip_common.arrays import FloatArray, Rows
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray, Rows
 from trackslip_common.message_fields import ForceFields, SoilFields
 from trackslip_common.topics import FORCES, SOIL
 from trackslip_estimation.slip.motion import Motion
@@ -35,10 +34,10 @@ class States:
     twist_covariances: FloatArray  # (n, 3, 3)
     slips: FloatArray  # (n, 3) left, right, slip angle rad
     slip_covariances: FloatArray  # (n, 3, 3)
-    motion: NDArray[np.int64]  # (n,) place in ``Motion``
+    motion: IntArray  # (n,) place in ``Motion``
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> BoolArray:
         """(n,) whether slips mean anything."""
         return np.asarray(self.motion != Motion.STANDING)
 

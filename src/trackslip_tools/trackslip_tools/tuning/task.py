@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import Bag
-from trackslip_common.arrays import FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.topics import TRUE_ODOMETRY
 from trackslip_estimation.slip.log import Log, make_log, run_log
@@ -87,7 +86,7 @@ class Task:
         errors = self._errors(self.log.rest["stamp_ns"][keep], result)
         return Score(*result.innovations.score(), *errors)
 
-    def _around_reference(self) -> NDArray[np.bool_]:
+    def _around_reference(self) -> BoolArray:
         """(k,) the sprocket samples, where the estimator publishes, next to the samples of the reference."""
         rest = self.log.rest
         keep = np.zeros(len(rest), dtype=np.bool_)
@@ -98,7 +97,7 @@ class Task:
             keep[published[np.clip(after - 1, 0, published.size - 1)]] = True
         return keep
 
-    def _errors(self, stamps_ns: NDArray[np.int64], result: _Run) -> tuple[float, float, float, float]:
+    def _errors(self, stamps_ns: IntArray, result: _Run) -> tuple[float, float, float, float]:
         """The last four of a ``Score``."""
         if self.reference is None or not len(stamps_ns):
             return math.nan, math.nan, math.nan, math.nan
@@ -137,7 +136,7 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
     return Task(name, make_log(arrivals, p), p, reference)
 
 
-def _run(log: Log, p: SlipEstimatorParameters, keep: NDArray[np.bool_]) -> _Run:
+def _run(log: Log, p: SlipEstimatorParameters, keep: BoolArray) -> _Run:
     """One run over a log, with the poses after the entries to ``keep`` (k,)."""
     innovations = _Innovations(list(p.timeouts_ns()))
     means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
@@ -158,7 +157,7 @@ class _Innovations:
         self._likelihood, self._count = 0.0, 0
         self._nis, self._dof, self._refused, self._seen = np.zeros((4, len(names)))
 
-    def add(self, sources: NDArray[np.int64], updates: Records) -> None:
+    def add(self, sources: IntArray, updates: Records) -> None:
         """More of them, (k,) each."""
         measured = updates["dof"] > 0
         sources, found = sources[measured], updates[measured]
