@@ -9,10 +9,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from trackslip_common.errors import ExitCode, InputError, show
-from trackslip_common.soils import load_soils
+from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_tools.cli import main
+from trackslip_tools.cli.outputs import make_folder
 
 EXAMPLE = "trackslip demo --vehicle excavator_20t --soil sandy_loam"
 
@@ -36,9 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
     if output.exists():
         raise InputError(f"--output: '{output}' exists; accepted: a directory that does not")
     load_scenario(arguments.scenario)
-    if arguments.soil not in load_soils():
-        raise InputError(f"--soil: '{arguments.soil}' is unknown; accepted: {', '.join(load_soils())}")
-    output.mkdir(parents=True)
+    soil(arguments.soil)  # refused here, if it is unknown
+    make_folder("output", output)
     if (code := run_commands(_lines(arguments))) != ExitCode.DONE:
         return code
     page = output / "report.html"

@@ -20,8 +20,8 @@ from rich.markup import escape
 from trackslip_bags.reader import open_bag
 from trackslip_common.config_files import load_parameters
 from trackslip_common.console import end_of_output
-from trackslip_common.errors import ExitCode, InputError, printable, suggestion
-from trackslip_common.soils import load_soils
+from trackslip_common.errors import ExitCode, InputError, printable
+from trackslip_common.soils import soil
 from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.demo.command import run_commands
@@ -71,9 +71,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-live", dest="live", action="store_false", help="serve no live page")
     options = parser.parse_args(argv)
     options.duration = _duration(options.duration)
-    soils = load_soils()
-    if options.soil not in soils:
-        raise InputError(f"SOIL: '{options.soil}' is unknown{suggestion(options.soil, soils)}")
+    soil(options.soil)  # refused here, if it is unknown
     options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
     machine = load_vehicle(options.vehicle)
     machine.whole()

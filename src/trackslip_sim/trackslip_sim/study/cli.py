@@ -20,7 +20,7 @@ from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.soil.study import SoilStudy
 from trackslip_tools.cli import shared_options, worker_options
 from trackslip_tools.cli.elapsed import waited_s
-from trackslip_tools.cli.outputs import PNG, refuse_foreign, require_writable, write_json
+from trackslip_tools.cli.outputs import PNG, make_folder, refuse_foreign, require_writable, write_json
 from trackslip_tools.cli.progress import shown
 from trackslip_tools.terminal_text import for_terminal
 
@@ -105,8 +105,5 @@ def _prepare(args: argparse.Namespace, names: Sequence[str]) -> None:
     for file in files:
         refuse_foreign("output", file, PNG if file.suffix == ".png" else BEGINNING)
     for file in files:
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"--output: '{file.parent}' cannot be used ({error.strerror})") from error
+        make_folder("output", file.parent)
         require_writable(output=file)

@@ -76,6 +76,18 @@ def write_file(option: str, path: Path, content: str) -> None:
         raise InputError(f"--{option}: '{path}' cannot be written ({error.strerror})") from error
 
 
+def make_folder(option: str, path: Path) -> None:
+    """Make the folder that an option names, unless it is there.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--{option}: '{path}' cannot be a folder of results ({error.strerror})") from error
+
+
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
     """Write a summary; what is no finite number becomes null, for JSON has neither.
 

@@ -16,11 +16,11 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.check.bag import finding
 from trackslip_tools.cli import fleet_command, replay_options, worker_options
-from trackslip_tools.cli.outputs import PAGE, refuse_foreign, require_writable, write_file
+from trackslip_tools.cli.outputs import PAGE, make_folder, refuse_foreign, require_writable, write_file
 from trackslip_tools.cli.progress import counted, following, in_shares
 from trackslip_tools.fleet.entry import Entry, entry_of, exit_code
 from trackslip_tools.fleet.find import is_folder
-from trackslip_tools.fleet.pages import INDEX, make_folder, write_pages
+from trackslip_tools.fleet.pages import INDEX, write_pages
 from trackslip_tools.replay.growing import MOST_DRAWN, GrowingRows
 from trackslip_tools.replay.parts import Watch, together
 from trackslip_tools.replay.result import Replay
@@ -113,7 +113,7 @@ def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
     """A page of each bag, and one that lists them."""
     if len(files) > 1:
         raise InputError(f"--params {files[1]}: one too many; accepted: one for a folder of bags")
-    make_folder(args.output)
+    make_folder("output", args.output)
     for page in args.output.glob("*.html"):
         if page.name == INDEX or page.stem.isdecimal():
             refuse_foreign("output", page, PAGE)

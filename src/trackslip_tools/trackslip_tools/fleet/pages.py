@@ -5,24 +5,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from trackslip_common.errors import InputError
 from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.fleet.entry import Entry
 from trackslip_tools.fleet.table import COLUMNS, named
 
 INDEX = "index.html"
-
-
-def make_folder(path: Path) -> None:
-    """Before the work.
-
-    Raises:
-        InputError: it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--output: '{path}' cannot be a folder of pages ({error.strerror})") from error
 
 
 def write_pages(entries: Sequence[Entry], folder: Path) -> None:

@@ -10,10 +10,9 @@ from typing import Any
 import yaml
 
 from trackslip_common.config_files import nested
-from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.parameters import NODE, SlipEstimatorParameters
-from trackslip_tools.cli.outputs import write_file
+from trackslip_tools.cli.outputs import make_folder, write_file
 from trackslip_tools.fleet.find import short_names
 from trackslip_tools.terminal_text import markdown_table
 from trackslip_tools.tuning.plan import changed, expanded
@@ -40,10 +39,7 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
     found = {full: values[full] for tuned in tuning.values for full in expanded(p, tuned)}
     text = f"{BEGINNINGS[PARAMETERS]} on {', '.join(tuning.bags)}; what it rests on is in {TABLE}.\n"
     text += yaml.safe_dump({NODE: {"ros__parameters": nested(found)}}, sort_keys=False)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--output: '{folder}' cannot be written ({error.strerror})") from error
+    make_folder("output", folder)
     write_file("output", folder / PARAMETERS, text)
     write_file("output", folder / TABLE, f"{BEGINNINGS[TABLE]}\n\n{table(tuning)}\n")
 
