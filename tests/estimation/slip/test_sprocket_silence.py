@@ -26,7 +26,7 @@ Sample = tuple[int, float, float]  # ms, position of both, measured speed of bot
 class Known(NamedTuple):
     """What a state has at a stamp."""
 
-    speeds: tuple[float, float, float, bool]
+    speeds: tuple[float, float, float, bool]  # with the interval, and whether they are counted
     coasting: bool
 
 
@@ -48,7 +48,11 @@ def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]
         if m["kind"] != SPROCKETS
     }
     asked = [entries[S + ms * MS] for ms in asked_ms]
-    return [Known(state["speeds"].item(), bool(state["coasting"])) for state in asked]
+    speeds = [state["speeds"].item() for state in asked]
+    return [
+        Known((*found, variance > 0.0), bool(state["coasting"]))
+        for (*found, variance), state in zip(speeds, asked, strict=True)
+    ]
 
 
 STANDING = (0.0, 0.0, 0.0, False)

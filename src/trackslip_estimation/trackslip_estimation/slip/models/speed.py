@@ -244,8 +244,9 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     of_speed += (steady**2 + changing**2) * yielding + e.standing**2
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
-    rounding = c.rolling_radius**2 * speeds.variance
-    of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
+    if motion.motion != _STANDING:
+        rounding = c.rolling_radius**2 * speeds.variance
+        of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
     goes_on = drive.unheard / LASTS
     return (
         of_speed + goes_on * c.unknown_speed**2,
