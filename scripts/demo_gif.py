@@ -11,13 +11,10 @@ from matplotlib import pyplot as plt
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
-from numpy.typing import NDArray
 
 from trackslip_common.vehicle import Kinematics
 from trackslip_tools.replay.dead_reckoning import Path as Reckoned
 from trackslip_tools.replay.series import Series
-
-FloatArray = NDArray[np.float64]
 
 FRAMES, FRAMES_PER_SECOND = 80, 10
 WIDTH = 0.23  # m, of a drawn track

@@ -19,13 +19,13 @@ from demo_gif import Run, animate
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.parameters import bag_parameters
 from trackslip_bags.reader import open_bag
+from trackslip_common.arrays import FloatArray
 from trackslip_common.soils import Soil, load_soils
 from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SLIP
 from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import ESTIMATE
-from trackslip_estimation.terramechanics.domain import FloatArray
 from trackslip_estimation.terramechanics.resistance import longitudinal_resistance
 from trackslip_estimation.terramechanics.strength import thrust_limit
 from trackslip_estimation.terramechanics.traction import slip_of_thrust, slip_of_thrust_approximate, thrust

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ pytest_plugins = [
     "fixtures.thesis",
 ]
 
-FloatArray = NDArray[np.float64]
 Segment = tuple[float, float, float, float, float, float]  # s; ω_L, ω_R rad/s; i_L, i_R; α rad
 
 ROOT = Path(__file__).parents[1]

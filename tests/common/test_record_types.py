@@ -8,9 +8,10 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import pytest
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.parameter_record import record_of
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.vehicle import Vehicle
 from trackslip_common.vehicle_files import WithVehicle, load_vehicle
 

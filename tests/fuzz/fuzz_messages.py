@@ -16,9 +16,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make, message_class, packed_topic
 from trackslip_common.packed import PackedMessage
@@ -44,8 +44,6 @@ from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, MachineState, PoseWithCovariance
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-
-FloatArray = NDArray[np.float64]
 
 COUNT = 100_000  # messages of a topic
 _SENTINEL = 0.1234567890123

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
@@ -32,7 +33,6 @@ from trackslip_estimation.slip.records import (
     YAW_RATE,
 )
 
-FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
 
 STEPS = 2000  # of an episode

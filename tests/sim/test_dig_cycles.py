@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
+from trackslip_common.arrays import FloatArray
 from trackslip_common.orientations import headings_of
 from trackslip_common.topics import TRUE_ODOMETRY, TRUE_SWING
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
 from trackslip_tools.replay.parts import Part
 from trackslip_tools.replay.run import replay
-
-FloatArray = NDArray[np.float64]
 
 WITHOUT = {"swing_sources": [""]}
 BARS = [(True, 0.01), (False, 0.03)]

@@ -11,6 +11,7 @@ from fixtures.study_bench import Bench, assert_same_bound, expected_bound, make_
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.models import free_slips
@@ -34,8 +35,6 @@ from trackslip_sim.study.slip.parameters import (
 )
 from trackslip_sim.study.slip.results import Row, Sums, mean_bounds, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial
-
-FloatArray = NDArray[np.float64]
 
 SEEDS = 8
 PERIOD = 0.01  # s

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fixtures.commands import json_of
 from fixtures.study_bench import Sensor, assert_same_bound, expected_bound, make_bench
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.config import ConfigRecord, make_config
 from trackslip_estimation.slip.models.dispatch import twist
 from trackslip_estimation.slip.models.model import (
@@ -30,8 +30,6 @@ from trackslip_sim.study.slip.kernels import Rows, bound
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters, load_study_parameters
 from trackslip_sim.study.slip.study import SlipStudy
 from trackslip_sim.study.slip.trial import make_trial
-
-FloatArray = NDArray[np.float64]
 
 CAB = {"vehicle": "pc05_cab"}
 PERIOD = 0.02  # s

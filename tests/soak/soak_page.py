@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import linregress
 from scipy.stats import t as student
 
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
 
 STRETCHES = 10
 _SETTLING, _SETTLING_S = 0.1, 120.0  # of the run, or s: what is allocated once has been by then

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from trackslip_common.config_files import node_parameters, read_yaml
 from trackslip_estimation.slip.estimator import SlipEstimator
@@ -25,8 +24,6 @@ from trackslip_tools.calibration.finding import Finding, found
 from trackslip_tools.calibration.output import summary, text, write_parameters
 from trackslip_tools.calibration.recording import Recording, Series, motions
 from trackslip_tools.calibration.regression import Increments, clustered, of_increments
-
-FloatArray = NDArray[np.float64]
 
 P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")

@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE
@@ -22,8 +22,6 @@ from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.calibration.calibrate import Calibration, calibrate
 from trackslip_tools.calibration.recording import Recording, Series, motions
-
-FloatArray = NDArray[np.float64]
 
 P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")

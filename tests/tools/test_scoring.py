@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trackslip_common.arrays import Rows
+from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.slip.records import ESTIMATE
 from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.errors import PathErrors
@@ -21,8 +21,6 @@ from trackslip_tools.replay.scoring import (
     slip_errors,
 )
 from trackslip_tools.replay.series import Series, series_of
-
-FloatArray = NDArray[np.float64]
 
 EPOCH_NS = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.commands import json_of
-from numpy.typing import NDArray
 
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
@@ -23,8 +22,6 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 from trackslip_estimation.slip.records import to_records
 from trackslip_tools.cli.main import main
 from trackslip_tools.smoothing.smoothing import Smoothed, smooth
-
-FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
 SIGMAS = (0.05, 0.05, 0.05)  # m, m, rad

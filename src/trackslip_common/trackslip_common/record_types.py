@@ -32,13 +32,12 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.parameters import Parameters
 
 RecordT = TypeVar("RecordT")
 DeclaredT = TypeVar("DeclaredT", bound="Record | Parameters")
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _NUMBERS: dict[object, type[np.generic]] = {float: np.float64, int: np.int64, bool: np.bool_}
 _ARRAYS: dict[object, type[np.generic]] = {FloatArray: np.float64, IntArray: np.int64}
 

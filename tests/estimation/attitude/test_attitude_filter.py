@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.filter import climb, use_sample
@@ -18,7 +19,6 @@ from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
-FloatArray = NDArray[np.float64]
 N = np.zeros(1, CONSTANTS)
 N[0] = constants(load_slip_parameters().attitude, measures_height=False)
 TOPIC = "imu/data_raw"

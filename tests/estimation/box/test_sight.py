@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.box import parameters as box
 from trackslip_estimation.box.parameters import BoxNodeParameters
 from trackslip_sim.machine.excavator import default_parameters
@@ -17,8 +18,6 @@ from trackslip_sim.scenarios.scenario import load_scenario, scenario_names
 from trackslip_sim.truth.record import Truth
 from trackslip_sim.truth.simulate import simulate
 from trackslip_sim.truth.terrain import FLAT
-
-FloatArray = NDArray[np.float64]
 
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 PERIOD = 0.5  # s between looks; the box moves less than a beam's spacing meanwhile

@@ -28,9 +28,9 @@ from fixtures.filter_steps import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman import daf
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.config import ConfigRecord
@@ -40,8 +40,6 @@ from trackslip_estimation.slip.models.speed import SPEED_ERROR
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.slip.step import propagate
-
-FloatArray = NDArray[np.float64]
 
 TURNING = MotionState(
     Motion.TURNING, changing=True, departure=1e-9

@@ -4,11 +4,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.positive import make_positive
-
-FloatArray = NDArray[np.float64]
 
 
 def random_covariance(rng: np.random.Generator, n: int, decades: float) -> FloatArray:

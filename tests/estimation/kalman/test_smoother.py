@@ -18,14 +18,12 @@ from fixtures.filter_steps import (
     start_of,
     transition,
 )
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.smoother import step_back
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models.model import POSE, YAW
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
-
-FloatArray = NDArray[np.float64]
 
 DT, COUNT = 0.1, 60
 F = np.array(((1.0, DT, DT), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))  # position, speed, and a speed known exactly

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.linear_algebra import (
     apply,
     joseph,
@@ -29,8 +29,6 @@ from trackslip_estimation.kalman.update import (
     predicted_covariance,
     soften,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 def spd(rng: np.random.Generator, n: int, scale: float = 1.0) -> FloatArray:

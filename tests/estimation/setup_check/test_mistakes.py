@@ -13,11 +13,12 @@ from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES, change_headings, change_rates
 from fixtures.setup_variants import VARIANTS, piece
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import integral
-from trackslip_estimation.setup_check.log import Counts, FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.log import Counts, Log, Tracks
 from trackslip_estimation.setup_check.places import slides
 
 LONG_TURNS = ((5.0, 0.0, 0.0), (20.0, 0.6, 0.4), (8.0, 0.8, 0.0), (20.0, 0.5, -0.3), (8.0, -0.7, 0.0))

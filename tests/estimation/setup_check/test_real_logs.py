@@ -18,10 +18,11 @@ from fixtures.setup_variants import VARIANTS, piece
 
 from trackslip_bags.input_filters import InputFilters
 from trackslip_bags.reader import open_bag
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Collector
 from trackslip_estimation.setup_check.grid import integral
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine, Tracks
+from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_sim.machine.excavator import drive
 from trackslip_sim.machine.offline import record_drive
 from trackslip_sim.parameters import load_emulator_parameters

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trackslip_bags.messages import make
@@ -30,7 +29,6 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.transforms import blank_transforms, fill_transforms
 
-FloatArray = NDArray[np.float64]
 S, R, FIX = 1_000_000_000, 0.159, "box_pose"
 ROLL, PITCH = -0.05, -0.15  # rad: it climbs
 BIAS = 0.1  # m/s² of the accelerometer along x: 0.6°, which over 40 m are 0.4 m

@@ -14,8 +14,8 @@ from fixtures.drawn_machine import FIX, FIXES, GNSS, Machine, Recording, drive, 
 from fixtures.records import assert_same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.log import make_log, run_log, script_of
@@ -23,8 +23,6 @@ from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprocke
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import EVENT, to_records
-
-FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
 

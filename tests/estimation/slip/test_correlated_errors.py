@@ -15,8 +15,8 @@ from fixtures.fault_cases.gnss_errors import gauss_markov
 from fixtures.filter_steps import Gaussian, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.adaptation import repeats, shared_error
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.correlated_errors import (
@@ -39,8 +39,6 @@ from trackslip_estimation.slip.own_errors import (
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import PRIOR, UPDATE
-
-FloatArray = NDArray[np.float64]
 
 PERIOD, LASTS, SIGMA = 0.1, 10.0, 0.01  # s, s, m
 C = make_config(load_slip_parameters())[0]

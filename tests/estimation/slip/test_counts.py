@@ -9,13 +9,11 @@ import pytest
 from fixtures.filter_steps import config_of
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.counts import COUNTS, begin_counts, counted_speeds, follow_counts
 from trackslip_estimation.slip.motion import SPEEDS
 from trackslip_estimation.slip.records import MEASUREMENT
-
-FloatArray = NDArray[np.float64]
 
 
 def speeds_of(positions: FloatArray, periods: FloatArray, resolution: float) -> tuple[FloatArray, FloatArray]:

@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.turning import EFFICIENCY
 from trackslip_estimation.slip.parameters import load_slip_parameters
-
-FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
 Run = Callable[..., Any]

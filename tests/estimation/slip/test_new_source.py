@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from fixtures.filter_steps import STANDSTILL, Gaussian, config_of, start_of, state_of
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square
@@ -21,8 +20,6 @@ from trackslip_estimation.slip.config import Config
 from trackslip_estimation.slip.levers import lever
 from trackslip_estimation.slip.models.model import X, Y
 from trackslip_estimation.slip.records import MEASUREMENT, MeasurementRecord, State
-
-FloatArray = NDArray[np.float64]
 
 BEACONS = ((0.0, 10.0), (12.0, 0.0), (-9.0, -7.0))  # m
 ARM = {"sources.box_pose.lever_arm_x": 0.6, "sources.box_pose.lever_arm_y": 0.2}

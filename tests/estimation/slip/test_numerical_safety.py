@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import random_steps
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import to_tree
@@ -25,8 +25,6 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.source_watch import SourceWatch
-
-FloatArray = NDArray[np.float64]
 
 MS = 1_000_000
 S = 1000 * MS

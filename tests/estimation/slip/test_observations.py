@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.filter_steps import Gaussian, config_of, state_of
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import correct
 from trackslip_estimation.slip.levers import lever, to_sensor, turn_about
@@ -21,8 +21,6 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import HEADING, MEASUREMENT, ON_SWING, POSE, SLIPS, VELOCITY, YAW_RATE
 from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.update import observe
-
-FloatArray = NDArray[np.float64]
 
 ESTIMATION = Path(__file__).resolve().parents[3] / "src/trackslip_estimation/trackslip_estimation"
 ALL: dict[str, Any] = {

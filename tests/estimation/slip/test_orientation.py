@@ -13,12 +13,12 @@ import pytest
 from fixtures.swinging_cab import CAB, Cab, Part, record
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from trackslip_bags.messages import serialize
 from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
 from trackslip_common.units import GRAVITY
@@ -31,7 +31,6 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.sources import YawRateSource
 from trackslip_tools.cli.main import main
 
-FloatArray = NDArray[np.float64]
 MS, R, IMU = 1_000_000, 0.159, "imu/data_raw"
 GROUP = "sources.imu_data_raw."
 WANTED = {f"{GROUP}use_orientation": True}

@@ -27,8 +27,8 @@ from fixtures.filter_steps import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models import dispatch
@@ -37,8 +37,6 @@ from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SIZE, YAW, 
 from trackslip_estimation.slip.models.model import POSE as POSE_SLICE
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.records import POSE, YAW_RATE
-
-FloatArray = NDArray[np.float64]
 
 RADIUS, TREAD, COUNT = 0.159, 0.73, 2.0 * math.pi / (3 * 4096)
 NOISE = {

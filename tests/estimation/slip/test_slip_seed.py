@@ -21,8 +21,8 @@ from fixtures.filter_steps import (
     start_of,
     state_of,
 )
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_log
@@ -32,8 +32,6 @@ from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SLIPS, to_records
-
-FloatArray = NDArray[np.float64]
 
 MODELS = ("free_slips", "turning", "icr")
 LIMIT = 18.5  # of the gate with two degrees of freedom, while it is no wider than χ² has it

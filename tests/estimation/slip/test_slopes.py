@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from trackslip_common.nodes.messages import make
 from trackslip_common.units import GRAVITY
@@ -30,7 +29,6 @@ from trackslip_estimation.slip.mounting import quaternion_of
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE
 
-FloatArray = NDArray[np.float64]
 MS, R = 1_000_000, 0.159
 HEIGHT = 2.0  # m, of an antenna
 UP = "sources.box_pose."

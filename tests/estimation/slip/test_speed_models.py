@@ -25,8 +25,8 @@ from fixtures.filter_steps import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.models import dispatch
 from trackslip_estimation.slip.models.model import (
@@ -51,8 +51,6 @@ from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-
-FloatArray = NDArray[np.float64]
 
 RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
 CONFIGS = {name: config_of(model=name) for name in ("turning", "icr")}

@@ -12,8 +12,8 @@ import pytest
 from fixtures.drawn_machine import GNSS
 from fixtures.filter_steps import config_of
 from fixtures.swinging_cab import CAB, ENCODER, FIX, GYRO, Cab, Part, Recording, dig, record
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
@@ -31,7 +31,6 @@ from trackslip_estimation.slip.models.model import (
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 
-FloatArray = NDArray[np.float64]
 WITH, WITHOUT = {"vehicle": "pc05_cab"}, {"vehicle": "pc05_cab", "swing_sources": [""]}
 TWO_ANTENNAS = {**GNSS, "sources.box_pose.yaw_offset_stddev": 0.02}
 ANTENNA = {**WITH, "pose_sources": ["gnss_pose"]}

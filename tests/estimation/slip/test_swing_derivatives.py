@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fixtures.filter_steps import Drive, Gaussian, config_of, differences, moved, state_of, transition
 from fixtures.swinging_cab import CAB, upper_pose
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_sensor
 from trackslip_estimation.slip.models.model import (
     SIZE,
@@ -19,7 +19,6 @@ from trackslip_estimation.slip.models.model import (
 )
 from trackslip_estimation.slip.motion import Motion
 
-FloatArray = NDArray[np.float64]
 WITH = {"vehicle": "pc05_cab"}
 ANTENNA = {**WITH, "pose_sources": ["gnss_pose"]}
 

@@ -12,8 +12,8 @@ import pytest
 from fixtures.fault_cases.robot_logs import is_present, read_log
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import header
 from trackslip_common.message_fields import VelocityFields
 from trackslip_common.message_reading import dtype_of
@@ -33,8 +33,6 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.slip.sources import Refusal
 from trackslip_tools.replay.arrivals import reader_of
-
-FloatArray = NDArray[np.float64]
 
 S = 1_000_000_000
 SOURCE, STDDEV = "fix_velocity", 0.05  # m/s

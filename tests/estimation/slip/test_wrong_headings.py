@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 from fixtures.drawn_machine import GNSS, Machine, Recording, drive, parameters
 from fixtures.pose_errors import PoseErrors, pose_errors
-from numpy.typing import NDArray
 
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.measurements import HeadingFix, Measurement, PoseFix
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
-FloatArray = NDArray[np.float64]
 Error = Callable[[float, float], float]  # of a heading, rad, at a time, s, and a heading
 
 S = 1_000_000_000

@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pytest
 from fixtures.drawn_machine import Machine, Recording, drive, parameters
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.measurements import Measurement, VelocityFix
 
-FloatArray = NDArray[np.float64]
 Spoil = Callable[[FloatArray, FloatArray], FloatArray]  # velocities (n, 2), n times, s since it began
 
 S = 1_000_000_000

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from fixtures.soil_samples import Sample
-from numpy.typing import NDArray
 
 from trackslip_bags.messages import make
 from trackslip_common.record_types import dtype_of
@@ -27,8 +26,6 @@ from trackslip_estimation.terramechanics.traction import thrust
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
 from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
-
-FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
 LENGTH = P.vehicle.kinematics.contact_length

@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.soils import Soil, load_soils, soil
 from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, limit_of
 from trackslip_estimation.soil.reserve import thrust_reserve
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_grid import StrengthGrid
-
-FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
 SOILS = load_soils()

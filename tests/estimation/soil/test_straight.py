@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.soil_samples import Sample, Strength
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.shear_field import Contact, Rolling, element_places
@@ -20,8 +20,6 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
 from trackslip_estimation.soil.strength_posterior import SampleOutcome
 from trackslip_estimation.terramechanics.traction import thrust
-
-FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
 VEHICLE, LENGTH = P.vehicle.whole(), P.vehicle.whole().contact_length

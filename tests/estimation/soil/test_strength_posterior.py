@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.soil_samples import Sample, Strength
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.shear_field import (
@@ -24,8 +24,6 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_posterior import SampleOutcome, StrengthPosterior
 from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
 from trackslip_estimation.terramechanics.traction import thrust
-
-FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
 VEHICLE, STRENGTH = P.vehicle.whole(), P.strength

@@ -10,13 +10,10 @@ from fixtures.soil_samples import Sample, Strength
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
-
-FloatArray = NDArray[np.float64]
 
 P = load_soil_parameters()
 SMALL = replace(P.strength, modulus_cells=12, limit_cells=16, elements=6)  # quick

@@ -30,8 +30,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.level import set_level
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.parameters import AttitudeConstants
     from trackslip_estimation.attitude.records import Attitude, ImuSample
 
-FloatArray = NDArray[np.float64]
 
 GRAVITY_TOLERANCE = 1.0  # m/s², by which the mean of what is felt may differ from gravity
 UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity

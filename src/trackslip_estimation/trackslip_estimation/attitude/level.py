@@ -7,16 +7,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.records import BIAS_Q, PITCH, ROLL
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude, Level
 
-FloatArray = NDArray[np.float64]
 
 _DOUBT_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
 

@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.parameter_record import fill_record
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import Record, dtype_of
 from trackslip_estimation.attitude.records import (
     BIAS_P,
     BIAS_Q,

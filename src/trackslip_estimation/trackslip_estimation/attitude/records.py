@@ -8,7 +8,8 @@ base_link has x forward, y left, z up (REP-103); ψ, θ, φ turn about z, y, x (
 from enum import IntEnum
 from typing import Annotated
 
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.arrays import FloatArray
+from trackslip_common.record_types import Record, dtype_of
 
 ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, rad/s, rad/s, m/s², m/s²
 SIZE = 7

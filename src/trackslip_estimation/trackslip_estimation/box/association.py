@@ -13,15 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.box.odometry import Odometry
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.search import Candidate
 from trackslip_estimation.box.track import Expectation
-
-FloatArray = NDArray[np.float64]
 
 _NS = 1e-9  # s
 

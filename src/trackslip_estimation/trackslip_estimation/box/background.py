@@ -5,12 +5,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.box.clusters import Beams
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 BESIDE = 2  # beams next to the box that may still be on it
 SAME = 0.05  # of the beams' spacing, rad: beams no further apart are the same

@@ -18,9 +18,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv, log_ndtr, ndtri
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.box.clusters import Beams, beams_on
 from trackslip_estimation.box.measurement_model import (
@@ -34,8 +34,6 @@ from trackslip_estimation.box.measurement_model import (
     target,
     total_cost,
 )
-
-FloatArray = NDArray[np.float64]
 
 TRIES = 6  # starts worth fitting from: the cost has kinks at which a fit gets stuck
 FAINT = 1e-6  # information in 1/m² and 1/rad² where the beams give none

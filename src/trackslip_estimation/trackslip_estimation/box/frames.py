@@ -3,12 +3,10 @@
 """From the box in the laser frame to base_link in odom, and back."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-
-FloatArray = NDArray[np.float64]
 
 
 class Frames:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.clock_monitor import ClockMonitor, StampStatus
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
@@ -28,8 +28,6 @@ from trackslip_estimation.box.quarters import NEGLIGIBLE, QUARTER_TURN, Headings
 from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
 from trackslip_estimation.box.track import Expectation, Kept, Track, initial_expectation
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.box.clusters import Beams, directions
-
-FloatArray = NDArray[np.float64]
 
 HUBER = 2.5  # standard deviations up to which a residual counts in full
 STEP = 1e-6  # m and rad, of the numerical derivatives

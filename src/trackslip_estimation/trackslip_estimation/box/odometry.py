@@ -8,11 +8,9 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
-
-FloatArray = NDArray[np.float64]
 
 SPACING_NS = 50_000_000  # from one that is kept to the next
 KEPT = 60  # 3 s; a scan comes later than it was taken, by its way through the serial line

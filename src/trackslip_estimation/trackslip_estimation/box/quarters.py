@@ -21,9 +21,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
 
 QUARTER_TURN = np.pi / 2.0
 CERTAIN: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])

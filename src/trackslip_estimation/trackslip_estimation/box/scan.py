@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
 
 MOST_BEAMS = 20_000  # three times those of the finest scanners
 FULL_TURN = 2.0 * np.pi + 1e-3  # rad, rounded as float32 may have it

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.background import Background
@@ -23,9 +23,6 @@ from trackslip_estimation.box.measurement_model import Rectangle
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import QUARTER_TURN, sides_are_known
 from trackslip_estimation.box.track import Expectation
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 QUARTER = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)
 

@@ -17,13 +17,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import CERTAIN, QUARTER_TURN, Headings, Mode, SideEvidence
-
-FloatArray = NDArray[np.float64]
 
 INITIAL_YAW_STDDEV = np.pi / 16.0  # rad: the initial heading is given to within π/4
 _NS = 1e-9  # s

@@ -13,8 +13,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, own_file
 from trackslip_common.whole_file import replacing
@@ -22,8 +22,6 @@ from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
 from trackslip_estimation.box.track import Kept, Track
-
-FloatArray = NDArray[np.float64]
 
 _VERSION = 3
 _MILLIMETRES = 1000.0  # in a metre

@@ -15,12 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pymap3d
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 
-FloatArray = NDArray[np.float64]
 Number = float | FloatArray
 
 FIX = "fix"

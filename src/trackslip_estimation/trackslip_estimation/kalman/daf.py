@@ -20,12 +20,10 @@ number ``angle`` of a state is an angle: departures take the short way round.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import apply, root, sandwich, wrap
-
-FloatArray = NDArray[np.float64]
 
 
 @compiled

@@ -10,11 +10,9 @@ L      lower triangular root, L Lᵀ = P
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 _LOST = 1e-14  # a pivot below this share of its diagonal is rounding
 

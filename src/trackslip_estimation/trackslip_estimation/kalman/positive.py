@@ -16,12 +16,10 @@ stays as it is.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import used_size
-
-FloatArray = NDArray[np.float64]
 
 _OF_VARIANCE = 1e-12  # ε_k, as a share of a state's variance
 _OF_BEFORE = 1e-14  # and of its variance before the update

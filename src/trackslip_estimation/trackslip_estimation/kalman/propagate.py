@@ -3,11 +3,9 @@
 """Propagation of a covariance; compiled, in place."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 
 @compiled

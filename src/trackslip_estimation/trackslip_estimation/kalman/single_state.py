@@ -5,12 +5,8 @@
 x, P   mean and covariance of the state    (n,), (m, m), m ≥ n
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 
 @compiled

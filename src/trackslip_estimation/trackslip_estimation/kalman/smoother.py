@@ -16,12 +16,11 @@ leaves out directions in which P⁻ has no variance: what is known for certain s
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import apply, joseph, root, sandwich, solve, times, wrap
 
-FloatArray = NDArray[np.float64]
 Gaussian = tuple[FloatArray, FloatArray]
 
 

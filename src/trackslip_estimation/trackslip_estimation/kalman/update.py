@@ -21,12 +21,10 @@ Source: Gelb, Applied Optimal Estimation (1974), 4.2 and 4.5; Schmidt (1966).
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import root, solve_in_place, used_size, weighted_square
-
-FloatArray = NDArray[np.float64]
 
 _NOTHING = 1e-12  # share of a variance that is rounding
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.delay import delay_of
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import time_factor
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import path_delay
 from trackslip_estimation.setup_check.grid import angles_of
-from trackslip_estimation.setup_check.log import Fixes, FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.log import Fixes, Log, Tracks
 from trackslip_estimation.setup_check.path import thinned
 
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values

@@ -9,18 +9,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.counts import angle_of_count
 from trackslip_estimation.setup_check.grid import angles_of
-from trackslip_estimation.setup_check.log import (
-    Compass,
-    Counts,
-    Fixes,
-    FloatArray,
-    Gyro,
-    Log,
-    Machine,
-    Tracks,
-)
+from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
 

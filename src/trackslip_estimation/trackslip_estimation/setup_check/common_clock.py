@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.delay import LATEST
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
-from trackslip_estimation.setup_check.log import Fixes, FloatArray, Gyro, Log, Tracks
+from trackslip_estimation.setup_check.log import Fixes, Gyro, Log, Tracks
 
 _FARTHEST, _OVERLAP = 60.0, 0.75  # s, searched; share of the readings that must remain
 _STEP, _WINDOW = 0.5, 2.0  # s

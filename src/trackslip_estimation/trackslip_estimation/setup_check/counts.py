@@ -4,9 +4,10 @@
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.finding import Cause, odds_of
-from trackslip_estimation.setup_check.log import Counts, FloatArray
+from trackslip_estimation.setup_check.log import Counts
 
 _NOTHING = 1e-9  # of the largest change: the rounding of numbers
 _WHOLE, _SHARE = 0.15, 0.95  # of a count, by which most changes may miss a whole number of them

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import FloatArray, IntArray
+from trackslip_common.arrays import FloatArray, IntArray
 
 LATEST = 2.0  # s, searched
 _PIECE = 15.0  # s, of which each has a correlation of its own

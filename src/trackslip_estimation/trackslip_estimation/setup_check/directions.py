@@ -6,13 +6,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import inertial, remedies, signs
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.evidence import direction_log, gather, unmirrored
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.heading import Courses
-from trackslip_estimation.setup_check.log import FloatArray, Gyro
+from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 

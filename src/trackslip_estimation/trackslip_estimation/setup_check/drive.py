@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_sums
 from trackslip_estimation.setup_check.heading import Courses, heading_at, steps_of, straight_courses
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray, Gyro, Log, Machine
+from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine
 from trackslip_estimation.setup_check.path import Path, dead_reckoning
 from trackslip_estimation.setup_check.turning import TurnFit, bias_of, fit_turns
 

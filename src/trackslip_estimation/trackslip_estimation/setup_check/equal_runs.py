@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import ComplexArray, FloatArray, IntArray
+from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_estimation.setup_check.log import ComplexArray
 
 
 class Runs(NamedTuple):

@@ -6,11 +6,11 @@ import itertools
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.heading import Courses, around_any, course_logs, turn_logs
-from trackslip_estimation.setup_check.log import FloatArray
 from trackslip_estimation.setup_check.path import Path, compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.signs import ASSIGNMENTS, DISTANCES, Evidence
 from trackslip_estimation.setup_check.turning import fit_turns

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.grid import angles_of
-from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.log import ComplexArray, Log, Tracks
 
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, among the others or beyond them

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import ComplexArray, Fixes, FloatArray, IntArray
+from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, free_counts, segments
 
 _LEAST_SEGMENTS = 3

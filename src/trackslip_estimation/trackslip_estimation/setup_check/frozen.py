@@ -4,12 +4,13 @@
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.grid import window_sums
-from trackslip_estimation.setup_check.log import FloatArray, Gyro
+from trackslip_estimation.setup_check.log import Gyro
 
 _LEAST_READINGS = 50  # that are the same
 _MOST_SPANS = 10  # that are looked at

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Gyro, Log
+from trackslip_common.arrays import BoolArray, FloatArray
+from trackslip_estimation.setup_check.log import Gyro, Log
 
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn

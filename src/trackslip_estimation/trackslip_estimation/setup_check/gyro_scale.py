@@ -7,11 +7,12 @@ Tracks cannot show it, since they slip. What looks like a unit beside them is un
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
-from trackslip_estimation.setup_check.log import FloatArray, Gyro
+from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, mixture, turns_of
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
-from trackslip_estimation.setup_check.log import Compass, Fixes, FloatArray
+from trackslip_estimation.setup_check.log import Compass, Fixes
 from trackslip_estimation.setup_check.turning import mixture
 
 _NOISE = 0.05  # rad, of a difference of headings in a window

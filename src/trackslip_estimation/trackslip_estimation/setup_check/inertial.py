@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
 from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
-from trackslip_estimation.setup_check.log import FloatArray, Gyro
+from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.turning import (

@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
+
 ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 class Machine(NamedTuple):

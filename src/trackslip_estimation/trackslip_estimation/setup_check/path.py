@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid
-from trackslip_estimation.setup_check.log import BoolArray, ComplexArray, Fixes, FloatArray, IntArray
+from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 
 LENGTHS = (5.0, 10.0, 20.0, 40.0, 80.0)  # s, of segments: which of them depends on speeds and noise
 MOST_LOG = 4.0  # of one segment

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trackslip_common.arrays import BoolArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.heading import mean_direction, place_at, straight_courses, wrapped
-from trackslip_estimation.setup_check.log import BoolArray, Compass, Fixes, Machine, group_of
+from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_of
 from trackslip_estimation.setup_check.path import Path, thinned
 from trackslip_estimation.setup_check.signs import HEADING
 

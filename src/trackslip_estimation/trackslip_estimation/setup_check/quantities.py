@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW, integral
-from trackslip_estimation.setup_check.log import FloatArray, Log, Tracks
+from trackslip_estimation.setup_check.log import Log, Tracks
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import scale_of
 

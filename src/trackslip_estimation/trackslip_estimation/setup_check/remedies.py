@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import Compass, FloatArray, Gyro, group_of
+from trackslip_common.arrays import FloatArray
+from trackslip_estimation.setup_check.log import Compass, Gyro, group_of
 
 
 def parameter(name: str, value: float | str | bool) -> str:

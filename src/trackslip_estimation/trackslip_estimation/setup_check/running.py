@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
 from trackslip_estimation.setup_check.collect import Columns, log_of_columns
 from trackslip_estimation.setup_check.finding import Result
-from trackslip_estimation.setup_check.log import FloatArray
 from trackslip_estimation.slip.measurements import (
     SET_POSE,
     HeadingFix,

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
-from trackslip_estimation.setup_check.log import FloatArray
 
 _STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn, and the sharpest that is used
 _NOTHING = 1e-6  # m

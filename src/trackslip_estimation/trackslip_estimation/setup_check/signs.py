@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray
 
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"

@@ -13,10 +13,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Scales
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray, Log, Machine
+from trackslip_estimation.setup_check.log import Log, Machine
 
 _UNITS = {
     "rpm, declared rad/s": 60.0 / (2.0 * np.pi),

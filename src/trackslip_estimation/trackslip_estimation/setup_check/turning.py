@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackslip_estimation.setup_check.log import BoolArray, FloatArray
+from trackslip_common.arrays import BoolArray, FloatArray
 
 PATTERNS = np.array(((-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0)))  # s_l, s_r
 EFFICIENCIES = np.geomspace(0.1, 1.15, 18)

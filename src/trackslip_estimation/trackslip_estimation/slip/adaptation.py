@@ -28,9 +28,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import Record, dtype_of
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR, departure, track_exposure
 

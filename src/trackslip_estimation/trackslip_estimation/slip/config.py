@@ -9,9 +9,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.clock_monitor import ClockLimits
 from trackslip_common.parameter_record import fill_record
-from trackslip_common.record_types import FloatArray, IntArray, Record, dtype_of
+from trackslip_common.record_types import Record, dtype_of
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.parameters import AttitudeConstants
 from trackslip_estimation.attitude.parameters import constants as attitude_constants

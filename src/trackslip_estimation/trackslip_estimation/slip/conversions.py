@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import Make, header, set_stamp
 from trackslip_common.message_fields import (
     ABSENT,
@@ -54,8 +54,6 @@ from trackslip_estimation.slip.sources import (
     VelocitySource,
     YawRateSource,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 class Frames(NamedTuple):

@@ -29,8 +29,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, Record, Table, dtype_of
+from trackslip_common.record_types import Record, Table, dtype_of
 from trackslip_estimation.slip.models.model import MOST_SENSOR_ERRORS
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.bank.rows import probability_of_best
@@ -37,7 +37,6 @@ from trackslip_estimation.slip.process import clear, fill_last_estimate, process
 from trackslip_estimation.slip.records import ESTIMATE, GYROS, RESULT, TRACKS, to_records
 from trackslip_estimation.slip.window import Records, Window, enlarged, make_window
 
-FloatArray = NDArray[np.float64]
 Step = tuple[Report, "Estimate | None"]
 TiltFields = tuple[int, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]  # of ``TILT``
 SwingFields = tuple[int, float, float, FloatArray]  # of ``SWINGING``

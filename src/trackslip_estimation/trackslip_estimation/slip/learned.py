@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.config import ConfigRecord, make_config
@@ -34,7 +34,6 @@ from trackslip_estimation.slip.sources import Mounted
 if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
-FloatArray = NDArray[np.float64]
 
 _PASSING = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not learned
 _HOURS, _DAYS = 3600.0, 86400.0

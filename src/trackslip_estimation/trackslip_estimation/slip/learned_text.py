@@ -10,12 +10,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.adaptation import unknown_fix_factor
 from trackslip_estimation.slip.learned import Learned, Meaning, weights_of
-
-FloatArray = NDArray[np.float64]
 
 NOT_OBSERVED = "not observed yet"
 _NARROWED, _MOVED, _SHIFTED = 0.9, 3.0, 0.1

@@ -18,8 +18,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-FloatArray = NDArray[np.float64]
 UNKNOWN_SWING = 0.5  # rad, standard deviation of σ beyond which there is none
 Place = tuple[float, float, float, float]
 

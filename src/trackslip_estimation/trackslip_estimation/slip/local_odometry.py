@@ -19,8 +19,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_estimation.attitude.records import HEIGHT
 from trackslip_estimation.slip.estimator import Estimate, Tilt
 

@@ -7,12 +7,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.attitude.records import AttitudeRefusal
-
-FloatArray = NDArray[np.float64]
 
 # What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"

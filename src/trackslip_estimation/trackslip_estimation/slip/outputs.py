@@ -8,8 +8,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import predicted_covariance
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import EstimateRecord, State, SwingRecord
 
-FloatArray = NDArray[np.float64]
 
 _UNKNOWN = int(Motion.UNKNOWN)
 _NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn

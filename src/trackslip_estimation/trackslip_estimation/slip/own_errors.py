@@ -17,9 +17,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import add_state, decay_state, replace_state
@@ -30,8 +28,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.correlated_errors import FixErrors
     from trackslip_estimation.slip.records import Offset, Prior, State, Update
-
-FloatArray = NDArray[np.float64]
 
 
 @compiled

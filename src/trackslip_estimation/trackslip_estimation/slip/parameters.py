@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters, node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, checked, from_flat, parameter, to_flat
@@ -41,8 +41,6 @@ from trackslip_estimation.slip.sources import (
     named,
     source_groups,
 )
-
-FloatArray = NDArray[np.float64]
 
 NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)

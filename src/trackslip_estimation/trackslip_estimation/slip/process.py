@@ -38,7 +38,7 @@ from trackslip_estimation.slip.window import (
 )
 
 if TYPE_CHECKING:
-    from trackslip_common.record_types import FloatArray
+    from trackslip_common.arrays import FloatArray
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import EstimateRecord, MeasurementRecord, Result
 

@@ -11,7 +11,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of
+from trackslip_common.arrays import FloatArray, IntArray
+from trackslip_common.record_types import Record, Table, dtype_of
 from trackslip_estimation.attitude.records import Attitude
 from trackslip_estimation.slip.adaptation import FIX_FACTORS, RATE_FACTORS, TRACK_ERRORS
 from trackslip_estimation.slip.correlated_errors import MOST_RECEIVERS, QUALITIES, FixErrors

@@ -8,8 +8,8 @@ import math
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y

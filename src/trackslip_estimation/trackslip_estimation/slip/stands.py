@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-FloatArray = NDArray[np.float64]
 
 _STANDING = int(Motion.STANDING)
 _SWUNG = 0.1  # rad, beyond which what sits above is seen from another side

@@ -9,9 +9,8 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
 
 _LONGEST = 100  # links from one frame to another
 

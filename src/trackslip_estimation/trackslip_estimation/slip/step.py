@@ -18,7 +18,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
-FloatArray = NDArray[np.float64]
 
 _SETTLED = 0.2  # rad, standard deviation of a heading that is known
 _UNDER_WAY = 0.1  # m that the tracks have run since the start

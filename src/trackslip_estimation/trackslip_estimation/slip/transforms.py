@@ -6,14 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.make import Make, header, set_stamp
 from trackslip_estimation.slip.conversions import Frames
 from trackslip_estimation.slip.estimator import Estimate
 from trackslip_estimation.slip.mounting import quaternion_of
-
-FloatArray = NDArray[np.float64]
 
 
 def blank_transforms(make: Make, frames: Frames) -> Any:

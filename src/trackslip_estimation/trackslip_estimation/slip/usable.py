@@ -16,8 +16,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.measurements import UNOBSERVED, Fault
 from trackslip_estimation.slip.records import (
@@ -34,8 +34,6 @@ from trackslip_estimation.slip.records import (
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord
-
-FloatArray = NDArray[np.float64]
 
 
 FARTHEST = 1e8  # m, of a place; the Earth is 4e7 m round

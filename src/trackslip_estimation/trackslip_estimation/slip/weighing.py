@@ -21,8 +21,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
@@ -74,7 +74,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
-FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 _LOG_TURN = math.log(2.0 * math.pi)

@@ -15,15 +15,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.soils import Soil
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.terramechanics.strength import thrust_limit
-
-FloatArray = NDArray[np.float64]
 
 NONE = "none of these"
 

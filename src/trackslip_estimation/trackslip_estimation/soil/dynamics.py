@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_estimation.kalman.linear_algebra import apply, sandwich
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.tracks import frame_speeds

@@ -10,9 +10,9 @@ Q      flow through an opened valve, spool position times pump flow   m³/s
 import math
 from dataclasses import dataclass
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,9 +28,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle import Vehicle, VehicleParameters
 from trackslip_estimation.slip.motion import Motion

@@ -12,6 +12,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.clock_monitor import (
     CLOCK_LIMITS,
     NEVER_NS,
@@ -22,7 +23,7 @@ from trackslip_common.clock_monitor import (
 )
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_estimation.soil.records import (
     ACCEPTED,
     AHEAD,

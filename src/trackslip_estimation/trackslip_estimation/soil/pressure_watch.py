@@ -13,9 +13,10 @@ from typing import Annotated
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, IntArray, Record
+from trackslip_common.record_types import Record
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.interpolation import Sample
 

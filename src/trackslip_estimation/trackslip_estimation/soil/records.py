@@ -13,8 +13,9 @@ from typing import Annotated, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.slip.motion import Motion
 

@@ -9,12 +9,8 @@ F_max    maximal tractive effort of one track               N
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 _LEAST = 1e-300  # N²
 

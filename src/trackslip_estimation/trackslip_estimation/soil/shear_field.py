@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 FARTHEST = 0.5  # m, at which all strength is mobilised: a reversal need not undo more
 STILL = 1e-9  # m, m/s, below which nothing slides

@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record
+from trackslip_common.record_types import Record
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import SlipSeed
 from trackslip_estimation.soil.strength_summary import StrengthSummary

@@ -11,8 +11,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, IntArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil import dynamics, interpolation, pressure_watch

@@ -21,8 +21,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.shear_field import (
@@ -34,8 +34,6 @@ from trackslip_estimation.soil.shear_field import (
     mobilised,
     path_of,
 )
-
-FloatArray = NDArray[np.float64]
 
 _MODULI, _LIMITS = 12, 9  # hypotheses: λ is nearly linear in K and in 1/F_max between them
 _MOST_SLIP = 0.4  # a soil that is asked for more than it has lets the tracks spin; no farther than this

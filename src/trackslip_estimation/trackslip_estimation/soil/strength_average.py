@@ -5,8 +5,9 @@
 import math
 from typing import Annotated
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray, Record
+from trackslip_common.record_types import Record
 from trackslip_estimation.soil.ground_load import GroundLoad
 from trackslip_estimation.soil.interpolation import Sample
 from trackslip_estimation.soil.strength_parameters import StrengthParameters

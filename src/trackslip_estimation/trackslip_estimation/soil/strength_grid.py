@@ -9,12 +9,10 @@ is one of F_max, and one of slip, b, shifts each shear displacement by up to b l
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
-
-FloatArray = NDArray[np.float64]
 
 
 class StrengthGrid:

@@ -23,8 +23,8 @@ from enum import Enum
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance

@@ -5,12 +5,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
-
-FloatArray = NDArray[np.float64]
 
 _SHARES = (0.05, 0.5, 0.95)
 

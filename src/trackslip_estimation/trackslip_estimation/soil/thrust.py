@@ -17,9 +17,10 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, Table, dtype_of, make_table
+from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust_of_pressure
 

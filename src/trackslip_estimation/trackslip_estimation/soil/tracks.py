@@ -8,12 +8,8 @@ r ω_j  speed of the track itself, v_j/(1 − i_j), from i = 1 − v/(r ω)   m/
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 _SPINNING = 1e-9  # of 1 − i: a track that spins in place has any speed
 

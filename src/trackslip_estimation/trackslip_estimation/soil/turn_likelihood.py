@@ -19,12 +19,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, shares
-
-FloatArray = NDArray[np.float64]
 
 _DEPENDENT = 1e-9  # least share of a determinant: below it rounding decides
 _NODES = np.linspace(-4.0, 4.0, 17)  # z

@@ -5,12 +5,11 @@
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.parameter_spec import Spec
-
-FloatArray = NDArray[np.float64]
 
 _HOLDS = MappingProxyType(
     {"gt": np.greater, "ge": np.greater_equal, "lt": np.less, "le": np.less_equal}

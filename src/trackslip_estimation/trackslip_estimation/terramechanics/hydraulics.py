@@ -21,8 +21,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.terramechanics.domain import FloatArray, checked
+from trackslip_estimation.terramechanics.domain import checked
 
 
 def torque(pressure: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> FloatArray:

@@ -17,8 +17,9 @@ k'_c, k'_ϕ  Reece's dimensionless moduli                    1
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
-from trackslip_estimation.terramechanics.domain import FloatArray, checked
+from trackslip_estimation.terramechanics.domain import checked
 
 
 def bekker_modulus(k_c: ArrayLike, k_phi: ArrayLike, width: ArrayLike) -> FloatArray:

@@ -15,7 +15,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trackslip_estimation.terramechanics.domain import FloatArray, checked
+from trackslip_common.arrays import FloatArray
+from trackslip_estimation.terramechanics.domain import checked
 
 
 def shear_strength(pressure: ArrayLike, cohesion: ArrayLike, friction_angle: ArrayLike) -> FloatArray:

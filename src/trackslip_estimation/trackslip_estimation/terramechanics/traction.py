@@ -18,7 +18,8 @@ are exact for any slip; slips above 1 mean a track that pulls forward while the 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trackslip_estimation.terramechanics.domain import FloatArray, checked
+from trackslip_common.arrays import FloatArray
+from trackslip_estimation.terramechanics.domain import checked
 
 _SERIES_BELOW = 0.5  # u; above it the closed form of q is good to 2 ulp of q
 _SERIES = [1.0]  # q/(u/2) = 1 − u/3 + u²/12 …; 15 terms reach 1e-17 at u = 0.5

@@ -23,8 +23,9 @@ the D that balances the lateral forces exactly; the whole (3.6) is the centroid 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.terramechanics.domain import FloatArray, checked
+from trackslip_estimation.terramechanics.domain import checked
 
 
 def lateral_force(

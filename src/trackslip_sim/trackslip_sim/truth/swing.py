@@ -13,15 +13,13 @@ hold against it: that its start turns the undercarriage is left out.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.vehicle import UpperStructure
 from trackslip_sim.scenarios.scenario import Scenario
 from trackslip_sim.truth.settings import TruthSettings
-
-FloatArray = NDArray[np.float64]
 
 
 class Swing:

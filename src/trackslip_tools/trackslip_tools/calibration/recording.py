@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from trackslip_bags.input_filters import relative
 from trackslip_bags.reader import Bag, require_topics
 from trackslip_bags.tables import TopicTable, read_tables
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.errors import InputError
 from trackslip_common.message_fields import (
@@ -44,7 +45,6 @@ from trackslip_estimation.slip.motion import (
 from trackslip_estimation.slip.sources import HEADING_MESSAGES, HeadingSource
 from trackslip_tools.replay.inputs import SPROCKETS
 
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
 
 HYDRAULICS = "hydraulics"

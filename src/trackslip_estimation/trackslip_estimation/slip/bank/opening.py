@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_common.record_types import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.events import (

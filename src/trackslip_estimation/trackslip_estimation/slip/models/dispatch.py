@@ -22,8 +22,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_estimation.kalman.linear_algebra import sandwich, wrap
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-FloatArray = NDArray[np.float64]
 
 MODELS: dict[str, ModuleType] = {module.NAME: module for module in (turning, icr, free_slips)}
 COUPLED = YAW + 1  # rows of F that are not diagonal

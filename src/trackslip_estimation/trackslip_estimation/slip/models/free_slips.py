@@ -24,9 +24,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import Record, dtype_of
 from trackslip_estimation.slip.models.model import COMMON, GYRO_BIAS, SIZE, Part, Prior
 from trackslip_estimation.slip.motion import Motion, MotionState
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import parameter
 from trackslip_estimation.slip.models import speed
@@ -26,7 +26,6 @@ from trackslip_estimation.slip.motion import Motion, MotionState
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
 
-FloatArray = NDArray[np.float64]
 
 CODE, NAME, ACTIVE = 2, "icr", speed.ACTIVE
 LEFT_CENTRE, RIGHT_CENTRE = FIRST, SECOND

@@ -9,10 +9,7 @@ between the models.
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from trackslip_common.arrays import FloatArray
 
 X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own

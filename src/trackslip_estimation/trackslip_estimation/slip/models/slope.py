@@ -27,9 +27,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import DOWNHILL, YAW
 from trackslip_estimation.slip.models.speed import FIRST, ROTATION_OFFSET, SECOND
@@ -39,7 +37,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-FloatArray = NDArray[np.float64]
 Twist = tuple[float, float, float]
 
 _GENTLE = 0.05  # sine of a slope that shows k half

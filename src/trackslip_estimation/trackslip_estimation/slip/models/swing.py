@@ -24,9 +24,10 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
-from trackslip_common.record_types import FloatArray, Record, dtype_of
+from trackslip_common.record_types import Record, dtype_of
 from trackslip_common.vehicle import VehicleParameters
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE
 from trackslip_estimation.slip.models.speed import ROTATION_OFFSET

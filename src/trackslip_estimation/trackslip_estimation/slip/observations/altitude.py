@@ -22,8 +22,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import downward, set_level
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-FloatArray = NDArray[np.float64]
 
 _NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
 _SLIP_TIME = 10.0  # s, T

@@ -27,8 +27,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import copy_square, wrap
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Streak, Update
 
-FloatArray = NDArray[np.float64]
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 

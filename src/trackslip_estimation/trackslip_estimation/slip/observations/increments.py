@@ -19,8 +19,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.usable import LEAST_VARIANCE
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord
 
-FloatArray = NDArray[np.float64]
 
 TWIST, POSE_GROWTH, DECLARED = range(3)  # where the covariance comes from
 _SMALL = 1e-9  # rad

@@ -28,8 +28,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import (
     copy_square,
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord, Prior, State, Update
 
-FloatArray = NDArray[np.float64]
 
 _GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.STANDING)
 _MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds

@@ -18,8 +18,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
@@ -35,8 +35,6 @@ from trackslip_estimation.slip.usable import LEAST_VARIANCE
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
-
-FloatArray = NDArray[np.float64]
 
 
 @compiled

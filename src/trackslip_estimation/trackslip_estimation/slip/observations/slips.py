@@ -15,8 +15,8 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import (
     copy_square,
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
-FloatArray = NDArray[np.float64]
 
 _GATED = int(Outcome.GATED)
 

@@ -22,8 +22,8 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation, observe_alone
 from trackslip_estimation.slip.levers import sensor_place, swung_place
@@ -42,8 +42,6 @@ from trackslip_estimation.slip.usable import LEAST_VARIANCE, rows_of_velocity
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
-
-FloatArray = NDArray[np.float64]
 
 
 class Rotation(NamedTuple):

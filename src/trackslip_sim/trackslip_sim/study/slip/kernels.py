@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import PITCH, ROLL
@@ -37,8 +38,6 @@ from trackslip_estimation.slip.outputs import fill_outputs
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE
 from trackslip_estimation.slip.update import observe
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 RecordArray = NDArray[np.void]
 
 ERRORS = 7  # x, y, φ, i_L, i_R, α, σ
