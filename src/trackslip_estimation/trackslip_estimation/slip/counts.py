@@ -94,9 +94,8 @@ def _gain(counts: CountsRecord, dt: float, c: Config) -> Gain:
     variance = counts.variance + (2.0 * counts.shared + (counts.speed_variance + walk / 3.0) * dt) * dt
     S = variance + c.encoder_resolution**2 / 12.0
     angle, speed = variance / S, shared / S
-    return Gain(
-        angle, speed, variance * (1.0 - angle), shared * (1.0 - angle), speed_variance - speed * shared
-    )
+    kept, left_open = 1.0 - angle, max(speed_variance - speed * shared, 0.0)
+    return Gain(angle, speed, kept * variance, kept * shared, left_open)
 
 
 @compiled

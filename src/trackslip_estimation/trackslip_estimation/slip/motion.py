@@ -207,7 +207,7 @@ def steady_speeds(
     """Left and right, rad/s, of which twist and slips are shown and observed, and a gyro's derivative is.
 
     Also the variance of each by rounding. No rounding of counts passes for a turn, or a change of speed:
-    low-passed, where rounding explains how the speeds depart from their mean; alike, where it explains their
+    low-passed, where rounding explains how the speeds depart from their mean; equal, where it explains their
     difference.
     """
     left, right, variance = speeds.left, speeds.right, speeds.variance
