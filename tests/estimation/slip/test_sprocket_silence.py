@@ -51,7 +51,7 @@ def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]
     speeds = [state["speeds"].item() for state in asked]
     return [
         Known((*found, variance > 0.0), bool(state["coasting"]))
-        for (*found, variance), state in zip(speeds, asked, strict=True)
+        for (*found, variance, _), state in zip(speeds, asked, strict=True)
     ]
 
 

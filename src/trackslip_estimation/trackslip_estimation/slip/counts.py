@@ -69,7 +69,7 @@ def counted_speeds(
     right = _follow(counts.right, counts.right_speed, closing.right_angle, dt, gain, half)[0]
     common = (1.0 - gain.angle) * (counts.variance + counts.shared * dt)
     speeds.left, speeds.right = (left - counts.left) / dt, (right - counts.right) / dt
-    speeds.interval = dt
+    speeds.interval, speeds.angle_variance = dt, gain.variance
     speeds.variance = max(gain.variance + counts.variance - 2.0 * common, 0.0) / (dt * dt)
 
 

@@ -42,6 +42,7 @@ class SpeedsRecord(Record):
     right: float
     interval: float
     variance: float
+    angle_variance: float
 
 
 SPEEDS = dtype_of(SpeedsRecord)
@@ -97,6 +98,7 @@ class Speeds(NamedTuple):
     right: float  # rad/s
     interval: float  # s between the two samples; 0 where there was but one
     variance: float = 0.0  # of each, by the rounding of counts, (rad/s)²
+    angle_variance: float = 0.0  # of each angle, by the same, rad²
 
 
 class MotionState(NamedTuple):
@@ -128,7 +130,7 @@ def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Sp
     """What slips are shown of: ``steady_speeds``."""
     now, before = _table(SpeedsRecord, SPEEDS, speeds), _table(MotionRecord, MOTION, state)
     left, right, variance = _steady_speeds(now, before, limits_record(limits))
-    return Speeds(left, right, speeds.interval, variance)
+    return speeds._replace(left=left, right=right, variance=variance)
 
 
 def limits_record(limits: MotionParameters) -> Table[LimitsRecord]:
@@ -201,6 +203,12 @@ def is_rounding(departure: float, speeds: SpeedsRecord) -> bool:
 
 
 @compiled
+def rounding_over(time: float, speeds: SpeedsRecord) -> float:
+    """Variance of a mean speed over so many s, (rad/s)²: of the angles at its ends."""
+    return min(2.0 * speeds.angle_variance / (time * time), speeds.variance)
+
+
+@compiled
 def steady_speeds(
     speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord
 ) -> tuple[float, float, float]:
@@ -213,9 +221,9 @@ def steady_speeds(
     left, right, variance = speeds.left, speeds.right, speeds.variance
     if variance == 0.0:
         return left, right, variance
-    lasts = math.sqrt(2.0) * limits.smoothing_time
-    if is_rounding(motion.departure, speeds) and speeds.interval < lasts:
-        left, right, variance = motion.left, motion.right, variance * (speeds.interval / lasts) ** 2
+    if is_rounding(motion.departure, speeds):
+        left, right = motion.left, motion.right
+        variance = rounding_over(math.sqrt(2.0) * limits.smoothing_time, speeds)
     if (right - left) ** 2 <= 2.0 * _SIGNIFICANT**2 * variance:
         left = right = (left + right) / 2.0
     return left, right, variance

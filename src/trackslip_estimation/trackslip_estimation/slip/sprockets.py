@@ -74,7 +74,7 @@ def interval_speeds(
     if max(abs(closing.left_speed), abs(closing.right_speed)) > c.max_sprocket_speed:
         return False
     speeds.left, speeds.right = closing.left_speed, closing.right_speed
-    speeds.interval, speeds.variance = interval, 0.0
+    speeds.interval, speeds.variance, speeds.angle_variance = interval, 0.0, 0.0
     return True
 
 
@@ -121,10 +121,11 @@ def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
 @compiled
 def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
     target.left, target.right = source.left, source.right
-    target.interval, target.variance = source.interval, source.variance
+    target.interval = source.interval
+    target.variance, target.angle_variance = source.variance, source.angle_variance
 
 
 @compiled
 def stand_still(speeds: SpeedsRecord) -> None:
     """No motion."""
-    speeds.left = speeds.right = speeds.interval = speeds.variance = 0.0
+    speeds.left = speeds.right = speeds.interval = speeds.variance = speeds.angle_variance = 0.0

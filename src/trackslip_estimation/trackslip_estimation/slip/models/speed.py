@@ -55,7 +55,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.shear import lost_variances
-from trackslip_estimation.slip.motion import Motion, MotionState
+from trackslip_estimation.slip.motion import Motion, MotionState, rounding_over
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -246,20 +246,13 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     if motion.motion != _STANDING:
-        rounding = c.rolling_radius**2 * _rounding(drive, c)
+        rounding = c.rolling_radius**2 * rounding_over(e.time, speeds)
         of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
     goes_on = drive.unheard / LASTS
     return (
         of_speed + goes_on * c.unknown_speed**2,
         of_rate / (c.tread * c.tread) + goes_on * c.unknown_yaw_rate**2,
     )
-
-
-@compiled
-def _rounding(drive: State, c: Config) -> float:
-    """Variance of the mean speed of a sprocket over τ, (rad/s)²: that of its angle at either end."""
-    of_mean = 2.0 * drive.sample.counts.variance / c.velocity_errors.time**2
-    return float(min(of_mean, drive.speeds.variance))
 
 
 @compiled

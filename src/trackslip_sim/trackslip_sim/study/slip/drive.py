@@ -214,7 +214,7 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
     drives = rows.drives.copy()
     drives["speeds"]["left"] = (after.left_angle - before.left_angle) / period
     drives["speeds"]["right"] = (after.right_angle - before.right_angle) / period
-    drives["speeds"]["variance"] = 0.0
+    drives["speeds"]["variance"] = drives["speeds"]["angle_variance"] = 0.0
     return drives
 
 
