@@ -22,7 +22,7 @@ from trackslip_estimation.slip.models.model import (
     YAW,
 )
 from trackslip_estimation.slip.models.model import POSE as OF_POSE
-from trackslip_estimation.slip.motion import Motion
+from trackslip_estimation.slip.motion import Motion, Speeds
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, ON_SWING, POSE, STATE, YAW_RATE
 from trackslip_sim.machine.placement import upper_poses
@@ -153,7 +153,7 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     rows.measurements["source"] = np.where(kinds == YAW_RATE, imu, box)
     for kind, noise in noises.items():
         rows.measurements["noise"][kinds == kind] = np.diag(np.resize((*noise, 0.0, 0.0), 3))
-    rows.drives["speeds"] = (1.6, 1.2, PERIOD, False)
+    rows.drives["speeds"] = Speeds(1.6, 1.2, PERIOD)
     rows.drives["motion"]["motion"] = Motion.TURNING
     x, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     x[OF_POSE], x[SWING], x[SWING_RATE] = (1.0, 2.0, 0.5), 0.8, 0.3
