@@ -130,8 +130,11 @@ def test_counts_of_a_coarse_encoder_need_no_word_of_their_size() -> None:
     found = ts.Estimator(vehicle=MACHINE, sources=sources).run(columns)
     assert "jumped" not in found.text
     assert found.setup.is_plausible
-    stated = ts.Estimator(vehicle=MACHINE, sources=sources, parameters={"encoder_resolution": 1e-4})
-    assert {cause.cause for cause in stated.run(columns).setup.causes} == {"encoder_resolution"}
+    differences = {side: np.diff(columns[side], prepend=0.0) * RATE / 50.0 for side in ("left", "right")}
+    speeds = {f"{side}_velocity": (side, "rev/s") for side in differences}
+    for of, given in ((sources, columns), ({**SOURCES, "sprockets": speeds}, {**columns, **differences})):
+        stated = ts.Estimator(vehicle=MACHINE, sources=of, parameters={"encoder_resolution": 1e-4})
+        assert {cause.cause for cause in stated.run(given).setup.causes} == {"encoder_resolution"}
 
 
 def test_times_that_go_back_are_refused() -> None:

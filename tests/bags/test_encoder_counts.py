@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which angle a count of the encoders is, by the positions of a log."""
+"""Which angle a count of the encoders is, by the positions of a log, or by its speeds."""
 
 import math
 from collections.abc import Callable
@@ -36,6 +36,29 @@ def test_the_digits_of_a_log_do_not_hide_the_counts(counts: int) -> None:
     resolution = math.tau / counts
     found = encoder_resolution(sprockets(np.round(np.floor(ANGLES / resolution) * resolution, 4)))
     assert found == pytest.approx(resolution, rel=0.01)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.003])
+@pytest.mark.parametrize("counts", [16, 100, 1000])
+def test_speeds_that_are_differences_of_counts_show_them(counts: int, jitter: float) -> None:
+    """A driver divides by the period of its timer, or by the time between its stamps."""
+    t = T + np.random.default_rng(1).uniform(-jitter, jitter, len(T))
+    resolution, stamps = math.tau / counts, np.round(t * 1e9).astype(np.int64)
+    angles = 10.0 * np.column_stack((np.sin(t / 7.0), np.sin(t / 9.0)))
+    moved = np.diff(np.floor(angles / resolution) * resolution, axis=0, prepend=0.0)
+    for periods in (np.full(len(t), 0.02), np.diff(stamps * 1e-9, prepend=-0.02)):
+        values = {"position": np.full_like(angles, np.nan), "velocity": moved / periods[:, None]}
+        found = encoder_resolution([Samples("sprockets", "sprockets", [""], stamps, stamps, values)])
+        assert found == pytest.approx(resolution, rel=0.05)
+
+
+@pytest.mark.parametrize("digits", [2, 3, 5])
+def test_speeds_of_few_digits_are_no_coarse_counts(digits: int) -> None:
+    stamps = (T * 1e9).astype(np.int64)
+    speeds = np.round(np.gradient(ANGLES, T, axis=0), digits)
+    values = {"position": np.full_like(speeds, np.nan), "velocity": speeds}
+    found = encoder_resolution([Samples("sprockets", "sprockets", [""], stamps, stamps, values)])
+    assert found <= 0.02 * 10.0**-digits * 1.001
 
 
 @pytest.mark.parametrize(

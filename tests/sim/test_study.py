@@ -157,7 +157,7 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 61)
     rows.measurements["kind"][19::20] = POSE
     rows.measurements["noise"] = fix = np.diag((4e-4, 4e-4, 1e-4))
-    rows.drives["speeds"] = Speeds(1.6, 1.2, PERIOD, 4e-4, 2e-8)
+    rows.drives["speeds"] = Speeds(1.6, 1.2, 4e-4, 2e-8)
     rows.drives["motion"]["motion"] = Motion.TURNING
     x, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix

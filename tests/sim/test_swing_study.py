@@ -153,7 +153,7 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     rows.measurements["source"] = np.where(kinds == YAW_RATE, imu, box)
     for kind, noise in noises.items():
         rows.measurements["noise"][kinds == kind] = np.diag(np.resize((*noise, 0.0, 0.0), 3))
-    rows.drives["speeds"] = Speeds(1.6, 1.2, PERIOD)
+    rows.drives["speeds"] = Speeds(1.6, 1.2)
     rows.drives["motion"]["motion"] = Motion.TURNING
     x, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     x[OF_POSE], x[SWING], x[SWING_RATE] = (1.0, 2.0, 0.5), 0.8, 0.3

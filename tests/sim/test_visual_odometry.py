@@ -57,10 +57,9 @@ def without_fixes(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_half_a_minute_without_fixes_is_bridged(bag: Path) -> None:
-    """At 1 % of drift, where sprockets alone are 0.14 to 0.16 m off."""
+    """At 1 % of drift, and better than by sprockets alone."""
     blind, found = without_fixes(bag, {}), without_fixes(bag, SETTINGS)
-    assert blind["rmse"]["withheld"]["end"] > 0.10
-    assert found["rmse"]["withheld"]["end"] < 0.06
+    assert found["rmse"]["withheld"]["end"] < min(0.06, 0.8 * blind["rmse"]["withheld"]["end"])
     assert found["rmse"]["heading"] < 0.006 < blind["rmse"]["heading"]
     assert found["nees"] < 6.0
     assert found["nees_position"] < 4.5

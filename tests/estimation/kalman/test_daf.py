@@ -144,7 +144,7 @@ def test_covariance_stays_symmetric_and_positive(model: str, kappa: float, seed:
     for _ in range(60):
         measured = measurement(rng)
         left, right = rng.uniform(-4.0, 4.0, 2).tolist()
-        speeds = Speeds(left, right, 0.01, float(rng.choice((0.0, 4e-4))))
+        speeds = Speeds(left, right, float(rng.choice((0.0, 4e-4))))
         motion = MotionState(Motion(int(rng.integers(4))), changing=bool(rng.random() < 0.5))
         state = filter_step(
             config, state, speeds, float(rng.choice((0.0, 0.01, 0.3))), motion, measured
@@ -205,7 +205,7 @@ def _drawn(model: str) -> list[tuple[Gaussian, list[tuple[Speeds, Measured]], Fl
             drive = Drive(left, right, *TURNING[:2], departure=TURNING.departure)
             Q = process_noise(truth, np.zeros((SIZE, SIZE)), drive, 0.05, config)
             truth = moved(truth, drive, 0.05, config) + rng.normal(size=SIZE) @ _root(Q)
-            speeds = Speeds(left, right, 0.05)
+            speeds = Speeds(left, right)
             steps.append((speeds, _seen(k, truth, speeds, config, rng)))
         drives.append((start, steps, truth))
     return drives

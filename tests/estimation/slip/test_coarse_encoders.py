@@ -28,7 +28,7 @@ COUNTS = (16, 100, 1000)  # a turn of the sprocket
 KINEMATICS = parameters().vehicle.kinematics
 
 
-def counted(recording: Recording, resolution: float) -> list[Measurement]:
+def counted(recording: Recording, resolution: float, *, has_positions: bool) -> list[Measurement]:
     """With positions in whole counts of ``resolution`` rad, and speeds that are their differences."""
     before, angles, found = np.zeros(2), np.zeros(2), []
     for m in recording.measurements:
@@ -37,7 +37,8 @@ def counted(recording: Recording, resolution: float) -> list[Measurement]:
             now = resolution * np.floor(angles / resolution + (0.2, 0.7))
             left, right = (now - before) * RATE
             before = now
-            m = replace(m, left_speed=left, right_speed=right, positions=(now[0], now[1]))
+            positions = (now[0], now[1]) if has_positions else None
+            m = replace(m, left_speed=left, right_speed=right, positions=positions)
         found.append(m)
     return found
 
@@ -75,15 +76,22 @@ BESIDE: Mapping[str, Callable[[Recording], tuple[list[Measurement], dict[str, ob
 
 
 def run(
-    counts: int, *, seed: int = 0, has_gyro: bool = True, fixes_until: float = END, beside: str = ""
+    counts: int,
+    *,
+    seed: int = 0,
+    has_gyro: bool = True,
+    fixes_until: float = END,
+    beside: str = "",
+    has_positions: bool = True,
 ) -> tuple[float, float, float, int]:
     """RMSE of place, m, and heading, rad, mean NEES of the pose, and how many measurements were refused."""
     recording = drive(Machine(duration=END, seed=seed))
     resolution = math.tau / counts
     more, chosen = BESIDE[beside](recording) if beside else ([], {})
+    everything = [*counted(recording, resolution, has_positions=has_positions), *more]
     shown = [
         m
-        for m in sorted([*counted(recording, resolution), *more], key=lambda m: m.stamp_ns)
+        for m in sorted(everything, key=lambda m: m.stamp_ns)
         if (has_gyro or m.source != GYRO)
         and not (isinstance(m, PoseFix) and fixes_until < m.stamp_ns / S - 1.0 < END)
     ]
@@ -145,6 +153,17 @@ def test_what_shows_the_way_agrees_with_a_gyro_beside_coarse_encoders(counts: in
         assert both[1] < 1.1 * alone[1] + 0.003
         assert both[2] < 5.0
         assert both[3] == 0
+
+
+@pytest.mark.parametrize("beside", ["", *BESIDE])
+@pytest.mark.parametrize("counts", COUNTS)
+def test_speeds_that_are_differences_of_counts_say_what_the_counts_say(counts: int, beside: str) -> None:
+    """A driver that publishes no positions: 16 counts were 9 m off, 100 had the gyro refused."""
+    for until in (END, 60.0):
+        of_counts, of_speeds = (
+            run(counts, fixes_until=until, beside=beside, has_positions=given) for given in (True, False)
+        )
+        assert of_speeds == pytest.approx(of_counts, rel=0.02, abs=2e-4)
 
 
 @pytest.mark.parametrize("counts", [100, 1000, 12_288])

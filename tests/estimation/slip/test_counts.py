@@ -11,23 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.slip.counts import COUNTS, begin_counts, counted_speeds, follow_counts
-from trackslip_estimation.slip.motion import SPEEDS
-from trackslip_estimation.slip.records import MEASUREMENT
+from trackslip_estimation.slip.counts import COUNTS, begin_counts, follow, keep
 
 
 def speeds_of(positions: FloatArray, periods: FloatArray, resolution: float) -> tuple[FloatArray, FloatArray]:
     """(n, 2) speeds of both sprockets and (n,) their variances, from (n + 1, 2) positions."""
-    c = config_of(encoder_resolution=resolution)[0]
-    counts, speeds, closing = (np.zeros(1, kind)[0] for kind in (COUNTS, SPEEDS, MEASUREMENT))
+    c, counts = config_of(encoder_resolution=resolution)[0], np.zeros(1, COUNTS)[0]
     found, variances = np.zeros((len(periods), 2)), np.zeros(len(periods))
-    closing["left_angle"], closing["right_angle"] = positions[0]
-    begin_counts(counts, closing, c)
-    for k, dt in enumerate(periods):
-        closing["left_angle"], closing["right_angle"] = positions[k + 1]
-        counted_speeds(counts, closing, dt, c, speeds)
-        follow_counts(counts, closing, dt, c)
-        found[k], variances[k] = (speeds["left"], speeds["right"]), speeds["variance"]
+    begin_counts(counts, c)
+    for k, (shown, dt) in enumerate(zip(np.diff(positions, axis=0), periods, strict=True)):
+        followed = follow(counts, shown[0] / dt, shown[1] / dt, dt, c)
+        keep(followed, counts)
+        found[k], variances[k] = (followed.left.mean, followed.right.mean), followed.mean_variance
     return found, variances
 
 

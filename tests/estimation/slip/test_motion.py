@@ -34,7 +34,7 @@ def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = Non
 
 
 def measured(left: float, right: float) -> Speeds:
-    return Speeds(left, right, 0.0)
+    return Speeds(left, right)
 
 
 def held(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, float]]:
@@ -143,21 +143,21 @@ def test_counts_do_not_make_it_flicker(left: float, right: float, expected: Moti
 def test_speeds_are_shown_low_passed_where_rounding_explains_their_changes() -> None:
     state, found = MotionState(), []
     for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
-        speeds = Speeds(left, right, DT, COUNTED, COUNT**2 / 12.0)
+        speeds = Speeds(left, right, COUNTED, COUNT**2 / 12.0)
         state = classify(state, speeds, DT, LIMITS)
         found.append(smoothed(speeds, state, LIMITS))
     variances = np.array([one.variance for one in found])
     assert variances[100:500].max() < COUNTED / 100.0
-    assert found[500] == (*counted(1.6, 1.2, DT)[0], DT, COUNTED, COUNT**2 / 12.0)
+    assert found[500] == (*counted(1.6, 1.2, DT)[0], COUNTED, COUNT**2 / 12.0)
     assert variances[-100:].max() < COUNTED / 100.0
 
 
 @pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
 def test_no_difference_that_rounding_explains_is_shown(difference: float) -> None:
     """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
-    now = Speeds(1.5, 1.5 + difference, DT, COUNTED, COUNT**2 / 12.0)
+    now = Speeds(1.5, 1.5 + difference, COUNTED, COUNT**2 / 12.0)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
-    left, right, _, variance, _ = smoothed(now, changing, LIMITS)
+    left, right, variance, _ = smoothed(now, changing, LIMITS)
     assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
     assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
     assert variance == COUNTED

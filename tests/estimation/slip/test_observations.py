@@ -69,7 +69,7 @@ def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
     known = Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
     known.mean[FIX_DELAY] = 0.0
     motion = MotionState(Motion.TURNING, departure=1.0)
-    state = state_of(known, Speeds(1.0, 1.7, 0.01), motion)
+    state = state_of(known, Speeds(1.0, 1.7), motion)
     level = state["attitude"]["level"]
     if tilted:
         roll, pitch = 0.02, -0.03

@@ -111,7 +111,7 @@ def test_twist_jacobian(x: FloatArray, left: float, right: float) -> None:
 
 
 def measured(left: float, right: float) -> Speeds:
-    return Speeds(left, right, 0.01)
+    return Speeds(left, right)
 
 
 @pytest.mark.parametrize(("kind", "rows"), [(YAW_RATE, 1), (POSE, 2), (POSE, 3)])
@@ -137,7 +137,7 @@ def test_what_is_measured(x: FloatArray, left: float, right: float) -> None:
 def test_rounding_of_positions_is_no_noise_of_the_gyro() -> None:
     """Else the heading would be that of the tracks, the more so the coarser their encoders are."""
     for variance in (4e-4, 0.0):
-        drive = state_of(Gaussian(state(), NOTHING), Speeds(1.0, 1.2, 0.01, variance), STRAIGHT)
+        drive = state_of(Gaussian(state(), NOTHING), Speeds(1.0, 1.2, variance), STRAIGHT)
         found = observed(drive[0], rate_measured(0.0, 1e-4), C)
         assert found.noise[0, 0] == 1e-4
         assert found.innovation[0] == pytest.approx(-0.2 * RADIUS / TREAD)

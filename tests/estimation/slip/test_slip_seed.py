@@ -52,7 +52,7 @@ def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
     x, c = start_of(config, np.zeros(3), np.eye(3)).mean, config[0]
     x[4 : c["active"]] += np.linspace(0.01, 0.05, c["active"] - 4)
     known = Gaussian(x, np.zeros((SIZE, SIZE)))
-    slips = outputs_of(config, known, Speeds(left, right, 0.0))["slips"][:2]
+    slips = outputs_of(config, known, Speeds(left, right))["slips"][:2]
     np.testing.assert_allclose(expected(SLIPS, x, 2, speeds, c), slips, rtol=1e-12)
     by_differences = differences(lambda v: expected(SLIPS, v, 2, speeds, c), x)
     np.testing.assert_allclose(jacobian(SLIPS, x, 2, speeds, c), by_differences, atol=1e-7)
@@ -63,7 +63,7 @@ def test_slips_know_of_the_rounding_of_the_counts() -> None:
     x[FIRST], x[SECOND], x[COMMON_SLIP] = 0.5, 0.4, 0.02
     known, changing = Gaussian(x, np.zeros((SIZE, SIZE))), MotionState(Motion.STRAIGHT, departure=1.0)
     for variance in (4e-4, 0.0):
-        speeds = Speeds(2.0, 2.0, 0.01, variance)
+        speeds = Speeds(2.0, 2.0, variance)
         measured = slips_measured(np.zeros(2), 1e-12 * np.eye(2))
         R = observed(state_of(known, speeds, changing)[0], measured, config[0]).noise
         found = outputs_of(config, known, speeds, changing)["slip_covariance"][:2, :2]
@@ -77,7 +77,7 @@ def test_both_slips_move_together_where_the_gyro_holds_their_difference(model: s
     config = config_of(model=model, filter=filter_)
     state = start_of(config, np.zeros(3), 1e-4 * np.eye(3))
     measured = slips_measured(np.full(2, 0.03), 1e-6 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
-    straight = Speeds(2.0, 2.0, 0.0)
+    straight = Speeds(2.0, 2.0)
     step = filter_step(config, state, straight, 0.0, MotionState(Motion.STRAIGHT, changing=False), measured)
     before, after = (outputs_of(config, known, straight) for known in (step.predicted, step.updated))
     np.testing.assert_allclose(after["slips"][:2], 0.03, atol=1e-3)
@@ -104,7 +104,7 @@ def test_a_seed_mends_what_the_gyro_cannot_see(drive: Callable[..., Any], model:
     true = driven.truth[given[-1].stamp_ns]
     errors = [np.abs(e.estimate().outputs.slips[:2].mean() - 0.04) for e in (blind, mended)]
     assert errors[0] > 0.02
-    assert errors[1] < 0.015  # some of it the model takes for a velocity error, as real tracks have
+    assert errors[1] < 0.02  # some of it the model takes for a velocity error, as real tracks have
     ways = [abs(e.estimate().pose[0] - true[0]) for e in (blind, mended)]
     assert ways[1] < 0.6 * ways[0]
 

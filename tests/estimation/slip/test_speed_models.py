@@ -96,7 +96,7 @@ def test_h_is_the_derivative_of_the_measurement(model: str, x: FloatArray, left:
 def test_outputs_come_with_their_derivatives(model: str, x: FloatArray, left: float, right: float) -> None:
     left, right = (math.copysign(abs(w) + 0.2, w) for w in (left, right))
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
-    measured = Speeds(left, right, 0.0)
+    measured = Speeds(left, right)
     v, _, rate = dispatch.twist(x, left, right, config[0])
     x[SPEED_ERROR] += math.copysign(0.05, v)  # clear of where the slip angle ends
     v += math.copysign(0.05, v)
@@ -121,7 +121,7 @@ def test_outputs_come_with_their_derivatives(model: str, x: FloatArray, left: fl
 def test_slips_of_a_track_that_stands_are_the_common_slip(model: str) -> None:
     x = np.zeros(SIZE)
     x[COMMON_SLIP] = 0.07
-    found = outputs_of(CONFIGS[model], Gaussian(x, np.eye(SIZE)), Speeds(0.0, 0.0, 0.0))
+    found = outputs_of(CONFIGS[model], Gaussian(x, np.eye(SIZE)), Speeds(0.0, 0.0))
     np.testing.assert_array_equal(found["slips"], (0.07, 0.07, 0.0))
     np.testing.assert_array_equal(found["slip_covariance"], np.diag((1.0, 1.0, 0.0)) + SHARED)
 
@@ -132,7 +132,7 @@ def test_a_standing_track_does_not_roll_with_the_machine(model: str) -> None:
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     x = np.zeros(SIZE)
     x[FIRST], x[SECOND], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
-    stands = Speeds(0.0, 2.0, 0.0)
+    stands = Speeds(0.0, 2.0)
     found = outputs_of(config, Gaussian(x, P), stands)
     (v, _, rate), slips = found["twist"], found["slips"]
     frame = v - rate * TREAD / 2.0
@@ -152,9 +152,9 @@ def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
     variance = 4e-4  # (rad/s)²
     known = Gaussian(x, NOTHING)
     changing = MotionState(Motion.TURNING, departure=1.0)  # rad/s: the speeds are not low-passed
-    found = outputs_of(config, known, Speeds(1.0, 2.0, 0.01, variance), changing)
+    found = outputs_of(config, known, Speeds(1.0, 2.0, variance), changing)
     errors = math.sqrt(variance) * rng.standard_normal((20_000, 2))
-    drawn = [outputs_of(config, known, Speeds(1.0 + e, 2.0 + f, 0.0)) for e, f in errors]
+    drawn = [outputs_of(config, known, Speeds(1.0 + e, 2.0 + f)) for e, f in errors]
     for name, covariance in (("twist", "twist_covariance"), ("slips", "slip_covariance")):
         by_draws = np.cov(np.array([one[name] for one in drawn]).T)
         np.testing.assert_allclose(by_draws, found[covariance], rtol=0.05, atol=1e-9)
@@ -244,7 +244,7 @@ def test_process_noise_does_not_depend_on_the_steps(model: str, motion: Motion) 
     """The share of velocity errors in the way is exact for any step; walks split a little differently."""
     firm = {"model": model, f"{model}.yielding_slip": 1e6}  # what grows of i₀ meanwhile adds to neither
     config = config_of(firm)
-    moving = Speeds(1.0, 1.0, 0.0)
+    moving = Speeds(1.0, 1.0)
 
     def grown(steps: int) -> FloatArray:
         x = np.zeros(SIZE)
@@ -299,7 +299,7 @@ def test_a_step_repeats_every_bit(model: str, filter_: str) -> None:
 
     def drive() -> bytes:
         state = start_of(config, np.array((1.0, 2.0, 3.0)), np.eye(3) * 1e-3)
-        moving = Speeds(1.0, 2.0, 0.01, 4e-4)
+        moving = Speeds(1.0, 2.0, 4e-4)
         for _ in range(20):
             state = filter_step(config, state, moving, 0.01, TURNING, Measured()).predicted
             state = filter_step(config, state, moving, 0.0, TURNING, rate_measured(0.2, 1e-4)).updated

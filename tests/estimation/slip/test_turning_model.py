@@ -30,7 +30,7 @@ def speed_loss(left: float, right: float) -> float:
     mean = np.zeros(SIZE)
     mean[LOSS] = 1.0
     known = Gaussian(mean, np.zeros((SIZE, SIZE)))
-    twist = outputs_of(CONFIG, known, Speeds(left, right, 0.0))["twist"]
+    twist = outputs_of(CONFIG, known, Speeds(left, right))["twist"]
     return RADIUS * (left + right) / 2.0 - float(twist[0])
 
 
@@ -53,7 +53,7 @@ def test_rounded_counts_hardly_slow_a_straight_drive() -> None:
 def test_a_gyro_that_shows_less_turn_shows_more_loss_of_speed() -> None:
     """κ + η, 0.8 ± 0.2, stays what it was; η was 0.3 whatever the gyro said."""
     state = start_of(CONFIG, np.zeros(3), np.diag((0.01, 0.01, 0.01)) ** 2)
-    turning, speeds = MotionState(Motion.TURNING, changing=False), Speeds(1.0, 2.0, 0.0)
+    turning, speeds = MotionState(Motion.TURNING, changing=False), Speeds(1.0, 2.0)
     shown = rate_measured(0.1 * RADIUS / P.vehicle.kinematics.tread, 1e-8)
     for _ in range(100):
         state = filter_step(CONFIG, state, speeds, 0.02, turning, shown).updated

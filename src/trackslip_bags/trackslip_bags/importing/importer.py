@@ -34,7 +34,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.vehicle_files import TOPIC as VEHICLE
 from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.gnss.localizer import Datum
-from trackslip_estimation.setup_check.counts import angle_of_count
+from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 
 _CSV = (".csv", ".txt", ".tsv", ".dat")
@@ -209,9 +209,12 @@ def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[
 
 
 def encoder_resolution(samples: Sequence[Samples]) -> float:
-    """Angle of one count of the sprockets, rad; 0 without sprockets, of speeds, and without counts."""
-    positions = [one.values["position"] for one in samples if one.role == "sprockets"]
-    return angle_of_count(positions[0]) if positions else 0.0
+    """Angle of one count of the sprockets, rad; 0 without sprockets, and without counts."""
+    shown = [one for one in samples if one.role == "sprockets" and len(one.stamps_ns)]
+    if not shown:
+        return 0.0
+    t = (shown[0].stamps_ns - shown[0].stamps_ns[0]) * 1e-9
+    return angle_of_count(t, shown[0].values["velocity"], shown[0].values["position"])
 
 
 def _from_zero(one: Samples) -> Samples:

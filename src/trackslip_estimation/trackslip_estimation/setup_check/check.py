@@ -14,7 +14,7 @@ import numpy as np
 
 from trackslip_estimation.setup_check import clocks, inertial, places, sides, signs, speeds, unmoved
 from trackslip_estimation.setup_check.common_clock import with_common_clock
-from trackslip_estimation.setup_check.counts import judge_counts
+from trackslip_estimation.setup_check.count_angle import judge_counts
 from trackslip_estimation.setup_check.directions import decide_signs
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import Missing, without_missing

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.counts import angle_of_count
+from trackslip_estimation.setup_check.count_angle import angle_of_count
 from trackslip_estimation.setup_check.grid import angles_of
 from trackslip_estimation.setup_check.log import Compass, Counts, Fixes, Gyro, Log, Machine, Tracks
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -127,7 +127,7 @@ def _log(
     for (kind, name), (t, values) in ready.items():
         if kind == SPROCKETS:
             tracks = Tracks(t, values[:, :2], angles_of(t, values[:, :2], values[:, 2:4]))
-            counts = Counts(angle_of_count(values[:, 2:4]), p.encoder_resolution)
+            counts = Counts(angle_of_count(t, values[:, :2], values[:, 2:4]), p.encoder_resolution)
         elif kind == YAW_RATE and name in stated:
             imu = stated[name]
             rates = values[:, :3].copy()

@@ -28,6 +28,7 @@ _LEAST_TURN = np.radians(120.0)
 _LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
 _LEAST_COURSES = 5
 _MOST_PIECES = 0.8  # share of them
+_AGREE = 0.8  # length of the mean of directions that agree
 _HALF_TURN = 0.3  # rad from it
 _SOON = 30.0  # s between pieces, in which no gyro drifts by that
 _FRONT = "or front and rear exchanged: tracks swapped, and both counting backwards"
@@ -89,7 +90,7 @@ def slides(drive: Drive) -> bool:
         return False
     across = np.exp(1j * (steps.courses - steps.headings))
     by_tracks = np.where(is_reverse, -across, across)
-    goes = abs(across.mean()) > max(abs(by_tracks.mean()), _MOST_PIECES)
+    goes = abs(across.mean()) > max(abs(by_tracks.mean()), _AGREE)
     return bool(goes and abs(across.mean().imag) > abs(across.mean().real))
 
 

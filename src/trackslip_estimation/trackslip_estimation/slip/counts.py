@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Angle and speed of both sprockets from positions in whole counts; compiled.
 
-    p       position by the encoder                                          rad
-    q       angle of a count                                                 rad
-    θ, ω    angle and speed: ω walks by ``_SPEED_WALK``                      rad, rad/s
+    p       position by the encoder, or the speeds that its counts show, added up    rad
+    q       angle of a count                                                         rad
+    θ, ω    angle and speed: ω walks by ``_SPEED_WALK``                              rad, rad/s
     P       covariance of both, the same of either sprocket
 
 A Kalman filter follows each sprocket, with R = q²/12; and θ stays within half a count of p. So no rounding
@@ -20,8 +20,6 @@ from trackslip_common.record_types import Record, dtype_of
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
-    from trackslip_estimation.slip.motion import SpeedsRecord
-    from trackslip_estimation.slip.records import MeasurementRecord
 
 _SPEED_WALK = 0.2  # rad/s in a second
 
@@ -29,80 +27,84 @@ _SPEED_WALK = 0.2  # rad/s in a second
 class CountsRecord(Record):
     """What is known of both sprockets."""
 
-    left: float  # θ, rad
-    right: float
+    left_ahead: float  # p − θ, rad
+    right_ahead: float
     left_speed: float  # ω, rad/s
     right_speed: float
     variance: float  # of θ, rad²
-    shared: float  # covariance of θ and ω, rad²/s
+    covariance: float  # of θ and ω, rad²/s
     speed_variance: float  # of ω, (rad/s)²
 
 
 COUNTS = dtype_of(CountsRecord)
 
 
-class Gain(NamedTuple):
-    """What a position does to θ and ω, and what is open of both afterwards."""
+class Side(NamedTuple):
+    """A sprocket at a position, and how fast it turned up to there."""
 
-    angle: float
+    ahead: float  # p − θ, rad
+    speed: float  # ω, rad/s
+    mean: float  # of ω since the position before, rad/s
+
+
+class Followed(NamedTuple):
+    """Both sprockets at a position."""
+
+    left: Side
+    right: Side
+    variance: float  # of θ, rad²
+    covariance: float  # of θ and ω, rad²/s
+    speed_variance: float  # of ω, (rad/s)²
+    mean_variance: float  # of the mean speeds, (rad/s)²
+
+
+class _Gain(NamedTuple):
+    """What a position leaves of how far it is ahead, and gives to ω."""
+
+    kept: float
     speed: float  # 1/s
-    variance: float  # rad²
-    shared: float  # rad²/s
-    speed_variance: float  # (rad/s)²
 
 
 @compiled
-def begin_counts(counts: CountsRecord, closing: MeasurementRecord, c: Config) -> None:
+def begin_counts(counts: CountsRecord, c: Config) -> None:
     """At a position that continues none."""
-    counts.left, counts.right = closing.left_angle, closing.right_angle
-    counts.left_speed = counts.right_speed = counts.shared = 0.0
-    counts.variance, counts.speed_variance = c.encoder_resolution**2 / 12.0, c.max_sprocket_speed**2
+    counts.left_ahead = counts.right_ahead = counts.left_speed = counts.right_speed = 0.0
+    counts.variance, counts.covariance = c.encoder_resolution**2 / 12.0, 0.0
+    counts.speed_variance = c.max_sprocket_speed**2
 
 
 @compiled
-def counted_speeds(
-    counts: CountsRecord, closing: MeasurementRecord, dt: float, c: Config, speeds: SpeedsRecord
-) -> None:
-    """Mean speeds up to the position of ``closing``, ``dt`` s later, into ``speeds``."""
-    gain, half = _gain(counts, dt, c), c.encoder_resolution / 2.0
-    left = _follow(counts.left, counts.left_speed, closing.left_angle, dt, gain, half)[0]
-    right = _follow(counts.right, counts.right_speed, closing.right_angle, dt, gain, half)[0]
-    common = (1.0 - gain.angle) * (counts.variance + counts.shared * dt)
-    speeds.left, speeds.right = (left - counts.left) / dt, (right - counts.right) / dt
-    speeds.interval, speeds.angle_variance = dt, gain.variance
-    speeds.variance = max(gain.variance + counts.variance - 2.0 * common, 0.0) / (dt * dt)
-
-
-@compiled
-def follow_counts(counts: CountsRecord, closing: MeasurementRecord, dt: float, c: Config) -> None:
-    """``counts`` at the position of ``closing``, ``dt`` s later."""
-    gain, half = _gain(counts, dt, c), c.encoder_resolution / 2.0
-    counts.left, counts.left_speed = _follow(
-        counts.left, counts.left_speed, closing.left_angle, dt, gain, half
-    )
-    counts.right, counts.right_speed = _follow(
-        counts.right, counts.right_speed, closing.right_angle, dt, gain, half
-    )
-    counts.variance, counts.shared, counts.speed_variance = gain.variance, gain.shared, gain.speed_variance
-
-
-@compiled
-def _gain(counts: CountsRecord, dt: float, c: Config) -> Gain:
-    walk = _SPEED_WALK**2 * dt
+def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> Followed:
+    """``dt`` s later, when the positions changed by ``left`` and ``right`` rad/s."""
+    walk, R = _SPEED_WALK**2 * dt, c.encoder_resolution**2 / 12.0
     speed_variance = counts.speed_variance + walk
-    shared = counts.shared + (counts.speed_variance + walk / 2.0) * dt
-    variance = counts.variance + (2.0 * counts.shared + (counts.speed_variance + walk / 3.0) * dt) * dt
-    S = variance + c.encoder_resolution**2 / 12.0
-    angle, speed = variance / S, shared / S
-    kept, left_open = 1.0 - angle, max(speed_variance - speed * shared, 0.0)
-    return Gain(angle, speed, kept * variance, kept * shared, left_open)
+    covariance = counts.covariance + (counts.speed_variance + walk / 2.0) * dt
+    variance = counts.variance + (2.0 * counts.covariance + (counts.speed_variance + walk / 3.0) * dt) * dt
+    S, half = variance + R, c.encoder_resolution / 2.0
+    gain = _Gain(R / S, covariance / S)
+    now = gain.kept * variance
+    shared = gain.kept * (counts.variance + counts.covariance * dt)  # of θ now and before
+    return Followed(
+        _side(counts.left_ahead, counts.left_speed, left, dt, gain, half),
+        _side(counts.right_ahead, counts.right_speed, right, dt, gain, half),
+        now,
+        gain.kept * covariance,
+        max(speed_variance - gain.speed * covariance, 0.0),
+        max(now + counts.variance - 2.0 * shared, 0.0) / (dt * dt),
+    )
 
 
 @compiled
-def _follow(
-    angle: float, speed: float, position: float, dt: float, gain: Gain, half: float
-) -> tuple[float, float]:
-    """θ and ω."""
-    innovation = position - angle - speed * dt
-    after = angle + speed * dt + gain.angle * innovation
-    return min(max(after, position - half), position + half), speed + gain.speed * innovation
+def _side(ahead: float, speed: float, shown: float, dt: float, gain: _Gain, half: float) -> Side:
+    innovation = ahead + (shown - speed) * dt
+    after = min(max(gain.kept * innovation, -half), half)
+    return Side(after, speed + gain.speed * innovation, shown - (after - ahead) / dt)
+
+
+@compiled
+def keep(followed: Followed, counts: CountsRecord) -> None:
+    """``followed`` into ``counts``."""
+    counts.left_ahead, counts.left_speed = followed.left.ahead, followed.left.speed
+    counts.right_ahead, counts.right_speed = followed.right.ahead, followed.right.speed
+    counts.variance, counts.covariance = followed.variance, followed.covariance
+    counts.speed_variance = followed.speed_variance

@@ -40,7 +40,6 @@ class SpeedsRecord(Record):
 
     left: float
     right: float
-    interval: float
     variance: float
     angle_variance: float
 
@@ -96,7 +95,6 @@ class Speeds(NamedTuple):
 
     left: float  # rad/s
     right: float  # rad/s
-    interval: float  # s between the two samples; 0 where there was but one
     variance: float = 0.0  # of each, by the rounding of counts, (rad/s)²
     angle_variance: float = 0.0  # of each angle, by the same, rad²
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.counts import begin_counts, counted_speeds, follow_counts
+from trackslip_estimation.slip.counts import begin_counts, follow, keep
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
 from trackslip_estimation.slip.source_faults import IS_STRAYING
 
@@ -66,16 +66,27 @@ def interval_speeds(
     sample: SprocketSample, closing: MeasurementRecord, c: Config, speeds: SpeedsRecord
 ) -> bool:
     """Mean speeds between ``sample`` and ``closing`` into ``speeds``; whether they are known."""
-    elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
-    interval = min(elapsed_ns, c.sprocket_timeout_ns) * 1e-9
-    if elapsed_ns <= c.sprocket_timeout_ns and is_sound(sample, closing, c):
-        counted_speeds(sample.counts, closing, interval, c, speeds)
-        return True
-    if max(abs(closing.left_speed), abs(closing.right_speed)) > c.max_sprocket_speed:
+    left, right, dt = _shown(sample, closing, c)
+    a_count = c.encoder_resolution / dt if dt > 0.0 else 0.0
+    if max(abs(left), abs(right)) > c.max_sprocket_speed + a_count:
         return False
-    speeds.left, speeds.right = closing.left_speed, closing.right_speed
-    speeds.interval, speeds.variance, speeds.angle_variance = interval, 0.0, 0.0
+    speeds.left, speeds.right, speeds.variance, speeds.angle_variance = left, right, 0.0, 0.0
+    if dt > 0.0:
+        followed = follow(sample.counts, left, right, dt, c)
+        speeds.left, speeds.right = followed.left.mean, followed.right.mean
+        speeds.variance, speeds.angle_variance = followed.mean_variance, followed.variance
     return True
+
+
+@compiled
+def _shown(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> tuple[float, float, float]:
+    """Left and right speed by the encoder, rad/s, and over which time, s; 0: ``closing`` continues none."""
+    elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
+    dt = elapsed_ns * 1e-9 if elapsed_ns <= c.sprocket_timeout_ns else 0.0
+    if dt > 0.0 and is_sound(sample, closing, c):
+        left, right = closing.left_angle - sample.left_angle, closing.right_angle - sample.right_angle
+        return left / dt, right / dt, dt
+    return closing.left_speed, closing.right_speed, dt
 
 
 @compiled
@@ -107,13 +118,12 @@ def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool
 def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
     """Makes ``closing`` the last sample of ``state``."""
     sample = state.sample
-    in_time = closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
-    goes_on = sample.seen and in_time and is_sound(sample, closing, c)
+    left, right, dt = _shown(sample, closing, c)
     sample.known = interval_speeds(sample, closing, c, sample.speeds)
-    if goes_on:
-        follow_counts(sample.counts, closing, (closing.stamp_ns - sample.stamp_ns) * 1e-9, c)
+    if sample.known and dt > 0.0:
+        keep(follow(sample.counts, left, right, dt, c), sample.counts)
     else:
-        begin_counts(sample.counts, closing, c)
+        begin_counts(sample.counts, c)
     sample.seen, sample.stamp_ns = True, closing.stamp_ns
     sample.left_angle, sample.right_angle = closing.left_angle, closing.right_angle
 
@@ -121,11 +131,10 @@ def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
 @compiled
 def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
     target.left, target.right = source.left, source.right
-    target.interval = source.interval
     target.variance, target.angle_variance = source.variance, source.angle_variance
 
 
 @compiled
 def stand_still(speeds: SpeedsRecord) -> None:
     """No motion."""
-    speeds.left = speeds.right = speeds.interval = speeds.variance = speeds.angle_variance = 0.0
+    speeds.left = speeds.right = speeds.variance = speeds.angle_variance = 0.0

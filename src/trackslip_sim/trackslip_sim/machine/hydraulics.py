@@ -63,7 +63,7 @@ def soil_inputs(
         stamp_ns = START_NS + k * _PERIOD_NS
         error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
         astray = kept * astray + math.sqrt(1.0 - kept**2) * sensing.position_stddev * rng.standard_normal(2)
-        speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]), 0.0)
+        speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]))
         state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
         pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), doubt)

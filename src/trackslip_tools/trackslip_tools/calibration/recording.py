@@ -194,7 +194,6 @@ def _motions(
     motion[0].changing = True
     for k in range(1, len(t)):
         dt = t[k] - t[k - 1]
-        speeds[0].interval = dt
         speeds[0].left = (angles[k, 0] - angles[k - 1, 0]) / dt
         speeds[0].right = (angles[k, 1] - angles[k - 1, 1]) / dt
         update_motion(motion[0], speeds[0], dt, limits[0])

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The angle of one count of the encoders: what positions change by at the least, against what is stated."""
+"""The angle of one count of the encoders: what positions change by at the least, against what is stated.
+
+Speeds that a driver differenced from counts, without positions, show it too: they change them by whole counts
+in its period, which is even, or that of the stamps.
+"""
 
 import numpy as np
 
@@ -18,17 +22,24 @@ _COARSE = 5e-3  # rad: a finer count hides in the noise of any speed
 _TOO_SMALL = 5.0  # times
 
 
-def angle_of_count(positions: FloatArray) -> float:
-    """Of positions (n, 2), the coarser side, rad; 0: they are not counted, or there are none."""
-    return max(_least_change(side) for side in positions.T)
+def angle_of_count(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> float:
+    """Of the coarser side, rad; 0: nothing is counted, or there is nothing.
+
+    At times (n,), s, of positions (n, 2), rad; or of speeds (n, 2), rad/s, where no position is a number.
+    """
+    if np.isfinite(positions).any():
+        return max(_least_change(np.diff(side[np.isfinite(side)])) for side in positions.T)
+    periods = np.diff(t)
+    evenly = np.full_like(periods, np.median(periods)) if len(periods) else periods
+    return max(_least_change(side[1:] * dt) for side in speeds.T for dt in (evenly, periods))
 
 
-def _least_change(positions: FloatArray) -> float:
-    """Of positions (n,), if other small ones are multiples of it; else 0.
+def _least_change(changes: FloatArray) -> float:
+    """Of changes (n,) of a position, if other small ones are multiples of it; else 0.
 
     Speeds that are even make whole multiples too: counts come and go from one reading to the next.
     """
-    changes = np.abs(np.diff(positions[np.isfinite(positions)]))
+    changes = np.abs(changes)
     moves = changes > _NOTHING * changes.max(initial=0.0)
     if not moves.any():
         return 0.0
@@ -48,7 +59,7 @@ def judge_counts(counts: Counts) -> Cause | None:
     if counts.shown < _COARSE or counts.stated * _TOO_SMALL > counts.shown:
         return None
     evidence = (
-        f"positions change by {counts.shown:.3g} rad at the least, and a count is stated to be "
+        f"the sprockets turn by {counts.shown:.3g} rad at the least, and a count is stated to be "
         f"{counts.stated:.3g} rad"
     )
     remedy = f"Set {remedies.parameter('encoder_resolution', counts.shown)}"
