@@ -157,7 +157,7 @@ def test_what_shows_the_way_agrees_with_a_gyro_beside_coarse_encoders(counts: in
 
 @pytest.mark.parametrize("beside", ["", *BESIDE])
 @pytest.mark.parametrize("counts", COUNTS)
-def test_speeds_that_are_differences_of_counts_say_what_the_counts_say(counts: int, beside: str) -> None:
+def test_speeds_that_are_differences_of_counts_show_what_the_counts_show(counts: int, beside: str) -> None:
     """A driver that publishes no positions: 16 counts were 9 m off, 100 had the gyro refused."""
     for until in (END, 60.0):
         of_counts, of_speeds = (

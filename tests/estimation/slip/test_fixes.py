@@ -1,12 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes that are used: what they teach of their delay, and what not."""
+"""The delay of fixes: what shows it, and what does not."""
+
+import math
 
 import numpy as np
 import pytest
 from fixtures.drawn_machine import RATE, Machine, drive, parameters
+from fixtures.filter_steps import Gaussian, state_of
+from hypothesis import given
+from hypothesis import strategies as st
 
+from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.estimator import SlipEstimator
+from trackslip_estimation.slip.late_stamps import log_odds_of_delay, open_delay
 from trackslip_estimation.slip.models.model import FIX_DELAY
 
 STAMP_ERROR = 0.03  # s
@@ -33,6 +40,35 @@ def test_the_delay_of_fixes_shows_while_speeds_change(late: float) -> None:
     assert found[-1] == pytest.approx(late, abs=3.0 * stddevs[-1])
     assert stddevs[-1] < 0.75 * STAMP_ERROR
     assert np.mean(nees[500:]) < 2.5
+
+
+@pytest.mark.parametrize("late", [0.2, 0.3])
+def test_fixes_that_are_far_later_than_their_stamps_may_be_move_no_machine(late: float) -> None:
+    """They were slips of the tracks, again at each change of speed: 0.06 m off at a NEES of 6, of 0.3 s."""
+    squares = []
+    for seed in range(3):
+        machine = Machine(duration=120.0, surge=0.5, track_error=0.02, fix_late=late, seed=seed)
+        found, stddevs, nees = delays(machine)
+        assert found[-1] == pytest.approx(late, abs=3.0 * stddevs[-1])
+        squares.append(np.mean(nees[60 * RATE :]))
+    assert np.mean(squares) < 4.0
+
+
+@given(st.floats(0.5, 5.0), st.floats(0.05, 0.4), st.floats(-20.0, 20.0))
+def test_odds_and_delay_follow_the_rule_of_bayes(v: float, share: float, z: float) -> None:
+    """A number z = δ + noise shows δ, of which v or w was the variance."""
+    p = parameters(**{"sources.box_pose.stamp_error": STAMP_ERROR})
+    c, noise, w = make_config(p)[0], share * v, (p.events.late_stddev / STAMP_ERROR) ** 2
+    state = state_of(Gaussian(c["prior_mean"].copy(), c["prior_covariance"].copy()))[0]
+    state["mean"][FIX_DELAY] = v / (v + noise) * z
+    state["covariance"][FIX_DELAY, FIX_DELAY], state["delay_variance"] = v * noise / (v + noise), v
+    densities = [math.exp(-(z**2) / (2.0 * S)) / math.sqrt(S) for S in (w + noise, v + noise)]
+    odds = math.log(densities[0] / densities[1] * p.events.late_share)
+    assert log_odds_of_delay(state, 0, c) == pytest.approx(odds, rel=1e-6, abs=1e-6)
+    open_delay(state, 0, c)
+    assert state["mean"][FIX_DELAY] == pytest.approx(w / (w + noise) * z, rel=1e-6, abs=1e-6)
+    assert state["covariance"][FIX_DELAY, FIX_DELAY] == pytest.approx(w * noise / (w + noise), rel=1e-6)
+    assert log_odds_of_delay(state, 0, c) == -math.inf  # it is known already
 
 
 def test_a_start_does_not_correct_the_delay() -> None:

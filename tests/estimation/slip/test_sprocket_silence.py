@@ -26,7 +26,7 @@ Sample = tuple[int, float, float]  # ms, position of both, measured speed of bot
 class Known(NamedTuple):
     """What a state has at a stamp."""
 
-    speeds: tuple[float, float, float, bool]  # with the interval, and whether they are counted
+    speeds: tuple[float, float, bool]  # and whether they are counted
     coasting: bool
 
 
@@ -55,17 +55,20 @@ def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]
     ]
 
 
-STANDING = (0.0, 0.0, 0.0, False)
+STANDING = (0.0, 0.0, False)
+HALF_A_COUNT = load_slip_parameters().encoder_resolution / 2.0 / 0.05  # rad/s, over 50 ms
 
 
 def test_a_long_interval_is_known_only_in_its_first_part() -> None:
     samples = ((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
     for known in states_at(samples, (51, 100, 149)):  # as in the interval before
-        assert known == ((pytest.approx(2.0), pytest.approx(2.0), 0.05, True), False)
+        assert known == (
+            (pytest.approx(2.0, abs=HALF_A_COUNT), pytest.approx(2.0, abs=HALF_A_COUNT), True),
+            False,
+        )
     assert states_at(samples, (151, 299)) == [(STANDING, True)] * 2
     assert (
-        states_at(samples, (300, 301, 399))
-        == [((5.0, 5.0, 0.1, False), True)] + [((5.0, 5.0, 0.1, False), False)] * 2
+        states_at(samples, (300, 301, 399)) == [((5.0, 5.0, False), True)] + [((5.0, 5.0, False), False)] * 2
     )  # what its end says of itself
     assert states_at(samples, (401,)) == [(STANDING, True)]
 
@@ -73,8 +76,9 @@ def test_a_long_interval_is_known_only_in_its_first_part() -> None:
 def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
     samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
     jumped, sound = states_at(samples, (70, 120))
-    assert jumped == ((3.0, 3.0, 0.05, False), False)
-    assert sound.speeds == pytest.approx((2.0, 2.0, 0.05, True))
+    assert jumped.speeds == pytest.approx((3.0, 3.0, True), abs=2.0 * HALF_A_COUNT)
+    assert not jumped.coasting
+    assert sound.speeds == pytest.approx((2.0, 2.0, True), abs=2.0 * HALF_A_COUNT)
     p = load_slip_parameters(PATIENT)
     given = [Sprockets("sprockets", ms * MS, w, w, (angle, angle)) for ms, angle, w in samples]
     outcomes = [r.outcome for r, _ in SlipEstimator(p).process_all(given)]

@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One state of a Gaussian: replaced, or decayed as a first-order Gauss–Markov process; compiled, in place.
+"""One state of a Gaussian: replaced, decayed, added to another one, or of another prior; compiled, in place.
+
+It decays as a first-order Gauss–Markov process.
 
 x, P   mean and covariance of the state    (n,), (m, m), m ≥ n
 """
@@ -36,3 +38,22 @@ def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
         P[to, j] += factor * P[what, j]
     for i in range(P.shape[0]):
         P[i, to] += factor * P[i, what]
+
+
+@compiled
+def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
+    """x and P as if the variance of state k had been ``now`` a priori and not ``before``.
+
+    A measurement of zero with the variance 1/(1/now − 1/before), which is negative where the prior widens.
+    """
+    more = 1.0 / now - 1.0 / before
+    if abs(more) * before < 1e-6:
+        return
+    S = P[k, k] + 1.0 / more
+    if more < 0.0 and 1e-3 * before > -S:  # nothing is left of the prior to take away
+        return
+    shared, mean = P[k, :].copy(), x[k]
+    for i in range(x.size):
+        x[i] -= shared[i] / S * mean
+        for j in range(x.size):
+            P[i, j] -= shared[i] * shared[j] / S

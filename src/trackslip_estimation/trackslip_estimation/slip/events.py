@@ -34,6 +34,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
                      i₀, about −1: they count half of the way; or
                      nothing: its gyros do not show how it turns; or
                      i₀: an odometry shows another motion
+    LATE             delay of all fixes                                  before all of them
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
                      the same, and the offset of a coarse receiver       or a while ago
     FOLDED           the source's offset, which becomes a jump of what   just before it
@@ -74,6 +75,7 @@ class Event(IntEnum):
     STAYS = 17
     HEADING_OFF = 18
     HEADING_WANDERS = 19
+    LATE = 20
 
 
 (
@@ -97,6 +99,7 @@ class Event(IntEnum):
     STAYS,
     HEADING_OFF,
     HEADING_WANDERS,
+    LATE,
 ) = map(int, Event)
 
 HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
@@ -134,6 +137,8 @@ class EventParameters(Parameters):
     bias_unseen: float = parameter(
         "for which a changed bias turned the heading before a fix shows it", unit="s", ge=0.0
     )
+    late_share: float = parameter("probability that stamps err by more than they are said to", gt=0.0, lt=1.0)
+    late_stddev: float = parameter("standard deviation of such a delay", unit="s", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
 

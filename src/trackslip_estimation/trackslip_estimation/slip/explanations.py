@@ -112,6 +112,7 @@ _WORDS = {
     Event.SKIDDED: "the machine skidded",
     Event.STRAYS: _STRAYS,
     Event.BIASED: "the bias of the gyro changed",
+    Event.LATE: "stamps of {source} are late or early",
     Event.NOISE: "{source} is noisier than before",
     Event.FOLDED: "the machine was moved",
 }

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.single_state import add_state, decay_state, replace_state
+from trackslip_estimation.kalman.single_state import add_state, decay_state, exchange_prior, replace_state
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, same_quality
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
@@ -129,7 +129,7 @@ def prepare_offset(
             to_offset(prior.mean, prior.covariance, source, -1.0, c)
     elif wanted > 0.0:
         for i in (own, own + 1):
-            _exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
+            exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
     offset.variance, offset.stddev = wanted, stddev
 
 
@@ -143,25 +143,6 @@ def spread_of(R: FloatArray) -> float:
 def _renew(x: FloatArray, P: FloatArray, own: int, variance: float) -> None:
     for i in (own, own + 1):
         replace_state(x, P, i, 0.0, variance)
-
-
-@compiled
-def _exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
-    """x and P as if the variance of state k had been ``now`` a priori and not ``before``.
-
-    A measurement of zero with the variance 1/(1/now − 1/before), which is negative where the prior widens.
-    """
-    more = 1.0 / now - 1.0 / before
-    if abs(more) * before < 1e-6:
-        return
-    S = P[k, k] + 1.0 / more
-    if more < 0.0 and 1e-3 * before > -S:  # nothing is left of the prior to take away
-        return
-    shared, mean = P[k, :].copy(), x[k]
-    for i in range(x.size):
-        x[i] -= shared[i] / S * mean
-        for j in range(x.size):
-            P[i, j] -= shared[i] * shared[j] / S
 
 
 @compiled

@@ -184,6 +184,7 @@ class State(Record):
     driven: Annotated[FloatArray, 2]  # by left and right sprocket since the start, rad
     moved: Annotated[FloatArray, 3]  # ∫ of the twist as it was predicted, since the start: m, m, rad
     fixed_ns: int  # stamp of the last fix; never
+    delay_variance: float  # of δ, had no fix shown it
     down: float  # sine of the slope that the tracks drove down as k was learned
     ran: float  # by the tracks since the start, mean of both, forward or not, m
     is_sector: bool  # whether its heading is one share of the circle

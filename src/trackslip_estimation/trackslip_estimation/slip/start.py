@@ -13,6 +13,7 @@ from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adapta
 from trackslip_estimation.slip.bank.receivers import add_first_fix
 from trackslip_estimation.slip.bank.rows import begin_row, drives_unheaded, split_unknown_heading
 from trackslip_estimation.slip.bank.script import play_script
+from trackslip_estimation.slip.late_stamps import begin_delay
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -109,6 +110,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
+    begin_delay(state, c)
     if measurement.kind != POSE:
         state.fixed_ns = NEVER_NS
     state.ran = state.down = state.way[:] = 0.0

@@ -28,6 +28,7 @@ from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
 from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
 from trackslip_estimation.slip.events import ANY_HEADING, UNKNOWN_HEADING
+from trackslip_estimation.slip.late_stamps import pass_delay
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -206,18 +207,17 @@ def propagate(state: State, dt: float, c: Config) -> None:
         if c.swings:
             shear(P, F)
         propagate_covariance(P, F, Q, COUPLED)
-        pass_offsets(state, dt, c)
-        pass_faults(state, dt, c)
-        return
-    own = P[: x.size, : x.size].copy()
-    points, weights = daf.sigma_points(x, own, c.kappa, c.active)
-    for i in range(weights.size):
-        points[i] = move(points[i], state, dt, c)
-    mean, departures, weights = daf.moments(points, weights, YAW)
-    x[:] = mean
-    P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q
+    else:
+        own = P[: x.size, : x.size].copy()
+        points, weights = daf.sigma_points(x, own, c.kappa, c.active)
+        for i in range(weights.size):
+            points[i] = move(points[i], state, dt, c)
+        mean, departures, weights = daf.moments(points, weights, YAW)
+        x[:] = mean
+        P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q
     pass_offsets(state, dt, c)
     pass_faults(state, dt, c)
+    pass_delay(state, dt, c)
 
 
 @compiled

@@ -29,6 +29,7 @@ from trackslip_estimation.slip.events import (
     FOLDED,
     HEADING_OFF,
     HEADING_WANDERS,
+    LATE,
     MEASURED,
     MOVED,
     OFFSET,
@@ -42,6 +43,7 @@ from trackslip_estimation.slip.events import (
     SWUNG,
     TURNED,
 )
+from trackslip_estimation.slip.late_stamps import log_odds_of_delay
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
@@ -153,7 +155,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
-    if is_behind(window, s, k, c):
+    if is_behind(window, s, k, c) or _is_late(measurement, before, c):
         return True
     if strays(before) and measurement.kind in (POSE, VELOCITY):
         return True
@@ -165,6 +167,13 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         repeats = is_repeated(update, c) and _moves(before, measurement.source, c)
         return bool(repeats or branch.cusum.max() > c.bank.cusum_limit)
     return False
+
+
+@compiled
+def _is_late(m: MeasurementRecord, before: State, c: Config) -> bool:
+    """Whether fixes of the source are more likely stamped late or early."""
+    is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE)
+    return bool(is_fix and log_odds_of_delay(before, m.source, c) > 0.0)
 
 
 @compiled
@@ -204,6 +213,8 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         odds = log_odds_of_lag(window, p, k, event, c)
         if odds > -c.bank.spawns:
             add_child(window, p, k, event, source, 0, False, odds, c)
+    if _is_late(m, before, c):
+        add_child(window, p, k, LATE, source, 0, False, log_odds_of_delay(before, source, c), c)
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if m.kind == POSE:
         implausible = outside_range(before, c) > 0.0

@@ -20,6 +20,7 @@ from trackslip_estimation.slip.events import (
     HEADING_OFF,
     HEADING_WANDERS,
     HEADINGS,
+    LATE,
     LOST,
     MEASURED,
     MOVED,
@@ -39,6 +40,7 @@ from trackslip_estimation.slip.events import (
     WANDERS,
     Event,
 )
+from trackslip_estimation.slip.late_stamps import begin_delay, open_delay
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
@@ -119,6 +121,8 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if e.event == SLID else 0.0
     elif e.event == BIASED:
         _open_bias(P, max(e.value, c.events.bias_unseen), c)
+    elif e.event == LATE:
+        open_delay(state, source, c)
     elif e.event == SKIDDED:
         P[X, X] += e.value**2
         P[Y, Y] += e.value**2
@@ -258,6 +262,7 @@ def _turn(state: State, e: EventRecord, c: Config) -> int:
     if has_velocity_errors(c):
         for k in _LEARNED_BY_HEADING:
             renewed |= _replace(state, k, c.prior_mean[k], c.prior_variance[k], c)
+        begin_delay(state, c)
     to_sensor(x, P, level, about, -1.0, c)
     return renewed
 

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the stamps of fixes err by more than their sources say; compiled.
+
+    δ    delay of all fixes, over the stamp error σ_t, and its variance P         1
+    m    its mean before any fix showed it                                        1
+    v    its variance, had no fix shown it; it walks                              1
+    w    the same, if stamps are late or early by ``events.late_stddev``          1
+
+All fixes together have shown I = 1/P − 1/v and A = (δ − m)/P of it. With the prior N(m, w) and not N(m, v),
+ln of their density is larger by (A²/(I + 1/w) − A²/(I + 1/v) − ln((1 + I w)/(1 + I v)))/2. So no fix has to
+contradict: where stamps are late, δ goes further than v lets it, slowly.
+
+Source: Bayes factor of two normal priors, from one posterior; Savage & Dickey, see Dickey (1971).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.single_state import exchange_prior
+from trackslip_estimation.slip.models.dispatch import has_velocity_errors
+from trackslip_estimation.slip.models.model import FIX_DELAY
+
+if TYPE_CHECKING:
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import State
+
+_SHOWN = 0.8  # of v, which fixes leave at the most: before, any noise of theirs puts δ anywhere
+_AT_REST = 0  # motion and changes do not matter to the walk of δ
+
+
+@compiled
+def begin_delay(state: State, c: Config) -> None:
+    """No fix has shown the delay."""
+    state.delay_variance = c.prior_variance[FIX_DELAY]
+
+
+@compiled
+def pass_delay(state: State, dt: float, c: Config) -> None:
+    """v, dt s later."""
+    state.delay_variance += c.process_noise[_AT_REST, _AT_REST, FIX_DELAY] * dt
+
+
+@compiled
+def log_odds_of_delay(state: State, source: int, c: Config) -> float:
+    """ln of the odds that stamps of a source err by more than σ_t; −∞: they may already, or none shows it."""
+    v, w, P = state.delay_variance, _late_variance(source, c), state.covariance[FIX_DELAY, FIX_DELAY]
+    if not has_velocity_errors(c) or v >= w / 4.0 or not 0.0 < P < _SHOWN * v:
+        return -math.inf
+    shown, of_mean = 1.0 / P - 1.0 / v, (state.mean[FIX_DELAY] - c.prior_mean[FIX_DELAY]) / P
+    squared = of_mean**2 * (1.0 / (shown + 1.0 / w) - 1.0 / (shown + 1.0 / v))
+    ratio = (squared - math.log((1.0 + shown * w) / (1.0 + shown * v))) / 2.0
+    return float(ratio + math.log(c.events.late_share))
+
+
+@compiled
+def open_delay(state: State, source: int, c: Config) -> None:
+    """The variance of δ was w before any fix; what fixes have shown stays."""
+    x, w, mean = state.mean[: c.size], _late_variance(source, c), c.prior_mean[FIX_DELAY]
+    x[FIX_DELAY] -= mean
+    exchange_prior(x, state.covariance[:], FIX_DELAY, state.delay_variance, w)
+    x[FIX_DELAY] += mean
+    state.delay_variance = w
+
+
+@compiled
+def _late_variance(source: int, c: Config) -> float:
+    """w; 0 where stamps of a source have no error."""
+    error = c.stamp_errors[source]
+    return (c.events.late_stddev / error) ** 2 if error > 0.0 else 0.0
