@@ -17,11 +17,16 @@ T = np.arange(0.0, 60.0, 0.02)  # s
 ANGLES = 20.0 * np.column_stack((np.sin(T / 7.0), np.sin(T / 9.0)))  # rad, to and fro
 
 
-def sprockets(positions: np.ndarray) -> list[Samples]:
-    """Of a log, with their positions (n, 2), rad."""
-    stamps = (T * 1e9).astype(np.int64)
-    values = {"position": positions, "velocity": np.zeros_like(positions)}
+def sprockets(positions: np.ndarray, speeds: np.ndarray | None = None, t: np.ndarray = T) -> list[Samples]:
+    """Of a log, with their positions, rad, and speeds, rad/s, both (n, 2), at times (n,), s."""
+    stamps = np.round(t * 1e9).astype(np.int64)
+    values = {"position": positions, "velocity": np.zeros_like(positions) if speeds is None else speeds}
     return [Samples("sprockets", "sprockets", [""], stamps, stamps, values)]
+
+
+def of_speeds(speeds: np.ndarray, t: np.ndarray = T) -> float:
+    """What is found where a log has no positions."""
+    return encoder_resolution(sprockets(np.full_like(speeds, np.nan), speeds, t))
 
 
 @given(st.integers(8, 40_000))
@@ -43,22 +48,17 @@ def test_the_digits_of_a_log_do_not_hide_the_counts(counts: int) -> None:
 def test_speeds_that_are_differences_of_counts_show_them(counts: int, jitter: float) -> None:
     """A driver divides by the period of its timer, or by the time between its stamps."""
     t = T + np.random.default_rng(1).uniform(-jitter, jitter, len(T))
-    resolution, stamps = math.tau / counts, np.round(t * 1e9).astype(np.int64)
+    resolution = math.tau / counts
     angles = 10.0 * np.column_stack((np.sin(t / 7.0), np.sin(t / 9.0)))
     moved = np.diff(np.floor(angles / resolution) * resolution, axis=0, prepend=0.0)
-    for periods in (np.full(len(t), 0.02), np.diff(stamps * 1e-9, prepend=-0.02)):
-        values = {"position": np.full_like(angles, np.nan), "velocity": moved / periods[:, None]}
-        found = encoder_resolution([Samples("sprockets", "sprockets", [""], stamps, stamps, values)])
-        assert found == pytest.approx(resolution, rel=0.05)
+    for periods in (np.full(len(t), 0.02), np.diff(t, prepend=-0.02)):
+        assert of_speeds(moved / periods[:, None], t) == pytest.approx(resolution, rel=0.05)
 
 
 @pytest.mark.parametrize("digits", [2, 3, 5])
 def test_speeds_of_few_digits_are_no_coarse_counts(digits: int) -> None:
-    stamps = (T * 1e9).astype(np.int64)
     speeds = np.round(np.gradient(ANGLES, T, axis=0), digits)
-    values = {"position": np.full_like(speeds, np.nan), "velocity": speeds}
-    found = encoder_resolution([Samples("sprockets", "sprockets", [""], stamps, stamps, values)])
-    assert found <= 0.02 * 10.0**-digits * 1.001
+    assert of_speeds(speeds) <= 0.02 * 10.0**-digits * 1.001
 
 
 @pytest.mark.parametrize(
@@ -79,9 +79,7 @@ def test_the_coarser_side_counts() -> None:
 @pytest.mark.parametrize("length", [0, 1, 2, 5, 40])
 def test_few_positions_have_no_counts(length: int) -> None:
     positions = np.cumsum(np.tile((7.0, 1.0), (2, length)).T, axis=0)[:length]  # no two small ones in a row
-    values = {"position": positions, "velocity": positions}
-    stamps = np.arange(length)
-    assert encoder_resolution([Samples("sprockets", "sprockets", [""], stamps, stamps, values)]) == 0.0
+    assert encoder_resolution(sprockets(positions, positions, np.arange(length))) == 0.0
 
 
 def test_a_log_without_sprockets_has_no_counts() -> None:
