@@ -42,7 +42,7 @@ def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
 
 @compiled
 def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
-    """x and P as if the variance of state k had been ``now`` a priori and not ``before``.
+    """x and P as if the variance of state k, whose mean was 0, had been ``now`` a priori and not ``before``.
 
     A measurement of zero with the variance 1/(1/now − 1/before), which is negative where the prior widens.
     """

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The angle of one count of the encoders: what positions change by at the least, against what is stated.
 
-Speeds that a driver differenced from counts, without positions, show it too: they change them by whole counts
-in its period, which is even, or that of the stamps.
+Where there are no positions, speeds show it that a driver differenced from counts: over its period, which is
+even or that between two stamps, the sprockets turn by whole counts.
 """
 
 import numpy as np

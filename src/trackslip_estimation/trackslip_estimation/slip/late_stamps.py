@@ -11,7 +11,7 @@ All fixes together have shown I = 1/P − 1/v and A = (δ − m)/P of it. With t
 ln of their density is larger by (A²/(I + 1/w) − A²/(I + 1/v) − ln((1 + I w)/(1 + I v)))/2. So no fix has to
 contradict: where stamps are late, δ goes further than v lets it, slowly.
 
-Source: Bayes factor of two normal priors, from one posterior; Savage & Dickey, see Dickey (1971).
+Source: Bayes factor of two normal priors, Kass & Raftery (1995).
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 _SHOWN = 0.8  # of v, which fixes leave at the most: before, any noise of theirs puts δ anywhere
-_AT_REST = 0  # motion and changes do not matter to the walk of δ
 
 
 @compiled
@@ -41,7 +40,7 @@ def begin_delay(state: State, c: Config) -> None:
 @compiled
 def pass_delay(state: State, dt: float, c: Config) -> None:
     """v, dt s later."""
-    state.delay_variance += c.process_noise[_AT_REST, _AT_REST, FIX_DELAY] * dt
+    state.delay_variance += c.process_noise[0, 0, FIX_DELAY] * dt  # the same in any motion
 
 
 @compiled

@@ -12,8 +12,8 @@ timeout, the speeds are those that it shows, and may have been others (``coastin
 While a branch assumes that the machine does not move as its sprockets turn (``events.STRAYS``), all is
 silence.
 
-Speeds come from the difference of positions where there are positions and they do not jump; else they are the
-measured ones of the sample that closes the interval.
+Speeds come from the difference of positions where there are positions and they do not jump; else from the
+speeds of the sample that closes the interval. Either are counted (``counts``), by the angle of a count.
 
     sample    record of ``SAMPLE``: the last sample, and the speeds of the interval that it closes
     closing   record of ``MEASUREMENT``: the next sample; of another kind where there is none

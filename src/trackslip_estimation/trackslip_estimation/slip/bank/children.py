@@ -155,7 +155,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
     if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
         return True
-    if is_behind(window, s, k, c) or _is_late(measurement, before, c):
+    if is_behind(window, s, k, c) or _late_log_odds(measurement, before, c) > 0.0:
         return True
     if strays(before) and measurement.kind in (POSE, VELOCITY):
         return True
@@ -170,10 +170,10 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
 
 
 @compiled
-def _is_late(m: MeasurementRecord, before: State, c: Config) -> bool:
-    """Whether fixes of the source are more likely stamped late or early."""
+def _late_log_odds(m: MeasurementRecord, before: State, c: Config) -> float:
+    """ln of the odds that a fix, and all before it, are stamped late or early; −∞ of other measurements."""
     is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE)
-    return bool(is_fix and log_odds_of_delay(before, m.source, c) > 0.0)
+    return log_odds_of_delay(before, m.source, c) if is_fix else -math.inf
 
 
 @compiled
@@ -213,8 +213,9 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
         odds = log_odds_of_lag(window, p, k, event, c)
         if odds > -c.bank.spawns:
             add_child(window, p, k, event, source, 0, False, odds, c)
-    if _is_late(m, before, c):
-        add_child(window, p, k, LATE, source, 0, False, log_odds_of_delay(before, source, c), c)
+    late = _late_log_odds(m, before, c)
+    if late > 0.0:
+        add_child(window, p, k, LATE, source, 0, False, late, c)
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if m.kind == POSE:
         implausible = outside_range(before, c) > 0.0
