@@ -76,6 +76,24 @@ def import_it(folder: Path) -> Path:
     return bag
 
 
+@pytest.mark.parametrize("source", ["tracks", "gnss"])
+def test_a_source_that_counts_from_1970_beside_one_from_boot_is_named(source: str, tmp_path: Path) -> None:
+    folder = write_csv(tmp_path, make_drive())
+    table = np.genfromtxt(folder / f"{source}.csv", delimiter=",", names=True)
+    columns = [table[name] for name in table.dtype.names]
+    np.savetxt(
+        folder / f"{source}.csv",
+        np.column_stack((columns[0] + 1.79e9, *columns[1:])),
+        fmt="%.6f",
+        delimiter=",",
+        header=",".join(table.dtype.names),
+        comments="",
+    )
+    found = json_of(tmp_path, "check", import_it(folder), code=ExitCode.FAILED)
+    assert "source_delay" in {cause["cause"] for cause in found["causes"]}
+    assert any("no time in common" in cause["evidence"] for cause in found["causes"])
+
+
 def test_a_healthy_bag_is_plausible(healthy: Path, tmp_path: Path) -> None:
     found = json_of(tmp_path, "check", healthy)
     assert found["plausible"] is True

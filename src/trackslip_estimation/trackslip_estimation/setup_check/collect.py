@@ -21,7 +21,7 @@ Rows = NDArray[np.void]  # of at least the fields of ``records.MEASUREMENT``
 _NO_HEADING = 0.3**2  # rad², variance of a heading that is none
 _NO_RATE = 1e3  # (rad/s)², variance of an axis that is unknown
 _LARGEST = 1e12  # of any number
-_OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from most stamps; less may be a wrong unit
+_OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from most stamps of a source
 _KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
 _MOST = 2_000_000  # readings of a source: hours; what comes later is not compared
 
@@ -64,11 +64,11 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
     tracks = next((stamps for (kind, _), (stamps, _) in columns.items() if kind == SPROCKETS), None)
     if tracks is None or not len(tracks):
         return None
-    usual, start = int(np.median(tracks)), int(tracks.min())
+    start = int(tracks.min())
     left_out: dict[str, int] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
-        t, sound, lost = _sound(stamps, _refined(key[0], values), usual, start, key[0])
+        t, sound, lost = _sound(stamps, _refined(key[0], values), start, key[0])
         left_out |= {key[1]: lost} if lost else {}
         if len(t):
             ready[key] = t, sound
@@ -104,13 +104,13 @@ _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEA
 
 
 def _sound(
-    stamps: NDArray[np.int64], values: FloatArray, usual_ns: int, start_ns: int, kind: int
+    stamps: NDArray[np.int64], values: FloatArray, start_ns: int, kind: int
 ) -> tuple[FloatArray, FloatArray, int]:
-    """By stamp, the first of each; how many were no numbers or of another clock."""
+    """By stamp, the first of each; how many were no numbers, or of another clock than most of the source."""
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         sound = (np.abs(needed) < _LARGEST).all(axis=1)
-    sound &= np.abs((stamps - usual_ns).astype(np.float64)) < _OTHER_CLOCK
+    sound &= np.abs((stamps - np.median(stamps)).astype(np.float64)) < _OTHER_CLOCK
     t, first = np.unique((stamps[sound] - start_ns) * 1e-9, return_index=True)
     return t, values[sound][first], int((~sound).sum())
 
