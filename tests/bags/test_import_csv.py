@@ -3,12 +3,13 @@
 """CSV logs as people have them: several files, blanks, dates, latitudes, ground speeds, one gyro axis."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.imports import import_logs
+from fixtures.imports import import_csv, import_logs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -469,3 +470,24 @@ def test_dates_of_other_tools_are_read(tmp_path: Path, cell: str) -> None:
     time = {"column": "t", "unit": "iso8601"}
     _, messages = imported(tmp_path, f"t|l|r\n{cell}|2|3\n", {"sprockets": WHEELS}, time=time)
     assert stamp_ns_of(messages["sprockets"][0]) == 1_795_600_801_500_000_000
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "between"),
+    [
+        (("1791000000.05", "1791000000.025"), "s", "1791000000.05 s to 1791000000.025 s"),
+        (("1791000000050", "1791000000025"), "ms", "1791000000.05 s to 1791000000.025 s"),
+        (
+            ("2026-10-25T02:59:59.95", "2026-10-25T02:00:00"),
+            "iso8601",
+            "2026-10-25T02:59:59.95Z to 2026-10-25T02:00:00Z",
+        ),
+    ],
+)
+def test_times_that_go_back_are_shown_to_the_digit_that_differs(
+    times: tuple[str, str], unit: str, between: str, tmp_path: Path
+) -> None:
+    text = "\n".join(("t,l,r", *(f"{time},1,1" for time in times), ""))
+    sides = {f"{side}_velocity": {"column": side[0], "unit": "rad/s"} for side in ("left", "right")}
+    with pytest.raises(InputError, match=re.escape(f"column 't' goes back from {between};")):
+        import_csv(tmp_path, text, {"sprockets": sides}, time={"column": "t", "unit": unit})

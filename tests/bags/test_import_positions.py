@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fixtures.imports import import_csv, import_messages, import_topics
 from fixtures.made_bags import fix, write_bag
@@ -112,3 +113,36 @@ def test_a_bag_in_which_no_fix_has_a_covariance_wants_one(tmp_path: Path) -> Non
         import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})
     _, messages = import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix", **STDDEV}})
     assert len(messages) == len(NEAR)
+
+
+def at(k: int) -> tuple[float, float]:
+    """Degrees of a drive to the north east."""
+    return SITE[0] + 2e-6 * k, SITE[1] + 2.7e-6 * k + 3e-6 * math.sin(k)
+
+
+def of_digits(digits: int) -> list[str]:
+    """Rows of it, as text of so many digits behind the point."""
+    return [f"{k},{at(k)[0]:.{digits}f},{at(k)[1]:.{digits}f}" for k in range(60)]
+
+
+def of_32_bits() -> list[str]:
+    return [f"{k},{np.float32(at(k)[0])!s},{np.float32(at(k)[1])!s}" for k in range(60)]
+
+
+@pytest.mark.parametrize("rows", [of_digits(5), of_32_bits()], ids=["five digits", "32 bit floats"])
+def test_positions_coarser_than_their_stddev_are_refused(rows: list[str], tmp_path: Path) -> None:
+    """An estimator was led away by 25 m and 1.4 m with certainty: steps beside fixes that stay."""
+    text = "\n".join(("t,lat,lon", *rows, ""))
+    with pytest.raises(InputError, match=r"log\.csv: column 'l\w\w' has steps of [\d.]+ m, and stddev of"):
+        import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
+    as_coarse = {"stddev": {"x": 1.0, "y": 1.0}}
+    _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **as_coarse}})
+    assert len(messages) == len(rows)
+
+
+@pytest.mark.parametrize("rows", [of_digits(8), [f"{k},{SITE[0]},{SITE[1] + 1e-5 * k}" for k in range(60)]])
+def test_positions_of_enough_digits_are_accepted(rows: list[str], tmp_path: Path) -> None:
+    """Also those of a drive at one speed, whose differences are one."""
+    text = "\n".join(("t,lat,lon", *rows, ""))
+    _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
+    assert len(messages) == len(rows)

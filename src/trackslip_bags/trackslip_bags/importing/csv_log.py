@@ -17,13 +17,17 @@ from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
 from trackslip_bags.importing.samples import Samples, Values, yaw_of
-from trackslip_bags.importing.times import LIMIT_NS, too_late
+from trackslip_bags.importing.times import LIMIT_NS, time_text, too_late
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
+from trackslip_estimation.setup_check.count_angle import least_change
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # after which counters restart
 _SEVERAL = 3  # rows of one time, which are too many
+_EARTH, _DIGITS = 6.37e6, 6  # m in a radian of latitude; decimals of m that a 64 bit float has of it
+_ROUNDING = 12.0**0.5  # steps in a standard deviation of rounding
+_COARSER = 2.0  # times the standard deviation that is stated
 _MOSTLY, _SPELLS = 0.75, 10  # share of zeros, and spells of other values between them, that are noted
 
 
@@ -123,6 +127,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
         )
     columns = {name: array[rows] for name, array in columns.items()}
     spreads = {axis: array[rows] for axis, array in spreads.items()}
+    _check_digits(table, topic, columns, spreads)
     values = values_of(columns, spreads, stamps_ns[rows], topic, local)
     times = stamps_ns[rows], received_ns[rows]
     frames = [topic.frame or role.frame]
@@ -141,6 +146,28 @@ def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
     if shared := len(stamps_ns) - distinct:
         of_all = f"{shared} of {len(stamps_ns)} rows"
         table.notes.append(f"{topic.name}: {of_all} share a time with the row before")
+
+
+def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Values) -> None:
+    """Positions whose last digit is coarser than they state; to an estimator its steps are motion.
+
+    Raises:
+        InputError: one is.
+    """
+    if topic.role != "pose":
+        return
+    shrink = np.cos(np.median(columns["latitude"])) if "latitude" in columns else 1.0
+    metres = {"x": 1.0, "y": 1.0, "latitude": _EARTH, "longitude": _EARTH * shrink}
+    for name, axis in (("x", "x"), ("y", "y"), ("latitude", "y"), ("longitude", "x")):
+        if name not in columns:
+            continue
+        places = np.round(metres[name] * columns[name], _DIGITS)
+        step, stated = least_change(np.diff(places)), float(np.sqrt(np.median(spreads[axis])))
+        if step / _ROUNDING > _COARSER * stated:
+            place = f"{table.path}: column '{topic.columns[name].names[0]}'"
+            has = f"has steps of {step:.2g} m, and stddev of {axis} is {stated:.2g} m"
+            accepted = f"more digits (of degrees 8, no 32 bit floats), or {step / _ROUNDING:.2g} m or more"
+            raise InputError(f"{place} {has}; accepted: {accepted}")
 
 
 def _increments_summed(values: FloatArray, column: Column) -> FloatArray:
@@ -244,10 +271,10 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
         back = np.flatnonzero(np.diff(times_ns[known]) < 0)
         if back.size:
             line = int(table.lines[known][back[0] + 1])
-            before, after = (times_ns[known][back[0] + k] * 1e-9 for k in (0, 1))
+            before, after = (time_text(int(times_ns[known][back[0] + k]), topic.time) for k in (0, 1))
             raise InputError(
-                f"{table.path}: line {line}, column '{topic.time.name}' goes back from {before:.9g} s to "
-                f"{after:.9g} s; accepted: times that never decrease, or 'received' beside them"
+                f"{table.path}: line {line}, column '{topic.time.name}' goes back from {before} to {after}; "
+                "accepted: times that never decrease, or 'received' beside them"
             )
     stamps_ns = np.where(known, times_ns + topic.time_offset_ns, NO_TIME)
     if topic.received is None:

@@ -51,6 +51,15 @@ def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
     return sum(_number_ns(cell, unit) for cell, unit in zip(cells, column.units, strict=True))
 
 
+def time_text(value_ns: int, column: TimeColumn) -> str:
+    """A time as such a column has it, to the last digit: ``1791000000.25 s``, ``2026-11-20T13:30:00.25Z``."""
+    seconds, nanoseconds = divmod(value_ns, 10**9)
+    fraction = f".{nanoseconds:09d}".rstrip("0").rstrip(".")
+    if column.is_iso:
+        return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%dT%H:%M:%S}{fraction}Z"
+    return f"{seconds}{fraction} s"
+
+
 def _number_ns(cell: str, unit: str) -> int:
     try:
         value = Decimal(cell) * _SCALES[unit]

@@ -28,13 +28,13 @@ def angle_of_count(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> 
     At times (n,), s, of positions (n, 2), rad; or of speeds (n, 2), rad/s, where no position is a number.
     """
     if np.isfinite(positions).any():
-        return max(_least_change(np.diff(side[np.isfinite(side)])) for side in positions.T)
+        return max(least_change(np.diff(side[np.isfinite(side)])) for side in positions.T)
     periods = np.diff(t)
     evenly = np.full_like(periods, np.median(periods)) if len(periods) else periods
-    return max(_least_change(side[1:] * dt) for side in speeds.T for dt in (evenly, periods))
+    return max(least_change(side[1:] * dt) for side in speeds.T for dt in (evenly, periods))
 
 
-def _least_change(changes: FloatArray) -> float:
+def least_change(changes: FloatArray) -> float:
     """Of changes (n,) of a position, if other small ones are multiples of it; else 0.
 
     Speeds that are even make whole multiples too: counts come and go from one reading to the next.
