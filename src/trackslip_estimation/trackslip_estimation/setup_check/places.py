@@ -78,7 +78,8 @@ def judge_lever(
         f"in turns the fixes are those of a sensor at {shown} m; "
         f"stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
     )
-    values = [remedies.parameter(f"{group}.lever_arm_{'xy'[k]}", round(float(value[k]), 2)) for k in known]
+    rounded = (np.round(value, 2) + 0.0).tolist()  # no -0
+    values = [remedies.parameter(f"{group}.lever_arm_{'xy'[k]}", rounded[k]) for k in known]
     return [Cause("lever_arm", fixes.name, evidence, odds_of(lever.log_ratio), "Set " + " ".join(values))], []
 
 
@@ -124,7 +125,7 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
         remedy = (
             f"Add {middle:.3f} rad to the headings of {compass.name} where they "
             "are made (box_localizer: heading of the box; "
-            f"mapping: origin {-middle:.3f} rad at yaw), or "
+            f"mapping: origin {-middle:.3f} rad at yaw, {middle:.3f} rad at heading), or "
             f"{remedies.parameter(f'{group_of(compass.name)}.use_heading', False)}"
         )
         if abs(abs(middle) - np.pi / 2.0) < _LEAST_OFFSET:

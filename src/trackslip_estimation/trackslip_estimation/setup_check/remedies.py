@@ -54,7 +54,7 @@ def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
     """Headings that count from north, clockwise, or only the other way round than stated."""
     group = group_of(compass.name)
     if compass.of_poses:
-        renamed = "Call the column 'heading' instead of 'yaw' in the mapping"
+        renamed = "Call the column 'heading' instead of 'yaw' in the mapping, or 'yaw' where it is 'heading'"
         return renamed if is_from_north else "Turn its sign: in the mapping 'scale: -1' at yaw"
     if not is_from_north:
         return f"Set {parameter(f'{group}.sign', -compass.sign)}; of an imported log, sign: -1 in its mapping"

@@ -87,7 +87,8 @@ def _sides(drive: Drive, unit: float) -> Sides:
         return Sides(None, (Cause("missing_value", "sprockets", evidence, odds, remedy),))
     factor = 1.0 / q if wrong[0] == less else q
     remedy = (
-        f"Correct counts_per_turn or ratio of the {side} side, or set scale: {factor:.3g} at {side}_velocity"
+        f"Correct counts_per_turn or ratio of the {side} side, or multiply scale by {factor:.3g} at "
+        f"{side}_velocity or {side}_position in the mapping"
     )
     undone = Drive(drive.log.with_tracks(np.diag((1.0, factor) if wrong[0] else (factor, 1.0))))
     return Sides(undone, (Cause("speed_unit", "sprockets", evidence, odds, remedy),))
