@@ -4,6 +4,7 @@
 
 import json
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,18 @@ def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> No
     assert cause.keys() == {"cause", "source", "evidence", "odds", "remedy"}
     assert (cause["cause"], cause["source"]) == ("tracks_swapped", "sprockets")
     assert cause["odds"] >= 100.0
+
+
+def test_a_mistake_that_is_certain_but_one_of_several_is_no_plausible_setup(tmp_path: Path) -> None:
+    """Fixes in feet, or speeds in another unit: places were a NEES of a million off at exit code 0."""
+    log = make_drive()
+    (fixes,) = log.fixes
+    bag = import_it(write_csv(tmp_path, log.with_fixes(replace(fixes, places=fixes.places / 0.3048))))
+    found = json_of(tmp_path, "check", bag, code=ExitCode.FAILED)
+    assert (found["plausible"], found["causes"]) == (False, [])
+    assert any("feet" in one["what"] for one in found["undetermined"])
+    assert main(["replay", str(bag), "--stop", "60"]) == ExitCode.FAILED
+    assert main(["replay", str(bag), "--stop", "60", "--force"]) == ExitCode.DONE
 
 
 def test_a_bag_that_is_not_there_is_bad_input(tmp_path: Path) -> None:

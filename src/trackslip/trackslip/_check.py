@@ -28,8 +28,8 @@ class SetupCheck:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether no cause was found."""
-        return not self.causes
+        """Whether no cause was found, and no mistake is certain."""
+        return not self.causes and not any(one.is_wrong for one in self.undetermined)
 
     def __str__(self) -> str:
         return self.text

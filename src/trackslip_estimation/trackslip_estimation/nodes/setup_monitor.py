@@ -45,7 +45,7 @@ class SetupMonitor:
         result = self._running.result
         values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
         values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
-        if result.is_plausible:
+        if not result.causes:
             return [Health(OK, "no mistake of the setup found", values, PART)]
         first, *others = result.causes
         words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]

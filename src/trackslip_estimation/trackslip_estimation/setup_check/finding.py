@@ -75,8 +75,8 @@ class Result:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether no cause was found."""
-        return not self.causes
+        """Whether no cause was found, and no mistake is certain."""
+        return not self.causes and not self.open_questions
 
     @property
     def open_questions(self) -> tuple[Undetermined, ...]:

@@ -71,7 +71,7 @@ class RunningCheck:
         """The causes that hold now."""
         columns = self._columns(LONGEST_S)
         result = self._checked(columns)
-        if not result.is_plausible:
+        if result.causes:
             recent = self._checked(self._columns(RECENT_S))
             names = {cause.cause for cause in recent.causes}
             kept = tuple(c for c in result.causes if c.cause in names or not _is_decided(recent))

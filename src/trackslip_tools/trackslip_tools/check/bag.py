@@ -52,7 +52,7 @@ def settings(result: Result) -> list[str]:
 
 def finding(result: Result) -> str:
     """What a command prints before its own results: one line for each cause, or that there is none."""
-    if result.is_plausible:
+    if not result.causes:
         open_questions = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
         return "\n".join(open_questions) or "setup plausible"
     lines = []

@@ -112,7 +112,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--force",
         action="store_true",
-        help="exit code 0 although the setup check found a cause (trackslip check)",
+        help="exit code 0 although the setup check found a mistake (trackslip check)",
     )
 
 

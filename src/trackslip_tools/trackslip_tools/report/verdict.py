@@ -103,7 +103,7 @@ def _unknown(words: str) -> Verdict:
 def _setup(run: Run, _: VerdictLimits) -> Verdict:
     """Whether tracks, inertial unit and fixes agree."""
     setup = run.replay.setup
-    if not setup.is_plausible:
+    if setup.causes:
         words = "; ".join(f"{cause.evidence}. {cause.remedy}" for cause in setup.causes)
         return _checked(False, ", ".join(cause.cause for cause in setup.causes), f"{words}.")
     if setup.open_questions:
