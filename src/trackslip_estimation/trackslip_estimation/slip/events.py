@@ -32,7 +32,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     STRAYS           speed and yaw rate: the machine does not move as    since the last consistent measurement
                      its sprockets turn (encoder fault, towed, slides); or
                      i₀, about −1: they count half of the way; or
-                     nothing: its gyros do not show how it turns; or
+                     heading: its gyros do not show how it turns; or
                      i₀: an odometry shows another motion
     LATE             delay of all fixes                                  before all of them
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
@@ -116,8 +116,8 @@ class EventParameters(Parameters):
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
     wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
-    wander: float = parameter("standard deviation of fixes that wander off, at the most", unit="m", gt=0.0)
-    wander_speed: float = parameter("speed of fixes that wander, from one to the next", unit="m/s", gt=0.0)
+    wander_speed: float = parameter("speed at the most of fixes that wander off", unit="m/s", gt=0.0)
+    wander_walk: float = parameter("random walk of that speed", unit="m/s/√s", gt=0.0)
     heading_walk: float = parameter("random walk of headings that are off", unit="rad/√s", ge=0.0)
     velocity_stddev: float = parameter("standard deviation of velocities that are off", unit="m/s", gt=0.0)
     velocity_walk: float = parameter("random walk of velocities that are off", unit="m/s/√s", ge=0.0)
@@ -131,6 +131,9 @@ class EventParameters(Parameters):
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
     stray_rate: float = parameter(
         "rate at which sprockets, gyros or an odometry no longer show the motion", unit="1/s", gt=0.0
+    )
+    stray_heading: float = parameter(
+        "standard deviation of what such gyros turn the heading by unseen", unit="rad", ge=0.0
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
     bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)

@@ -232,7 +232,7 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
         return _STRAYS.format(source=name)
     if fault is SourceFault.MISCOUNTS:
         return f"{name} count half of the way"
-    if fault in (SourceFault.REPEATS, SourceFault.STAYS):
+    if fault in (SourceFault.REPEATS, SourceFault.STAYS, SourceFault.WANDERS):
         return _WORDS[Event[fault.name]].format(source=name)
     if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):
         off = abs(math.degrees(math.remainder(state["mean"][sources.yaw_offsets[number]], math.tau)))

@@ -31,6 +31,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.models.model import SIZE
 from trackslip_estimation.slip.motion import MotionRecord, SpeedsRecord
+from trackslip_estimation.slip.wandering import Wander
 
 MOST_SOURCES = 14  # of all kinds together
 MOST_ODOMETRIES = 2
@@ -150,6 +151,7 @@ class Offset(Record):
 
     errors: Annotated[Table[FixErrors], QUALITIES]
     variance: float  # a priori of each of its two states, m²; 0: it has none, or an event
+    wander: Wander
     stddev: float  # that the source's last fix stated, m
 
 

@@ -13,7 +13,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.own_errors import errors_of, number_of
+from trackslip_estimation.slip.own_errors import number_of
 from trackslip_estimation.slip.records import POSE, VELOCITY
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ class SourceFault(IntEnum):
     HEADING_OFF = 7  # its headings, or swing angles, are off, not its places
     HEADING_WANDERS = 8  # the same, by something else at any time
     MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
+    WANDERS = 10  # its places
 
 
 (
@@ -51,6 +52,7 @@ class SourceFault(IntEnum):
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
     IS_MISCOUNTING,
+    IS_WANDERING,
 ) = map(int, SourceFault)
 
 
@@ -81,10 +83,9 @@ def strays(state: State) -> bool:
 @compiled
 def wanders(state: State, source: int, c: Config) -> bool:
     """Whether a source is off by what wanders, so that nothing contradicts it as the fault ends."""
-    number, fault = number_of(source, c), state.fault[source]
-    if fault == IS_OFFSET:
-        return bool(number < 0 or state.offsets[number].variance > 0.0)
-    return bool(fault == IS_HEADING_WANDERING)
+    fault = state.fault[source]
+    is_velocity = number_of(source, c) < 0
+    return bool(fault in (IS_WANDERING, IS_HEADING_WANDERING) or (fault == IS_OFFSET and is_velocity))
 
 
 @compiled
@@ -98,13 +99,6 @@ def pass_faults(state: State, dt: float, c: Config) -> None:
         elif state.fault[source] == IS_OFFSET and number_of(source, c) < 0:
             for own in (c.offsets[source], c.offsets[source] + 1):
                 P[own, own] += c.events.velocity_walk**2 * dt
-
-
-@compiled
-def wander_stddev(state: State, source: int, dt: float, c: Config) -> float:
-    """Of fixes of a source that wander, and come dt s after each other, m."""
-    time = errors_of(state.offsets[number_of(source, c)], c).time
-    return min(c.events.wander_speed * math.sqrt(dt * time / 2.0), c.events.wander)
 
 
 @compiled

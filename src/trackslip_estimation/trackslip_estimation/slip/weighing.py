@@ -62,6 +62,7 @@ from trackslip_estimation.slip.source_faults import (
     IS_REPEATING,
     IS_SCATTERING,
     IS_STAYING,
+    IS_WANDERING,
     density_of_outlier,
     density_of_scatter,
     is_heading_off,
@@ -69,6 +70,7 @@ from trackslip_estimation.slip.source_faults import (
     weigh_repeat,
 )
 from trackslip_estimation.slip.stands import count_fix, stands_still
+from trackslip_estimation.slip.wandering import weigh_wander
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -102,6 +104,10 @@ def use_weighed(
     outside = density_of_outlier(measurement, o, predicted, c)
     if fault in (IS_REPEATING, IS_STAYING):
         weigh_repeat(m, fault == IS_STAYING, c, update)
+        return
+    if fault == IS_WANDERING:
+        wander = state.offsets[number_of(source, c)].wander
+        weigh_wander(wander, o, predicted, elapsed, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.opening import open_states
 from trackslip_estimation.slip.bank.script import remember
-from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED, WANDERS
+from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED
 from trackslip_estimation.slip.models.model import X, Y
 from trackslip_estimation.slip.own_errors import number_of
 from trackslip_estimation.slip.records import HISTORY, OLDER, POSE
-from trackslip_estimation.slip.source_faults import reach, wander_stddev
+from trackslip_estimation.slip.source_faults import reach
 from trackslip_estimation.slip.window import POOL, Window
 
 if TYPE_CHECKING:
@@ -119,9 +119,6 @@ def _value(window: Window, p: int, k: int, event: int, source: int, since: bool,
     if event == SKIDDED:
         seconds = math.exp(log_time_since(window, p, k, c))
         return c.events.skid_share * driven_since(window, p, k) * min(c.events.skid_time / seconds, 1.0)
-    if event == WANDERS:
-        dt = max((m.stamp_ns - before.last_ns[source]) * 1e-9, c.bank.shortest_time)
-        return wander_stddev(before, source, dt, c)
     if event in (SLIPPED, BIASED):
         return 0.0 if since else float(c.receivers.longest_time)
     if event == OFFSET and number_of(source, c) < 0:

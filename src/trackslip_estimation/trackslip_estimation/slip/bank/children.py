@@ -187,7 +187,7 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault = before.fault[source]
-    is_place = fault == IS_OFFSET and number_of(source, c) >= 0 and not wanders(before, source, c)
+    is_place = fault == IS_OFFSET and number_of(source, c) >= 0
     if s != 0 or not (is_place or is_heading_off(fault)):
         return False
     since_ns, period_ns = before.fault_ns[source], c.events.fault_time * 1e9

@@ -62,7 +62,7 @@ from trackslip_estimation.slip.own_errors import (
     to_shown_heading,
     usual_variance,
 )
-from trackslip_estimation.slip.records import TRACKS
+from trackslip_estimation.slip.records import GYROS, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
@@ -74,8 +74,10 @@ from trackslip_estimation.slip.source_faults import (
     IS_SOUND,
     IS_STAYING,
     IS_STRAYING,
+    IS_WANDERING,
     is_heading_off,
 )
+from trackslip_estimation.slip.wandering import begin_wander
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -87,7 +89,7 @@ _PLACE = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
 _FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # by event, what is assumed of its source from then on
 _FAULTS[[SOUND, FOLDED]] = IS_SOUND
-_FAULTS[[OFFSET, WANDERS]] = IS_OFFSET
+_FAULTS[OFFSET], _FAULTS[WANDERS] = IS_OFFSET, IS_WANDERING
 _FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
 _FAULTS[HEADING_OFF], _FAULTS[HEADING_WANDERS] = IS_HEADING_OFF, IS_HEADING_WANDERING
 _FAULTS[STRAYS] = IS_STRAYING
@@ -104,7 +106,7 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
     """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits."""
     P, source, was = state.covariance[:], e.source, state.fault[e.source]
     _assume(state, e)
-    if e.event in (OFFSET, WANDERS):
+    if e.event == OFFSET:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
@@ -121,6 +123,8 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if e.event == SLID else 0.0
     elif e.event == BIASED:
         _open_bias(P, max(e.value, c.events.bias_unseen), c)
+    elif e.event == WANDERS:
+        begin_wander(state.offsets[number_of(source, c)].wander, P, c)
     elif e.event == LATE:
         open_delay(state, source, c)
     elif e.event == SKIDDED:
@@ -171,14 +175,13 @@ def _move(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
-    """The offset of a source's places or velocities; one that wanders begins at zero."""
+    """The offset of a source's places or velocities."""
     own, number, opened = c.offsets[e.source], number_of(e.source, c), e.value**2
     if own < 0:
         return 0
     if number >= 0:
-        state.offsets[number].variance = opened if e.event == WANDERS else 0.0
-    variance = 0.0 if e.event == WANDERS else opened
-    return _replace(state, own, 0.0, variance, c) | _replace(state, own + 1, 0.0, variance, c)
+        state.offsets[number].variance = 0.0
+    return _replace(state, own, 0.0, opened, c) | _replace(state, own + 1, 0.0, opened, c)
 
 
 @compiled
@@ -236,7 +239,9 @@ def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
 def _stray(state: State, e: EventRecord, was: int, c: Config) -> int:
     """Sprockets, gyros or an odometry do not show the motion."""
     opened = c.events.slip_stddev**2
-    if e.source < TRACKS:
+    if e.source == GYROS:
+        state.covariance[YAW, YAW] += c.events.stray_heading**2
+    elif e.source < TRACKS:
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
     elif e.source == TRACKS and e.part == LOST:
         return _replace(state, COMMON_SLIP, -1.0, opened, c)

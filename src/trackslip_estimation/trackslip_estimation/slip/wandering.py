@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 Trackslip authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fixes of a receiver that wander off: how likely they are beside a motion that they do not show; compiled.
+
+    r      fix less the place that is predicted without it                  (2,) m
+    p, v   what the fixes are off by, and how fast that changes: v walks    (2,) m, m/s
+    P      covariance of p and v, the same for both axes
+    S      variance of r
+
+While a branch assumes that a receiver wanders, none of its fixes corrects the state. What they are off by
+begins at nothing, with any speed up to ``events.wander_speed``. Fixes that go on faster are those of a machine
+whose tracks do not show it: the branch pays for them each time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trackslip_common.arrays import FloatArray
+from trackslip_common.compiled import compiled
+from trackslip_common.record_types import Record
+from trackslip_estimation.slip.measurements import Outcome
+from trackslip_estimation.slip.models.model import YAW, X, Y
+
+if TYPE_CHECKING:
+    from trackslip_estimation.kalman.update import Observation
+    from trackslip_estimation.slip.config import Config
+    from trackslip_estimation.slip.records import Update
+
+_GATED = int(Outcome.GATED)
+_LOG_TURN = math.log(2.0 * math.pi)
+
+
+class Wander(Record):
+    """Of a source of poses."""
+
+    east: float  # p, m
+    north: float
+    east_speed: float  # v, m/s
+    north_speed: float
+    variance: float  # of p, m²
+    covariance: float  # of p and v, m²/s
+    speed_variance: float  # (m/s)²
+    reckoned: float  # variance of the place as predicted for the fix before, by axis, m²
+
+
+@compiled
+def begin_wander(wander: Wander, P: FloatArray, c: Config) -> None:
+    """A receiver whose fixes agreed up to now with a place of covariance P."""
+    wander.east = wander.north = wander.east_speed = wander.north_speed = wander.covariance = 0.0
+    wander.variance = wander.reckoned = (P[X, X] + P[Y, Y]) / 2.0
+    wander.speed_variance = c.events.wander_speed**2 / 4.0
+
+
+@compiled
+def weigh_wander(
+    wander: Wander, o: Observation, predicted: FloatArray, dt: float, c: Config, update: Update
+) -> None:
+    """Evidence of a fix ``dt`` s after the one before; ``predicted``: H P Hᵀ (m, m)."""
+    _pass_time(wander, dt, c)
+    reckoned = (predicted[X, X] + predicted[Y, Y]) / 2.0
+    wander.variance += max(reckoned - wander.reckoned, 0.0)
+    wander.reckoned = reckoned
+    S = wander.variance + (o.noise[X, X] + o.noise[Y, Y]) / 2.0
+    gain, speed_gain = wander.variance / S, wander.covariance / S
+    east, north = o.innovation[X] - wander.east, o.innovation[Y] - wander.north
+    wander.east += gain * east
+    wander.north += gain * north
+    wander.east_speed += speed_gain * east
+    wander.north_speed += speed_gain * north
+    wander.speed_variance -= speed_gain * wander.covariance
+    wander.covariance *= 1.0 - gain
+    wander.variance *= 1.0 - gain
+    update.dof, update.gate, update.outcome = YAW, c.gate_limits[YAW], _GATED
+    update.nis, update.log_determinant = (east * east + north * north) / S, 2.0 * math.log(S)
+    heading = _LOG_TURN if o.innovation.size > YAW else 0.0
+    update.evidence = -(update.nis + update.log_determinant) / 2.0 - _LOG_TURN - heading
+    update.evidence -= _too_fast(wander, c)
+
+
+@compiled
+def _pass_time(wander: Wander, dt: float, c: Config) -> None:
+    """p, v and P, dt s later."""
+    walk = c.events.wander_walk**2 * dt
+    wander.east += wander.east_speed * dt
+    wander.north += wander.north_speed * dt
+    wander.variance += (2.0 * wander.covariance + (wander.speed_variance + walk / 3.0) * dt) * dt
+    wander.covariance += (wander.speed_variance + walk / 2.0) * dt
+    wander.speed_variance += walk
+
+
+@compiled
+def _too_fast(wander: Wander, c: Config) -> float:
+    """By how much less likely fixes are that wander faster than any do."""
+    excess = max(math.hypot(wander.east_speed, wander.north_speed) - c.events.wander_speed, 0.0)
+    return excess * excess / (2.0 * wander.speed_variance)
