@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One gyro, one source of fixes and one of headings beside the tracks: what a drive shows of each other."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,11 +12,12 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.grid import WINDOW, Grid, make_grid, window_sums
 from trackslip_estimation.setup_check.heading import Courses, heading_at, steps_of, straight_courses
 from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Machine
-from trackslip_estimation.setup_check.path import Path, dead_reckoning
+from trackslip_estimation.setup_check.path import Path, Shapes, compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.turning import TurnFit, bias_of, fit_turns
 
 USUAL_EFFICIENCY = 0.7  # κ where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
+_FIX_SPACING = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,17 @@ class Drive:
         left, right = self.grid.tracks.T
         turn = efficiency * (right - left) / self.machine.tread
         return dead_reckoning(self.grid, (left + right) / 2.0, turn)
+
+    def shapes(self, motions: Sequence[tuple[FloatArray, FloatArray]]) -> Shapes:
+        """How well dead reckoning by each motion fits the path of the fixes; zeros without fixes.
+
+        A motion: signs of both tracks (2,), whose mean is the distance; turns (m,) of the cells, rad.
+        """
+        if self.fixes is None:
+            return Shapes(np.zeros(len(motions)), 0, 0.0)
+        tracks = self.grid.tracks
+        paths = [dead_reckoning(self.grid, tracks @ signs / 2.0, turn) for signs, turn in motions]
+        return compare(paths, thinned(self.fixes, _FIX_SPACING))
 
     @cached_property
     def courses(self) -> Courses:

@@ -11,11 +11,9 @@ from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import WINDOW, window_sums
 from trackslip_estimation.setup_check.heading import Courses, around_any, course_logs, turn_logs
-from trackslip_estimation.setup_check.path import Path, compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.signs import ASSIGNMENTS, DISTANCES, Evidence
 from trackslip_estimation.setup_check.turning import fit_turns
 
-_FIX_SPACING = 0.5  # s
 _LEAST_COURSES = 3
 
 
@@ -27,9 +25,7 @@ def gather(drive: Drive) -> Evidence:
         np.maximum(drive.fit.logs, -PRIOR) if has_gyro else np.zeros(4),
         _gyro_shapes(drive),
         _track_shapes(drive),
-        turn_logs(of_heading, drive.turn - drive.fit.bias * WINDOW)
-        if has_gyro and has_heading
-        else np.zeros(2),
+        _heading_logs(drive),
         fit_turns(of_heading, drive.x, WINDOW).logs if has_heading and not has_gyro else np.zeros(4),
         _courses(drive) if has_heading else np.zeros((len(ASSIGNMENTS), 2, 2)),
         forward_shares(drive.grid.tracks),
@@ -39,29 +35,30 @@ def gather(drive: Drive) -> Evidence:
     )
 
 
+def _heading_logs(drive: Drive) -> FloatArray:
+    """(2,) that headings turn with the gyro, or against it."""
+    if drive.gyro is None:
+        return np.zeros(2)
+    logs = turn_logs(drive.heading_turn, drive.turn - drive.fit.bias * WINDOW)
+    return np.asarray(np.maximum(logs[:2] - logs[2], -PRIOR))
+
+
 def _gyro_shapes(drive: Drive) -> FloatArray:
-    if drive.fixes is None or drive.gyro is None:
+    if drive.gyro is None:
         return np.zeros((2, 2))
-    paths = [
-        dead_reckoning(drive.grid, drive.grid.tracks @ distance / 2.0, sign * drive.gyro_turn)
-        for distance in DISTANCES
-        for sign in (1.0, -1.0, 0.0)
-    ]
-    logs = compare(paths, thinned(drive.fixes, _FIX_SPACING)).logs.reshape(2, 3)
+    signs = (1.0, -1.0, 0.0)
+    logs = drive.shapes([(d, s * drive.gyro_turn) for d in DISTANCES for s in signs]).logs.reshape(2, 3)
     return np.asarray(np.maximum(logs[:, :2], logs[:, 2:] - PRIOR))
 
 
 def _track_shapes(drive: Drive) -> FloatArray:
     """By turns of the tracks, for a machine without a gyro that turns."""
-    if drive.fixes is None or drive.gyro is not None:
+    if drive.gyro is not None:
         return np.zeros((2, 2))
-    tracks, fixes = drive.grid.tracks, thinned(drive.fixes, _FIX_SPACING)
     efficiency = USUAL_EFFICIENCY / drive.machine.tread
-    paths: list[Path] = []
-    for distance in DISTANCES:
-        turn = efficiency * (tracks @ np.array((-distance[1], distance[0])))
-        paths += [dead_reckoning(drive.grid, tracks @ distance / 2.0, sign * turn) for sign in (1.0, -1.0)]
-    return compare(paths, fixes).logs.reshape(2, 2)
+    turns = [efficiency * (drive.grid.tracks @ np.array((-d[1], d[0]))) for d in DISTANCES]
+    motions = [(d, s * turn) for d, turn in zip(DISTANCES, turns, strict=True) for s in (1.0, -1.0)]
+    return drive.shapes(motions).logs.reshape(2, 2)
 
 
 def _courses(drive: Drive) -> FloatArray:

@@ -5,20 +5,22 @@
 Tracks cannot show it, since they slip. What looks like a unit beside them is undone before (``inertial``).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
-from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
+from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
+from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
-from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
-from trackslip_estimation.setup_check.turning import LEAST_TURNS, mixture, turns_of
+from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
 _SCALES = (np.geomspace(0.42, 1 / 0.42, 19), np.geomspace(0.08, 1 / 0.08, 53))  # far ones hide what is near 1
 _RIGHT = np.log(1.11)  # by which the logarithm of the scale of a sound gyro differs from 0 at the most
-_SPACING = 0.5  # s of fixes
+_LEAST_SEGMENTS = 3  # of the path
 
 
 def judge_scale(drive: Drive, unit: float) -> Cause | None:
@@ -30,8 +32,12 @@ def judge_scale(drive: Drive, unit: float) -> Cause | None:
 
 
 def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float) -> Cause | None:
-    both = {"its headings": _by_headings(drive, scales), "the path of the fixes": _by_path(drive, scales)}
-    witnesses = {name: logs for name, logs in both.items() if logs is not None}
+    bias = drive.fit.bias
+    both = {
+        "its headings": heading_logs(drive, scales, bias)[:, 0],
+        "the path of the fixes": path_logs(drive, scales, bias, [(np.ones(2), 1.0)])[:, 0],
+    }
+    witnesses = {name: logs for name, logs in both.items() if logs.any()}
     if not witnesses:
         return None
     is_right = np.abs(np.log(scales)) <= _RIGHT
@@ -40,7 +46,7 @@ def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float) -> Cause |
     gain = float(total[best] - total[is_right].max())
     if best in (0, len(scales) - 1) or gain < PRIOR:  # at an end none makes it show the turns
         return None
-    turns = turns_of((drive.turn - drive.fit.bias * WINDOW) / scales[best])
+    turns = turns_of((drive.turn - bias * WINDOW) / scales[best])
     if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in witnesses.values()):
         return None
     shown = unit * float(scales[best])
@@ -48,23 +54,20 @@ def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float) -> Cause |
     return Cause("gyro_unit", gyro.name, evidence, odds_of(gain), remedies.gyro_scale(gyro, shown))
 
 
-def _by_headings(drive: Drive, scales: FloatArray) -> FloatArray | None:
-    """(s,) ln likelihood of each scale; None without headings."""
-    of_heading, turn = drive.heading_turn, drive.turn - drive.fit.bias * WINDOW
-    usable = np.isfinite(of_heading) & np.isfinite(turn)
-    if usable.sum() < 3:
-        return None
-    h, y = of_heading[usable], turn[usable]
-    width = 2.0 * max(float(np.abs(h).max()), 1.0)
-    variance = HEADING_NOISE**2 + (0.1 * h) ** 2
-    return np.array([mixture(h - y / scale, variance, width).sum() for scale in scales])
+def heading_logs(drive: Drive, scales: FloatArray, bias: float) -> FloatArray:
+    """(s, 2) ln likelihood of each scale: headings turn with the gyro, or against it; zeros without them."""
+    turn = drive.turn - bias * WINDOW
+    return np.array([turn_logs(drive.heading_turn, turn / scale)[:2] for scale in scales])
 
 
-def _by_path(drive: Drive, scales: FloatArray) -> FloatArray | None:
-    """(s,) ln likelihood of each scale; None without fixes that tell the paths apart."""
-    if drive.fixes is None:
-        return None
-    way = drive.grid.tracks.mean(axis=1)
-    paths = [dead_reckoning(drive.grid, way, drive.gyro_turn / scale) for scale in scales]
-    shapes = compare(paths, thinned(drive.fixes, _SPACING))
-    return shapes.logs if shapes.segments >= 3 else None
+def path_logs(
+    drive: Drive, scales: FloatArray, bias: float, signs: Sequence[tuple[FloatArray, float]]
+) -> FloatArray:
+    """(s, k) ln likelihood of each scale by the path of the fixes; zeros where too little of it was recorded.
+
+    ``signs``: k pairs, of both tracks (2,) and of the gyro.
+    """
+    turn = drive.grid.turns[:, 2] - bias * drive.grid.cell
+    shapes = drive.shapes([(tracks, sign * turn / scale) for scale in scales for tracks, sign in signs])
+    logs = shapes.logs.reshape(len(scales), len(signs))
+    return logs if shapes.segments >= _LEAST_SEGMENTS else np.zeros_like(logs)

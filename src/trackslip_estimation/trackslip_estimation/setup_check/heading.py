@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.finding import PRIOR
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid, window_edges, window_sums
 from trackslip_estimation.setup_check.log import Compass, Fixes
 from trackslip_estimation.setup_check.turning import mixture
 
 _NOISE = 0.05  # rad, of a difference of headings in a window
 _SHARE = 0.1  # of a turn
+_LEAST_WINDOWS = 3
 _COURSE = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
 _LEAST_STEP = 0.3  # m in a window
 _STRAIGHT = 0.35  # rad in a window
@@ -66,16 +66,19 @@ def steps_of(fixes: Fixes, grid: Grid) -> FloatArray:
 
 
 def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
-    """(2,) ln likelihood that a heading turns with the machine, or against it; (w,) rad in windows."""
+    """(3,) ln likelihood: headings turn with the machine, against it, on their own; (w,) rad in windows.
+
+    Zeros where fewer than three windows show both.
+    """
     usable = np.isfinite(of_heading) & np.isfinite(of_machine)
     y, x = of_heading[usable], of_machine[usable]
-    if not len(y):
-        return np.zeros(2)
+    if len(y) < _LEAST_WINDOWS:
+        return np.zeros(3)
     variance = _NOISE**2 + (_SHARE * x) ** 2
     width = 2.0 * max(float(np.abs(y).max()), 1.0)
-    logs = np.array([mixture(y - sign * x, variance, width).sum() for sign in (1.0, -1.0)])
-    none = mixture(y, np.full(len(y), _NOISE**2 + float(np.mean(y**2))), width).sum()
-    return np.asarray(np.maximum(logs - none, -PRIOR))
+    itself = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
+    logs = (mixture(y - x, variance, width), mixture(y + x, variance, width), mixture(y, itself, width))
+    return np.asarray(np.sum(logs, axis=1))
 
 
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:

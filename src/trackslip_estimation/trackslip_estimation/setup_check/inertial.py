@@ -13,8 +13,9 @@ from trackslip_estimation.setup_check.drive import HEADING_NOISE, Drive
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.frozen import frozen_cause, frozen_share
 from trackslip_estimation.setup_check.grid import WINDOW, window_edges, window_sums
+from trackslip_estimation.setup_check.gyro_scale import heading_logs, path_logs
+from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
-from trackslip_estimation.setup_check.path import compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.signs import DISTANCES
 from trackslip_estimation.setup_check.turning import (
     LEAST_TURNS,
@@ -180,8 +181,8 @@ def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray) -> _Ax
             continue
         found.units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
         found.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, found.units[axis]).logs.max()
-        by_heading = _heading_gain(turns[:, axis] / found.units[axis], of_heading)
-        found.gains[axis] = found.by_tracks[axis] + by_heading
+        by_heading = turn_logs(of_heading, turns[:, axis] / found.units[axis])
+        found.gains[axis] = found.by_tracks[axis] + max(by_heading[:2].max() - by_heading[2], 0.0)
     return found
 
 
@@ -219,19 +220,6 @@ def turned_share(turn: FloatArray, x: FloatArray) -> float:
     most = np.maximum(np.abs(x[:, 1] - x[:, 0]), np.abs(x.sum(axis=1)))
     total = float(y.sum())
     return total / (float(most.sum()) + 0.5) if total > np.pi else 0.0
-
-
-def _heading_gain(turn: FloatArray, of_heading: FloatArray) -> float:
-    """Ln likelihood of the turns of headings, if these are the axis' own, or opposite, over none at all."""
-    usable = np.isfinite(turn) & np.isfinite(of_heading)
-    if usable.sum() < 3:
-        return 0.0
-    y, h = turn[usable], of_heading[usable]
-    width = 2.0 * max(float(np.abs(h).max()), 1.0)
-    variance = HEADING_NOISE**2 + (0.1 * y) ** 2
-    with_it = max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0))
-    without = float(mixture(h, np.full(len(h), HEADING_NOISE**2 + float(np.mean(h**2))), width).sum())
-    return max(with_it - without, 0.0)
 
 
 def to_vertical(axis: int, sign: float) -> FloatArray:
@@ -302,33 +290,13 @@ def _is_too_fast(turn: FloatArray) -> bool:
 
 def _witness(drive: Drive, factor: float) -> float | None:
     """Ln likelihood of a unit over none, by headings or the path of the fixes; None: no witness."""
+    scales, signs = np.array((factor, 1.0)), [(tracks, sign) for tracks in DISTANCES for sign in (1.0, -1.0)]
     if _scale_of_heading(drive) is not None:
-        return _over(drive.heading_turn, drive.turn / factor, drive.turn)
-    if drive.fixes is None:
-        return None
-    grid = drive.grid
-    paths = [
-        dead_reckoning(grid, grid.tracks @ distance / 2.0, sign * grid.turns[:, 2] / f)
-        for f in (factor, 1.0)
-        for distance in DISTANCES
-        for sign in (1.0, -1.0)
-    ]
-    shapes = compare(paths, thinned(drive.fixes, 0.5))
-    if shapes.segments < 3:
-        return None
-    return float(shapes.logs[:4].max() - shapes.logs[4:].max())
-
-
-def _over(h: FloatArray, scaled: FloatArray, raw: FloatArray) -> float:
-    """Ln likelihood of turns h of headings by scaled turns of the gyro, of either sign, over raw ones."""
-    usable = np.isfinite(h) & np.isfinite(scaled)
-    h, both = h[usable], (scaled[usable], raw[usable])
-    width = 2.0 * max(float(np.abs(h).max(initial=0.0)), 1.0)
-    logs = []
-    for y in both:
-        variance = HEADING_NOISE**2 + (0.1 * np.clip(y, -3.0, 3.0)) ** 2
-        logs.append(max(float(mixture(h - sign * y, variance, width).sum()) for sign in (1.0, -1.0)))
-    return logs[0] - logs[1]
+        logs = heading_logs(drive, scales, 0.0)
+    else:
+        logs = path_logs(drive, scales, 0.0, signs)
+    best = logs.max(axis=1)
+    return float(best[0] - best[1]) if logs.any() else None
 
 
 def _scale_of_heading(drive: Drive) -> float | None:
