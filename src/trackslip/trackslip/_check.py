@@ -76,5 +76,5 @@ def setting_texts(settings: Mapping[str, Any] | None) -> list[str]:
     Raises:
         InputError: a value is none that a parameter may have.
     """
-    given = section("settings", settings or {})
+    given = section("settings", {} if settings is None else settings)
     return [f"{name}={json_text(f'settings: {name}', value)}" for name, value in given.items()]

@@ -80,7 +80,10 @@ class Estimator:
             "time": _pair("time", time),
             "topics": topics,
             "vehicle": vehicle,
-            "parameters": {**_implied(topics), **flatten(section("parameters", parameters or {}))},
+            "parameters": {
+                **_implied(topics),
+                **flatten(section("parameters", {} if parameters is None else parameters)),
+            },
         }
         self._names = list(dict.fromkeys(_columns(self._mapping)))
         self._mapping["csv"] = {"names": self._names, "delimiter": "comma"}

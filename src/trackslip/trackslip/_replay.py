@@ -9,7 +9,7 @@ from typing import Any
 
 from trackslip._check import SetupCheck, of_result, setting_texts
 from trackslip._estimates import Estimates, of_rows
-from trackslip._values import as_name, as_number, as_text, as_texts
+from trackslip._values import as_count, as_name, as_number, as_text, as_texts
 from trackslip_bags.reader import Bag, open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
@@ -76,7 +76,7 @@ def replay(
         as_number("stop", stop),
         as_texts("withhold", withhold),
         as_texts("thin", thin),
-        int(as_number("seed", seed)),
+        as_count("seed", seed),
         as_texts("remap", remap),
         as_name("reference", reference),
     )

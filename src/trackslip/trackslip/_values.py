@@ -17,9 +17,20 @@ def as_number(where: str, value: object) -> float:
     Raises:
         InputError: it is none; ``where`` opens the message.
     """
-    if isinstance(value, (int, float, np.number)) and not isinstance(value, bool):
+    if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
         return float(value)
     raise InputError(f"{where}: {value!r} is refused; accepted: a number")
+
+
+def as_count(where: str, value: object) -> int:
+    """A whole number that is not negative.
+
+    Raises:
+        InputError: it is none; ``where`` opens the message.
+    """
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0:
+        return int(value)
+    raise InputError(f"{where}: {value!r} is refused; accepted: a whole number >= 0")
 
 
 def as_text(where: str, value: object) -> str:

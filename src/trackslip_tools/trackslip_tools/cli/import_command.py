@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     """Import and show what the bag holds; without a mapping, write a first one."""
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
     if args.mapping is None:
-        return _write_mapping(args.logs, args.vehicle)
+        return _write_mapping(args.logs, args.vehicle, args.output)
     if args.output is None:
         raise InputError("--output is missing; accepted: a directory to create, for the bag")
     refuse_existing(args.output)
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
+def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | None) -> int:
     """Into the working directory, under the name of the log."""
     lost = next((log for log in logs if not log.exists()), None)
     if lost is not None:
@@ -81,8 +81,8 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None) -> int:
         raise InputError(f"--mapping is missing for {logs[0]}; only one CSV log can do without")
     (log,) = logs
     path = Path(f"{log.stem}_mapping.yaml")
-    words = ["trackslip", "import", str(log), "--mapping", str(path), "--output", f"{log.stem}_bag"]
-    again = shlex.join(words)
+    bag = str(output or f"{log.stem}_bag")
+    again = shlex.join(["trackslip", "import", str(log), "--mapping", str(path), "--output", bag])
     if path.exists():
         raise InputError(f"'{path}' exists; accepted: {again}")
     first = first_mapping(log, vehicle or _VEHICLE, _priors(vehicle))
