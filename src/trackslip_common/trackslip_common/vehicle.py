@@ -187,6 +187,11 @@ class VehicleParameters(Parameters):
         return UNDERCARRIAGE if mounts is None else str(getattr(mounts, sensor))
 
     @property
+    def has_receiver(self) -> bool:
+        """Whether it finds its position by GNSS: the place of an antenna is stated."""
+        return self.sensors is not None and self.sensors.antenna is not None
+
+    @property
     def has_swing_encoder(self) -> bool:
         """Whether something measures the angle of the upper structure."""
         return self.sensors is not None and self.sensors.swing_encoder is not None

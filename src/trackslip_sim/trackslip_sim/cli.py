@@ -62,7 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = load_scenario(arguments.scenario, arguments.terrain or "", arguments.duration or 0.0)
     given = {"scenario": arguments.scenario, "mode": arguments.mode, "seed": arguments.seed}
     vehicle = arguments.vehicle or scenario.vehicle
-    p = load_emulator_parameters({**given, "vehicle": vehicle, **_receiver(vehicle)})
+    receiver = {"gnss.device.rate": RECEIVER_RATE} if load_vehicle(vehicle).has_receiver else {}
+    p = load_emulator_parameters({**given, "vehicle": vehicle, **receiver})
     whole, upper = p.vehicle.whole(), p.vehicle.upper_structure
     pieces = simulate_in_pieces(
         scenario, soil=arguments.soil, mode=arguments.mode, vehicle=whole, upper=upper
@@ -80,12 +81,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_json(arguments.json, {"vehicle": p.vehicle.name, **summary(drive.truth, elapsed)})
     return int(ExitCode.DONE)
-
-
-def _receiver(vehicle: str) -> dict[str, float]:
-    """Of a machine that has an antenna."""
-    sensors = load_vehicle(vehicle).sensors
-    return {} if sensors is None or sensors.antenna is None else {"gnss.device.rate": RECEIVER_RATE}
 
 
 def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:

@@ -67,8 +67,6 @@ def _lines(arguments: argparse.Namespace) -> Iterator[list[str]]:
     bag, page = str(arguments.output / "bag"), str(arguments.output / "report.html")
     drive = ["--scenario", arguments.scenario, "--vehicle", arguments.vehicle, "--soil", arguments.soil]
     yield ["simulate", *drive, "--duration", f"{arguments.duration:g}", "--output", bag]
-    sensors = load_vehicle(arguments.vehicle).sensors
-    has_receiver = sensors is not None and sensors.antenna is not None
-    receiver = ["--params", "gnss.yaml"] if has_receiver else []
+    receiver = ["--params", "gnss.yaml"] if load_vehicle(arguments.vehicle).has_receiver else []
     yield ["replay", bag, *receiver]
     yield ["report", bag, *receiver, "--output", page]

@@ -22,7 +22,6 @@ from trackslip_common.config_files import load_parameters
 from trackslip_common.console import end_of_output
 from trackslip_common.errors import ExitCode, InputError, printable
 from trackslip_common.soils import soil
-from trackslip_common.vehicle import UNDERCARRIAGE, VehicleParameters
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.demo.command import run_commands
 from trackslip_sim.demo.graph import LIVE, DemoOptions, demo_nodes
@@ -76,16 +75,8 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     machine = load_vehicle(options.vehicle)
     machine.whole()
     options.machine = printable(machine.name)
-    options.gnss = _has_receiver(machine)
+    options.gnss = machine.has_receiver
     return options
-
-
-def _has_receiver(machine: VehicleParameters) -> bool:
-    """Whether it finds its position by GNSS: an antenna is stated, and does not swing."""
-    sensors = machine.sensors
-    if sensors is None or sensors.antenna is None:
-        return False
-    return sensors.mounts is None or sensors.mounts.antenna == UNDERCARRIAGE
 
 
 def _duration(text: str) -> float:
