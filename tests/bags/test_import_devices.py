@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from fixtures import unseen_bus
+from fixtures.heading_sentences import hdt
 from fixtures.imports import import_logs
 from pyubx2 import GET, UBXMessage
 
@@ -21,7 +22,7 @@ from trackslip_bags.importing.importer import Imported
 from trackslip_common.errors import InputError
 from trackslip_common.make import stamp_ns_of
 from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
-from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, sentence
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, sentence
 
 S = 1_000_000_000
 BEGIN_NS = 1_790_000_000 * S

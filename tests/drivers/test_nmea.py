@@ -5,6 +5,7 @@
 import math
 
 import pytest
+from fixtures.heading_sentences import hdt
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -271,7 +272,7 @@ def test_what_is_sent_is_what_is_read(latitude, longitude, altitude, centisecond
     assert isinstance(moving.velocity, Velocity)
     east, north = stddev * math.sin(math.radians(heading)), stddev * math.cos(math.radians(heading))
     assert moving.velocity[1:3] == pytest.approx((east, north), abs=5e-4 + 1e-4 * stddev)
-    for encode, expected in ((nmea_sentences.hdt, 0.0), (nmea_sentences.pashr, math.radians(0.2))):
+    for encode, expected in ((hdt, 0.0), (nmea_sentences.pashr, math.radians(0.2))):
         found = decode(encode(at)[:-1])
         assert isinstance(found, Heading)
         assert math.sin(found.yaw - yaw_of_heading(heading)) == pytest.approx(0.0, abs=1e-5)

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.driver_defaults import NMEA
+from fixtures.heading_sentences import hdt
 from hypothesis import given
 from hypothesis import strategies as st
 from pyrtcm import calc_crc24q
 from pyubx2 import calc_checksum
 
 from trackslip_common.tally import Tally
-from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 

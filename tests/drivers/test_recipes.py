@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.driver_defaults import NMEA
+from fixtures.heading_sentences import hdt
 from pyubx2 import GET, UBXMessage
 
 from trackslip_common.tally import Tally
-from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, hdt, pashr, rmc, sentence
+from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, pashr, rmc, sentence
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import FixSample, HeadingSample
 

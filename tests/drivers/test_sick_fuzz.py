@@ -6,14 +6,14 @@ import itertools
 
 import numpy as np
 import pytest
-from fixtures.driver_defaults import LMS, PLS
+from fixtures.driver_defaults import PLS
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.sick_commands import parse_reply
 from trackslip_drivers.protocols.sick_crc import sick_crc
-from trackslip_drivers.protocols.sick_scan import RawScan, Scan, decode_scan, encode_scan, parse_scan
+from trackslip_drivers.protocols.sick_scan import RawScan, decode_scan, parse_scan
 from trackslip_drivers.protocols.sick_telegram import (
     FROM_SENSOR,
     MAX_TELEGRAM,
@@ -23,7 +23,6 @@ from trackslip_drivers.protocols.sick_telegram import (
     TelegramParser,
     frame,
 )
-from trackslip_drivers.sick_parameters import SickParameters
 
 MS = 1_000_000
 
@@ -81,28 +80,6 @@ def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: in
     assert isinstance(parsed, RawScan)
     np.testing.assert_array_equal(parsed.values, scan.values)
     assert (parsed.status, parsed.unit, parsed.partial) == (status, unit, partial)
-
-
-@pytest.mark.parametrize("parameters", [PLS, LMS])
-@given(
-    count=st.sampled_from([100, 101, 180, 181, 200, 201, 360, 361, 400, 401]),
-    seed=st.integers(0, 2**32 - 1),
-    partial=st.integers(0, 3),
-    status=st.integers(0, 255),
-)
-def test_samples_survive_a_round_trip(
-    parameters: SickParameters, count: int, seed: int, partial: int, status: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    raw = RawScan(rng.integers(0, 0x4000, count).astype(np.uint16), status, partial=partial)
-    first = decode_scan(Telegram(raw.payload(), 10**18, 10**18), parameters)
-    assert isinstance(first, Scan)
-    payload = encode_scan(first.sample, parameters, status)
-    second = decode_scan(Telegram(payload, 10**18, 10**18), parameters)
-    assert isinstance(second, Scan)
-    np.testing.assert_array_equal(second.sample.ranges, first.sample.ranges)
-    assert second.sample._replace(ranges=first.sample.ranges) == first.sample
-    assert second.status == first.status
 
 
 @given(data=noise, cuts=st.lists(st.integers(0, 400), max_size=20))

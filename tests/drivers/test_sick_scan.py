@@ -16,9 +16,9 @@ from trackslip_drivers.protocols.sick_scan import (
     Scan,
     ScanFault,
     decode_scan,
-    encode_scan,
     parse_scan,
     ranges_of,
+    values_of,
 )
 from trackslip_drivers.protocols.sick_telegram import Telegram
 from trackslip_drivers.sick_parameters import SickParameters
@@ -128,7 +128,6 @@ def test_field_of_100_degrees_was_refused(count: int, steps: int) -> None:
     assert sample.angle_min == pytest.approx(math.radians(-50.0))
     assert sample.angle_increment == pytest.approx(math.radians(1.0 / steps))
     assert len(sample.ranges) == count
-    np.testing.assert_array_equal(decoded(encode_scan(sample, LMS), LMS).sample.ranges, sample.ranges)
 
 
 def test_scan_of_a_scanner_upside_down_was_mirrored() -> None:
@@ -141,7 +140,6 @@ def test_scan_of_a_scanner_upside_down_was_mirrored() -> None:
     assert turned.angle_min == pytest.approx(upright.angle_min)
     times = [s.stamp_ns + s.time_increment * 1e9 * np.arange(361) for s in (upright, turned)]
     np.testing.assert_allclose(times[1], times[0][::-1], atol=1.0)
-    np.testing.assert_array_equal(decoded(encode_scan(turned, hanging), hanging).sample.ranges, turned.ranges)
 
 
 @pytest.mark.parametrize(
@@ -162,8 +160,8 @@ def test_other_scans_are_refused(payload: bytes, fault: ScanFault) -> None:
 def test_what_has_no_distance_survives_a_round_trip(parameters: SickParameters) -> None:
     ranges = np.full(361, 12.34)
     ranges[:3] = [np.nan, np.inf, -np.inf]
-    sample = decoded(FULL, parameters).sample._replace(ranges=ranges)
-    np.testing.assert_allclose(decoded(encode_scan(sample, parameters), parameters).sample.ranges, ranges)
+    scan = RawScan(values_of(ranges, parameters), status=0)
+    np.testing.assert_allclose(decoded(scan.payload(), parameters).sample.ranges, ranges)
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ _NUMBERS = (
 )
 _AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
 _SENTENCES = (
+    "GNHDT,123.0000,T",
     *(
         "GNGNS,101530.20,3352.1,S,15112.7,E,RR,18,0.6,41.20,22.10,1.0,0021,V",
         "GNVTG,12.0,T,,M,1.0,N,1.852,K,R",
@@ -89,8 +90,8 @@ class Receiver:
 
 def nmea() -> Receiver:
     """Of all kinds of sentences that are read."""
-    encoders = (nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.hdt)
-    seeds = [encode(_AT)[1:].partition(b"*")[0] for encode in (*encoders, nmea_sentences.pashr)]
+    encoders = (nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.pashr)
+    seeds = [encode(_AT)[1:].partition(b"*")[0] for encode in encoders]
     return Receiver([*seeds, *(text.encode() for text in _SENTENCES)], _mutated_sentence)
 
 

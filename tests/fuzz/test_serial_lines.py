@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.driver_defaults import LAYOUT, LMS, NMEA, PLS
+from fixtures.heading_sentences import hdt
 from hypothesis import example, given
 from hypothesis import strategies as st
 from pyubx2 import GET, UBXMessage, calc_checksum
@@ -192,7 +193,7 @@ def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], s
 
 AT = nmea_sentences.Position(1_200_000_000, -33.9, 151.2, 60.0, 4, 0.6, 0.01, 0.02, 123.0, 0.1)
 _ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
-    *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.hdt, nmea_sentences.pashr),
+    *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, hdt, nmea_sentences.pashr),
 )
 SENTENCES = [encode(AT) for encode in _ENCODERS]
 AFTER = AT._replace(time_ns=90_000_000_000)  # of an epoch that no input has

@@ -112,10 +112,18 @@ def _play(drive: Path, speed: float, domain: int) -> "subprocess.Popen[bytes]":
         )
 
 
+class _Programs(Processes):
+    """Processes whose use of the computer is watched."""
+
+    def pids(self) -> dict[str, int]:
+        """Of those that were started."""
+        return {name: process.pid for name, process in self._running.items()}
+
+
 class Graph:
     """All processes of a soak."""
 
-    def __init__(self, fast: Processes, slow: Processes, playing: "subprocess.Popen[bytes]") -> None:
+    def __init__(self, fast: _Programs, slow: _Programs, playing: "subprocess.Popen[bytes]") -> None:
         self._fast, self._slow, self._playing = fast, slow, playing
         self._restart_s = LONGEST_DRIVE_S
 
@@ -187,9 +195,9 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
 
 
 @contextmanager
-def _running(domain: int, nodes: list[NodeSpec]) -> Iterator[Processes]:
+def _running(domain: int, nodes: list[NodeSpec]) -> Iterator[_Programs]:
     """Nodes in a domain, until the end."""
-    processes = Processes(OUT, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
+    processes = _Programs(OUT, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
     try:
         for node in nodes:
             processes.start(node)

@@ -204,9 +204,7 @@ class Codec:
             little |= self._placed(field, round((value - field.offset) / field.scale) & field.mask)
         if self._counter is not None:
             little |= self._placed(self._counter, count % self.modulus)
-        if self._checksum is not None:
-            little |= self._placed(self._checksum, self._checksum_of(frame_id, little))
-        return little.to_bytes(self.length, "little")
+        return self.sealed(frame_id, little.to_bytes(self.length, "little"))
 
     def _placed(self, field: Field, raw: int) -> int:
         """These bits where the field has them in a payload that is read as a little-endian number."""

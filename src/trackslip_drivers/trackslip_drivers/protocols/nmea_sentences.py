@@ -60,11 +60,6 @@ def rmc(at: Position) -> bytes:
     return sentence(f"GNRMC,{_time(at.time_ns)},A,{north},{east},{motion},,,,R,V")
 
 
-def hdt(at: Position) -> bytes:
-    """Heading without accuracy."""
-    return sentence("GNHDT,,T" if at.heading is None else f"GNHDT,{at.heading:.4f},T")
-
-
 def pashr(at: Position) -> bytes:
     """Heading with accuracy."""
     if at.heading is None:

@@ -192,12 +192,3 @@ def _mirrored(sample: ScanSample) -> ScanSample:
         time_increment=-sample.time_increment,
         ranges=sample.ranges[::-1],
     )
-
-
-def encode_scan(sample: ScanSample, parameters: SickParameters, status: int = 0) -> bytes:
-    """The payload that decodes to this sample, in cm; its stamp is not part of it."""
-    if parameters.clockwise:
-        sample = _mirrored(sample)
-    field, _ = _FIELDS[len(sample.ranges)]
-    partial = round(4 * (sample.angle_min / _DEGREE + field / 2))
-    return RawScan(values_of(sample.ranges, parameters), status, partial=partial).payload()

@@ -104,11 +104,6 @@ def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> View:
     return cast(poses, box.half, directions(angles))
 
 
-def residuals(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
-    """Normalised residuals (M, N + 2): one per beam, then the right and the left end."""
-    return _residuals(poses, target(box, beams, range_stddev))
-
-
 @compiled
 def costs(poses: FloatArray, beams: Target) -> FloatArray:
     """(M, N + 2) of each residual: its square, growing linearly beyond HUBER."""
@@ -157,7 +152,7 @@ def normal_equations(pose: FloatArray, beams: Target) -> NormalEquations:
 
 @compiled
 def _residuals(poses: FloatArray, beams: Target) -> FloatArray:
-    """As ``residuals``."""
+    """Normalised residuals (M, N + 2): one per beam, then the right and the left end."""
     ranges, outline = cast(poses, beams.half, beams.directions)
     count = ranges.shape[1]
     values = np.empty((ranges.shape[0], count + 2))

@@ -122,10 +122,6 @@ class Log:
         """The same with another version of one gyro."""
         return replace(self, gyros=tuple(gyro if g.name == gyro.name else g for g in self.gyros))
 
-    def with_fixes(self, fixes: Fixes) -> "Log":
-        """The same with another version of one source of places."""
-        return replace(self, fixes=tuple(fixes if f.name == fixes.name else f for f in self.fixes))
-
 
 def group_of(topic: str) -> str:
     """Its group of parameters: ``sources.imu_data_raw``."""

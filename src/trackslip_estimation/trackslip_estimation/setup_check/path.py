@@ -68,11 +68,6 @@ def dead_reckoning(grid: Grid, distance: FloatArray, turn: FloatArray) -> Path:
     return Path(grid.edges, places, headings, known)
 
 
-def mirrored(path: Path) -> Path:
-    """The same, turned the other way."""
-    return Path(path.edges, np.conj(path.places), -path.headings, path.is_known)
-
-
 def thinned(fixes: Fixes, spacing: float) -> Fixes:
     """Fixes at least ``spacing`` s apart, with finite places."""
     kept, last = [], -np.inf

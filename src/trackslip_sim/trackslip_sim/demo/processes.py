@@ -63,10 +63,6 @@ class Processes:
         """What a node has written."""
         return (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
 
-    def pids(self) -> dict[str, int]:
-        """Of those that were started."""
-        return {name: process.pid for name, process in self._running.items()}
-
     def ended(self) -> dict[str, int]:
         """Exit codes of those that are needed and no longer running."""
         codes = {name: self._running[name].poll() for name in self._needed & self._running.keys()}
