@@ -45,8 +45,8 @@ def can_log(kind: str, folder: Path) -> Reader:
             )
     files = config_directory()
     mapping = f"can: {{dbc: {files / p.dbc_file}, roles: {files / p.roles_file}}}\n"
-    seeds = [path.read_bytes()] + ([_bomb(path.read_bytes())] if kind == "blf" else [])
-    return Reader(seeds, importing(folder, mapping), suffix)
+    log = path.read_bytes()
+    return Reader([log], importing(folder, mapping), suffix, [_bomb(log)] if kind == "blf" else [])
 
 
 def _bomb(log: bytes) -> bytes:

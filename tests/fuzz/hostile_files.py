@@ -4,7 +4,8 @@
 
 Each file is read in a process of its own. The reader may refuse it by ``InputError``, or use it. A finding is
 any other exception, a line that steers a terminal, more than ten seconds of a processor, or more than 1.5 GB:
-then the file is kept in ``out/hostile/<reader>/``, and the exit code is 1. To see it again:
+then the file is kept in ``out/hostile/<reader>/``, and the exit code is 1. So it is where a good file is
+refused, for then no change of it reaches what comes after. To see a hostile file again:
 ``.venv/bin/python tests/fuzz/hostile_files.py --reader scenario out/hostile/scenario/7.yaml``.
 """
 
@@ -73,9 +74,16 @@ def _work(name: str, files: int, cases: list[Path]) -> int:
     os.chdir(folder)
     try:
         reader = READERS[name](folder)
-        contents = [case.read_bytes() for case in cases] or (hostile(reader.seeds, k) for k in range(files))
-        refused, found, slowest, largest = 0, 0, 0.0, 0
         path = folder / f"case{reader.suffix}"
+        for number, seed in enumerate(reader.seeds):
+            path.write_bytes(seed)
+            ended = run_in_child(partial(reader.read, path), folder, LONGEST_S)
+            if ended.code not in (ExitCode.DONE, ExitCode.FAILED):
+                print(f"seed {number} is refused, so that what is made of it shows nothing: {ended.err}")
+                return 1
+        begun = [*reader.seeds, *reader.bombs]
+        contents = [case.read_bytes() for case in cases] or (hostile(begun, k) for k in range(files))
+        refused, found, slowest, largest = 0, 0, 0.0, 0
         for number, content in enumerate(contents):
             path.write_bytes(content)
             ended = run_in_child(partial(reader.read, path), folder, LONGEST_S)

@@ -49,9 +49,10 @@ BAG = ROOT / "bags" / "slalom_sand"
 class Reader:
     """``read`` gives an exit code where it is a command's, and raises ``InputError`` where it is none."""
 
-    seeds: Sequence[bytes]
+    seeds: Sequence[bytes]  # good files: none of them may be refused
     read: Callable[[Path], int | None]
     suffix: str = ".yaml"
+    bombs: Sequence[bytes] = ()  # files to begin with that are refused
 
 
 def _config(pattern: str) -> list[bytes]:
@@ -121,7 +122,7 @@ def fault(_: Path) -> Reader:
 def parameters(_: Path) -> Reader:
     """A ROS parameter file, as --params of a short replay."""
     compile_replay()
-    names = ("slip_estimator.yaml", "sources.yaml", "soil_estimator.yaml", "gnss.yaml", "tune.yaml")
+    names = ("slip_estimator.yaml", "soil_estimator.yaml", "gnss.yaml")
     seeds = [(config_directory() / name).read_bytes() for name in names]
     return Reader(seeds, lambda path: main(["replay", str(BAG), "--stop", "1", "--params", str(path)]))
 
@@ -169,7 +170,7 @@ def mapping(folder: Path) -> Reader:
         remove(folder / "bag")
         return code
 
-    return Reader([MAPPING, *_config("mappings/*.yaml")], read)
+    return Reader([MAPPING, MAPPING_OF_FIXES], read)
 
 
 def table(folder: Path) -> Reader:
@@ -208,6 +209,29 @@ topics:
     time_offset: 0.1
     frame: odom
 parameters: {history_window: 2.0}
+"""
+MAPPING_OF_FIXES = b"""topics:
+  sprockets:
+    file: lo*.csv
+    time: {column: t, unit: ms}
+    left_velocity: {column: l, unit: km/h}
+    right_velocity: {column: r, unit: km/h}
+  imu/data_raw:
+    time: {column: t, unit: us}
+    angular_velocity_z: {column: h, unit: deg/s}
+    linear_acceleration_x: {column: y, unit: m/s^2}
+    linear_acceleration_y: {column: y, unit: m/s^2}
+    linear_acceleration_z: {column: y, unit: m/s^2}
+  gnss_pose:
+    time: {column: t, unit: s}
+    latitude: {column: y, unit: deg}
+    longitude: {column: x, unit: deg, scale: 0.00001}
+    heading: {column: h, unit: deg}
+    stddev: {x: {column: y, unit: m}, y: {column: y, unit: cm}, yaw: 0.01}
+vehicle: excavator_20t
+parameters:
+  pose_sources: [gnss_pose]
+  sources: {gnss_pose: {lever_arm_x: -1.2}}
 """
 LOG = b"t,l,r,x,y,h\n" + b"".join(b"%.2f,%d,2e0,%d.5,7,-3e1\n" % (0.1 * k, k, 3 * k) for k in range(40))
 
