@@ -30,15 +30,6 @@ def test_withhold_is_parsed(text: str, expected: Withhold) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", ":1:2", "a:1", "a:1:2:3", "a:b:c", "a:2:1", "a:1:1", "a:1:nan", "a:1:inf", "a::", "a:"]
-)
-def test_withhold_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"^--withhold .*: accepted: TOPIC or TOPIC:T0:T1") as caught:
-        parse_withhold(text)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("box_pose:1", Thin("box_pose", 1.0, None)),
@@ -50,6 +41,14 @@ def test_thin_is_parsed(text: str, expected: Thin) -> None:
 
 
 @pytest.mark.parametrize(
+    "text", ["", ":1:2", "a:1", "a:1:2:3", "a:b:c", "a:2:1", "a:1:1", "a:1:nan", "a:1:inf", "a::", "a:"]
+)
+def test_withhold_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"^--withhold .*: accepted: TOPIC or TOPIC:T0:T1.*\Z"):
+        parse_withhold(text)
+
+
+@pytest.mark.parametrize(
     "text",
     [
         *("", "a", "a:", ":1", "a:0", "a:-1", "a:x", "a:nan", "a:inf", "a:1:", "a:1:x", "a:1:-0.1", "a:1:0"),
@@ -57,9 +56,8 @@ def test_thin_is_parsed(text: str, expected: Thin) -> None:
     ],
 )
 def test_thin_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"^--thin .*: accepted: TOPIC:HZ") as caught:
+    with pytest.raises(InputError, match=r"^--thin .*: accepted: TOPIC:HZ.*\Z"):
         parse_thin(text)
-    assert "\n" not in str(caught.value)
 
 
 def test_remap_is_parsed() -> None:

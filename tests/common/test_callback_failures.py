@@ -112,15 +112,12 @@ def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
     assert failures.are_hopeless
 
 
-def test_failures_now_and_then_are_not_hopeless(failures, clock):
+@pytest.mark.parametrize(
+    ("duration", "step"), [(10.0 * LASTING_S, PAUSE_S + 0.1), (LASTING_S + PAUSE_S, PAUSE_S)]
+)
+def test_failures_now_and_then_or_few_are_not_hopeless(failures, clock, duration, step):
     guarded = failures.guard(fail, "timer")
-    repeat(guarded, clock, 10.0 * LASTING_S, step=PAUSE_S + 0.1)
-    assert not failures.are_hopeless
-
-
-def test_few_failures_are_not_hopeless(failures, clock):
-    guarded = failures.guard(fail, "timer")
-    repeat(guarded, clock, LASTING_S + PAUSE_S, step=PAUSE_S)
+    repeat(guarded, clock, duration, step=step)
     assert not failures.are_hopeless
 
 

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from fixtures.box_site import standing
 
 from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
@@ -31,10 +32,6 @@ def site(**changes):
         "posts": (),
     }
     return SiteParameters(**(values | changes))
-
-
-def standing(x, y, yaw):
-    return lambda times: (np.full_like(times, x), np.full_like(times, y), np.full_like(times, yaw))
 
 
 def test_box_ahead_and_nothing_else(box):

@@ -46,16 +46,11 @@ def test_allowed_jump_grows_with_range(distance, cut):
     assert (len(clusters(ranges, ANGLES, 0.03, GRAZING)) == 2) is cut
 
 
-def test_object_cut_by_a_nearer_post_is_rejoined():
-    ranges = scan(left=(100, 103, 8.0), post=(104, 105, 5.0), right=(106, 109, 8.0))
+@pytest.mark.parametrize(("between", "expected"), [(5.0, [(100, 109)]), (12.0, [])])
+def test_object_is_rejoined_where_something_nearer_cuts_it(between, expected):
+    ranges = scan(left=(100, 103, 8.0), other=(104, 105, between), right=(106, 109, 8.0))
     parts = clusters(ranges, ANGLES, 0.03, GRAZING)
-    assert spans(rejoined(parts, ranges, ANGLES, extent=1.0)) == [(100, 109)]
-
-
-def test_objects_with_a_farther_one_between_stay_apart():
-    ranges = scan(left=(100, 103, 8.0), wall=(104, 105, 12.0), right=(106, 109, 8.0))
-    parts = clusters(ranges, ANGLES, 0.03, GRAZING)
-    assert rejoined(parts, ranges, ANGLES, extent=1.0) == []
+    assert spans(rejoined(parts, ranges, ANGLES, extent=1.0)) == expected
 
 
 def test_free_ends_lie_between_neighbouring_beams():
@@ -65,16 +60,11 @@ def test_free_ends_lie_between_neighbouring_beams():
     assert beams.left == pytest.approx((ANGLES[109], ANGLES[110]))
 
 
-def test_hidden_end_may_lie_anywhere_behind_what_hides_it():
-    ranges = scan(box=(100, 105, 8.0), person=(106, 108, 5.0))
+@pytest.mark.parametrize("other", [(106, 108, 5.0), (106, 107, 8.7)], ids=["nearer", "just behind"])
+def test_end_may_lie_anywhere_beside_something_that_hides_or_touches_it(other):
+    ranges = scan(box=(100, 105, 8.0), other=other)
     beams = beams_on(np.arange(100, 106), ranges, ANGLES, extent=0.92, margin=0.1)
-    assert beams.left == pytest.approx((ANGLES[105], ANGLES[109]))
-
-
-def test_end_beside_something_just_behind_is_not_free():
-    ranges = scan(box=(100, 105, 8.0), behind=(106, 107, 8.7))
-    beams = beams_on(np.arange(100, 106), ranges, ANGLES, extent=0.92, margin=0.1)
-    assert beams.left == pytest.approx((ANGLES[105], ANGLES[108]))
+    assert beams.left == pytest.approx((ANGLES[105], ANGLES[other[1] + 1]))
 
 
 def test_end_at_the_edge_of_view_is_bounded_by_the_extent():
