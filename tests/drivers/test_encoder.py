@@ -40,15 +40,6 @@ def test_wraps_both_ways():
     assert back.position == pytest.approx(4090 * PER_COUNT)
 
 
-def test_one_sprocket_turn_is_three_of_the_encoder():
-    unit = encoder()
-    unit.update(0, 0)
-    for k in range(1, 3 * 64 + 1):
-        motion = unit.update(64 * k % COUNTS, 1)
-    assert isinstance(motion, Motion)
-    assert motion.position == pytest.approx(2.0 * math.pi)
-
-
 def test_gap_shorter_than_half_a_turn_is_bridged():
     unit = encoder()
     unit.update(0, 0)
