@@ -23,6 +23,7 @@ from trackslip_bags.sources import (
     TopicInfo,
     WholeBag,
     bag_files,
+    begins_with,
     error_line,
     merged,
     open_file,
@@ -166,7 +167,7 @@ def _open(path: Path | str) -> Bag:
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
-    if _is_ros1(path):
+    if begins_with(path, _ROS1):
         raise InputError(
             f"bag '{path}' is of ROS 1: trackslip import makes one of ours of it (docs/import.md)"
         )
@@ -184,14 +185,6 @@ def _open(path: Path | str) -> Bag:
     if not sources:
         raise InputError(f"bag '{path}' cannot be read ({notes}); accepted: {ACCEPTED}")
     return Bag(path, sources, notes)
-
-
-def _is_ros1(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_ROS1)) == _ROS1
-    except OSError:  # a directory, or one that nobody may read
-        return False
 
 
 def refuse_pipes(path: Path) -> None:

@@ -161,6 +161,15 @@ def bag_files(path: Path) -> list[Path]:
     return list(found.values())
 
 
+def begins_with(path: Path, magic: bytes) -> bool:
+    """Whether a file can be read and has the first bytes of its kind."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(magic)) == magic
+    except OSError:  # a directory, or one that nobody may read
+        return False
+
+
 def open_file(path: Path) -> tuple[Source | None, str]:
     """One file of a bag (None where nothing of it can be read), and what is wrong with it."""
     if path.suffix == PACKED:
@@ -169,7 +178,7 @@ def open_file(path: Path) -> tuple[Source | None, str]:
         return WholeBag(path), ""
     except Exception as error:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
         reason = error_line(error)
-    if sqlite_files.is_sqlite(path):
+    if begins_with(path, sqlite_files.MAGIC):
         return None, f"{path.name}: {reason}"
     try:
         content = salvage(path)

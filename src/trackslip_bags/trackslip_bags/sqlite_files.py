@@ -17,16 +17,7 @@ _COMPANIONS = ("-wal", "-journal")
 _NAME = "apsw"  # the binding that rosbags uses
 _SQLITE: Any = getattr(storage_sqlite3, _NAME)
 _PREFIX, _IMMUTABLE = "file:", "?immutable=1"  # of the address that rosbags asks for
-_MAGIC = b"SQLite format 3\0"
-
-
-def is_sqlite(path: Path) -> bool:
-    """Whether a file begins as an SQLite database does."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
+MAGIC = b"SQLite format 3\0"
 
 
 def address(path: Path) -> str:

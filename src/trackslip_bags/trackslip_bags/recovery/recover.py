@@ -17,8 +17,8 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from trackslip_bags.metadata import METADATA, Schema
 from trackslip_bags.reader import ACCEPTED, Bag, open_bag, refuse_pipes
-from trackslip_bags.recovery.salvage import DamagedFile, SalvagedTopic, is_mcap
-from trackslip_bags.sources import PACKED, TopicInfo, bag_files
+from trackslip_bags.recovery.salvage import MAGIC, DamagedFile, SalvagedTopic
+from trackslip_bags.sources import PACKED, TopicInfo, bag_files, begins_with
 from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import LONGEST, parse_yaml
@@ -89,7 +89,7 @@ def _parts(path: Path, recovery: Recovery) -> list[Part]:
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
     every = bag_files(path)
-    files = [file for file in every if is_mcap(file)]
+    files = [file for file in every if begins_with(file, MAGIC)]
     if files and not any(file.suffix == PACKED for file in every):
         return [partial(_from_mcap, file, recovery) for file in files]
     return [partial(_from_others, open_bag(path), recovery)]

@@ -24,7 +24,7 @@ from trackslip_bags.metadata import Schema as KnownSchema
 from trackslip_bags.unpacking import is_packed, plain
 from trackslip_bags.unpacking import message as unpacked_message
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
 _FORMATS = {
@@ -32,15 +32,6 @@ _FORMATS = {
     "ros2idl": MessageDefinitionFormat.IDL,
     "omgidl": MessageDefinitionFormat.IDL,
 }
-
-
-def is_mcap(path: Path) -> bool:
-    """Whether a file begins as MCAP does."""
-    try:
-        with path.open("rb") as stream:
-            return stream.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
 
 
 class SalvagedTopic(NamedTuple):
@@ -114,10 +105,10 @@ class DamagedFile:
     def _records(self, stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         """(opcode, content) of each whole record, up to the file's end or to where it was cut."""
         size = os.fstat(stream.fileno()).st_size
-        end = len(_MAGIC)
+        end = len(MAGIC)
         self.is_cut = True
         opcode = 0
-        if stream.read(end) != _MAGIC:
+        if stream.read(end) != MAGIC:
             self.lost_bytes = size
             return
         while opcode != Opcode.FOOTER:
@@ -130,7 +121,7 @@ class DamagedFile:
             end += _HEAD + length
             self.share_read = end / size
             yield opcode, stream.read(length)
-        self.is_cut = stream.read(len(_MAGIC) + 1) != _MAGIC
+        self.is_cut = stream.read(len(MAGIC) + 1) != MAGIC
 
     def _inside(self, opcode: int, content: bytes) -> list[object]:
         """What a record holds that matters here; nothing where it fails its checks."""
