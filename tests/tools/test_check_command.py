@@ -114,7 +114,8 @@ def test_a_mistake_that_is_certain_but_one_of_several_is_no_plausible_setup(tmp_
     """Fixes in feet, or speeds in another unit: places were a NEES of a million off at exit code 0."""
     log = make_drive()
     (fixes,) = log.fixes
-    bag = import_it(write_csv(tmp_path, log.with_fixes(replace(fixes, places=fixes.places / 0.3048))))
+    in_feet = replace(log, fixes=(replace(fixes, places=fixes.places / 0.3048),))
+    bag = import_it(write_csv(tmp_path, in_feet))
     found = json_of(tmp_path, "check", bag, code=ExitCode.FAILED)
     assert (found["plausible"], found["causes"]) == (False, [])
     assert any("feet" in one["what"] for one in found["undetermined"])

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """One state of a Gaussian: replaced, decayed, added to another one, or of another prior; compiled, in place.
 
-It decays as a first-order Gauss–Markov process.
+It decays as a first-order Gauss–Markov process. How much more likely another variance is, is a Bayes factor.
 
 x, P   mean and covariance of the state    (n,), (m, m), m ≥ n
 """
+
+import math
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
@@ -57,3 +59,9 @@ def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: flo
         x[i] -= shared[i] / S * mean
         for j in range(x.size):
             P[i, j] -= shared[i] * shared[j] / S
+
+
+@compiled
+def log_ratio(squared: float, wide: float, narrow: float) -> float:
+    """ln of the density of a number by N(0, ``wide``) over that by N(0, ``narrow``), given its square."""
+    return (squared * (1.0 / narrow - 1.0 / wide) - math.log(wide / narrow)) / 2.0

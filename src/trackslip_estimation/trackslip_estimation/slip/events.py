@@ -10,8 +10,7 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     OFFSET           the offset of a source's places: two states         just before it
                      the offset of its velocities: two states            just before it, or since the last
                                                                          consistent measurement
-    WANDERS          the offset of its places, which begins at zero and  since the last consistent measurement
-                     wanders
+    WANDERS          nothing; its places go off evenly               since the last consistent measurement
     HEADING_OFF      the offset of its headings or swing angles          just before it
     HEADING_WANDERS  the same, which goes on to change                   just before it, or since the last
                                                                          consistent measurement

@@ -7,9 +7,9 @@
     v    its variance, had no fix shown it; it walks                              1
     w    the same, if stamps are late or early by ``events.late_stddev``          1
 
-All fixes together have shown I = 1/P − 1/v and A = (δ − m)/P of it. With the prior N(m, w) and not N(m, v),
-ln of their density is larger by (A²/(I + 1/w) − A²/(I + 1/v) − ln((1 + I w)/(1 + I v)))/2. So no fix has to
-contradict: where stamps are late, δ goes further than v lets it, slowly.
+All fixes together are a measurement of δ − m with the variance R: 1/R = 1/P − 1/v. It is (δ − m) R/P, and of
+N(0, R + w) if stamps are late, of N(0, R + v) if not. So no fix has to contradict: where stamps are late, δ
+goes further than v lets it, slowly.
 
 Source: Bayes factor of two normal priors, Kass & Raftery (1995).
 """
@@ -20,7 +20,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.single_state import exchange_prior
+from trackslip_estimation.kalman.single_state import exchange_prior, log_ratio
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY
 
@@ -49,10 +49,9 @@ def log_odds_of_delay(state: State, source: int, c: Config) -> float:
     v, w, P = state.delay_variance, _late_variance(source, c), state.covariance[FIX_DELAY, FIX_DELAY]
     if not has_velocity_errors(c) or v >= w / 4.0 or not 0.0 < P < _SHOWN * v:
         return -math.inf
-    shown, of_mean = 1.0 / P - 1.0 / v, (state.mean[FIX_DELAY] - c.prior_mean[FIX_DELAY]) / P
-    squared = of_mean**2 * (1.0 / (shown + 1.0 / w) - 1.0 / (shown + 1.0 / v))
-    ratio = (squared - math.log((1.0 + shown * w) / (1.0 + shown * v))) / 2.0
-    return float(ratio + math.log(c.events.late_share))
+    R = 1.0 / (1.0 / P - 1.0 / v)
+    shown = (state.mean[FIX_DELAY] - c.prior_mean[FIX_DELAY]) * R / P
+    return float(log_ratio(shown * shown, R + w, R + v) + math.log(c.events.late_share))
 
 
 @compiled

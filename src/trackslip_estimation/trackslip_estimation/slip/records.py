@@ -241,9 +241,8 @@ class EventRecord(Record):
     """Of a branch: before, or after, the step to which measurement it opened states.
 
     ``part``: of the circle, or ``MEASURED``: where the source measured the angle ``value``, rad; or ``LOST``.
-    ``value`` of a skid, of fixes that are off or wander, and of a machine that was moved is the standard
-    deviation, m; of a slip and a bias that changed a while ago how long, s: an offset of the source took it
-    for its own.
+    ``value`` of a skid, of fixes that are off, and of a machine that was moved is the standard deviation, m;
+    of a slip and a bias that changed a while ago how long, s: an offset of the source took it for its own.
     """
 
     event: int  # of ``events.Event``

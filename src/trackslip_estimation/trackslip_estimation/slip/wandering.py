@@ -8,8 +8,10 @@
     S      variance of r
 
 While a branch assumes that a receiver wanders, none of its fixes corrects the state. What they are off by
-begins at nothing, with any speed up to ``events.wander_speed``. Fixes that go on faster are those of a machine
-whose tracks do not show it: the branch pays for them each time.
+begins at nothing, with any speed up to ``events.wander_speed``. Fixes that go on faster are those of a
+machine whose tracks do not show it: the branch pays for them each time.
+
+Source: white noise acceleration, Bar-Shalom, Li & Kirubarajan (2001), section 6.2.2.
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ def weigh_wander(
     wander: Wander, o: Observation, predicted: FloatArray, dt: float, c: Config, update: Update
 ) -> None:
     """Evidence of a fix ``dt`` s after the one before; ``predicted``: H P Hᵀ (m, m)."""
-    _pass_time(wander, dt, c)
+    _propagate(wander, dt, c)
     reckoned = (predicted[X, X] + predicted[Y, Y]) / 2.0
     wander.variance += max(reckoned - wander.reckoned, 0.0)
     wander.reckoned = reckoned
@@ -80,7 +82,7 @@ def weigh_wander(
 
 
 @compiled
-def _pass_time(wander: Wander, dt: float, c: Config) -> None:
+def _propagate(wander: Wander, dt: float, c: Config) -> None:
     """p, v and P, dt s later."""
     walk = c.events.wander_walk**2 * dt
     wander.east += wander.east_speed * dt

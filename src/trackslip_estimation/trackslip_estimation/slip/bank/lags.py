@@ -19,6 +19,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
+from trackslip_estimation.kalman.single_state import log_ratio
 from trackslip_estimation.slip.bank.child import log_time
 from trackslip_estimation.slip.events import BIASED, SLIPPED
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -53,8 +54,7 @@ def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> fl
     if event == BIASED:
         off = before.mean[own + 1] * east - before.mean[own] * north
         spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * way
-    either = usual + spread**2
-    odds = ((off / way) ** 2 * (1.0 / usual - 1.0 / either) - math.log(either / usual)) / 2.0
+    odds = log_ratio((off / way) ** 2, usual + spread**2, usual)
     return float(odds + log_time(window, p, k, c) + c.log_rates[event, m.source])
 
 
