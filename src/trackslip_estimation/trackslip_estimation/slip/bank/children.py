@@ -57,6 +57,7 @@ from trackslip_estimation.slip.source_faults import (
     IS_OFFSET,
     IS_SCATTERING,
     IS_SOUND,
+    IS_WANDERING,
     is_heading_off,
     is_repeated,
     is_straying,
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
+_WANDER_TIMES = 3.0  # fault times: what wandered off may stay there for a while, and come back
 
 
 @compiled
@@ -184,13 +186,14 @@ def _moves(before: State, source: int, c: Config) -> bool:
 
 @compiled
 def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether an offset of the measurement's source is tried as a jump, again each fault time."""
+    """Whether what the measurement's source is off by is tried as a jump, again each fault time or three."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault = before.fault[source]
-    is_place = fault == IS_OFFSET and number_of(source, c) >= 0
+    is_place = fault in (IS_OFFSET, IS_WANDERING) and number_of(source, c) >= 0
     if s != 0 or not (is_place or is_heading_off(fault)):
         return False
-    since_ns, period_ns = before.fault_ns[source], c.events.fault_time * 1e9
+    times = _WANDER_TIMES if fault == IS_WANDERING else 1.0
+    since_ns, period_ns = before.fault_ns[source], times * c.events.fault_time * 1e9
     for other in range(MOST_SOURCES):
         same_angle = c.yaw_offsets[other] >= 0 and c.of_swing[other] == c.of_swing[source]
         shows = number_of(other, c) >= 0 if is_place else same_angle

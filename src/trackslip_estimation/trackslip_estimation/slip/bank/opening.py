@@ -195,6 +195,10 @@ def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
             to_shown_heading(x, P, source, 1.0, c)
         renewed = _replace(state, own, 0.0, c.prior_variance[own], c)
         return renewed | (1 << YAW) if e.event == FOLDED else renewed
+    if was == IS_WANDERING and e.event == FOLDED:
+        wander = state.offsets[number_of(source, c)].wander
+        renewed = _replace(state, X, x[X] + wander.east, wander.variance, c)
+        return renewed | _replace(state, Y, x[Y] + wander.north, wander.variance, c)
     if c.offsets[source] >= 0:
         if e.event == FOLDED:
             to_offset(x, P, source, 1.0, c)
