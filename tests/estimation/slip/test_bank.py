@@ -145,7 +145,7 @@ def off_evenly(part: int) -> tuple[float, float]:
     recording, off = drive(machine), ([15.0, 21.0, 31.0, 37.0], [0.0, 1.0, 1.0, 0.0])
     cos, sin = math.cos(part * math.tau / 12.0), math.sin(part * math.tau / 12.0)
     given = changed(recording, lambda m, t: moved(m, cos * np.interp(t, *off), sin * np.interp(t, *off)))
-    error, nees, estimator = errors(given, recording, parameters(**GNSS))
+    error, nees, _ = errors(given, recording, parameters(**GNSS))
     return float(np.sqrt(np.mean(error**2))), float(nees.mean())
 
 
@@ -162,9 +162,8 @@ def test_fixes_that_went_off_and_stay_there_are_used_again_within_a_minute() -> 
         ([15.0, 21.0], [0.0, 1.0]),
     )
     given = changed(recording, lambda m, t: moved(m, 0.0, np.interp(t, *off)))
-    error, _, estimator = errors(
-        given, recording._replace(poses=recording.poses + (0, 1, 0)), parameters(**GNSS)
-    )
+    there = recording._replace(poses=recording.poses + np.array((0.0, 1.0, 0.0)))
+    error, _, estimator = errors(given, there, parameters(**GNSS))
     assert Event.WANDERS in events(estimator)
     assert error[error.size * 75 // 110 :].max() < 0.2
 
