@@ -393,7 +393,7 @@ def test_a_gyro_whose_bias_changes_does_not_turn_the_machine(rate: int, seed: in
 
 @pytest.mark.parametrize(
     ("turn", "rate", "noise", "track_error"),  # rad/s, 1/s, m, 1
-    [(0.25, FIXES, 0.03, 0.05), (0.5, FIXES, 0.03, 0.05), (0.25, 5, 0.02, 0.01), (0.25, 10, 0.02, 0.01)],
+    [(0.25, FIXES, 0.03, 0.05), (0.3, FIXES, 0.03, 0.05), (0.25, 5, 0.02, 0.01), (0.25, 10, 0.02, 0.01)],
 )
 def test_fixes_that_wander_off_do_not_take_the_machine_with_them(
     turn: float, rate: int, noise: float, track_error: float
