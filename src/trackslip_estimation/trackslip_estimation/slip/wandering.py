@@ -76,9 +76,7 @@ def weigh_wander(
     wander.variance *= 1.0 - gain
     update.dof, update.gate, update.outcome = YAW, c.gate_limits[YAW], _GATED
     update.nis, update.log_determinant = (east * east + north * north) / S, 2.0 * math.log(S)
-    heading = _LOG_TURN if o.innovation.size > YAW else 0.0
-    update.evidence = -(update.nis + update.log_determinant) / 2.0 - _LOG_TURN - heading
-    update.evidence -= _too_fast(wander, c)
+    update.evidence = -(update.nis + update.log_determinant) / 2.0 - _LOG_TURN - _too_fast(wander, c)
 
 
 @compiled

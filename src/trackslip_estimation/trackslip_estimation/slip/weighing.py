@@ -108,6 +108,8 @@ def use_weighed(
     if fault == IS_WANDERING:
         wander = state.offsets[number_of(source, c)].wander
         weigh_wander(wander, o, predicted, elapsed, c, update)
+        if m > YAW:
+            _use_heading_alone(state, o, predicted, c, update)
         return
     known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
@@ -131,6 +133,23 @@ def use_weighed(
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
     if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
         update.outcome = _GATED
+
+
+@compiled
+def _use_heading_alone(
+    state: State, o: Observation, predicted: FloatArray, c: Config, update: Update
+) -> None:
+    """The heading of a fix whose place wanders: two antennas find it apart from the place."""
+    S = predicted[YAW, YAW] + o.noise[YAW, YAW]
+    nis = o.innovation[YAW] ** 2 / S
+    if nis > c.gate_limits[1]:
+        update.evidence -= _LOG_TURN
+        return
+    update.evidence -= (nis + math.log(S) + _LOG_TURN) / 2.0
+    R, x = o.noise[YAW:, YAW:].copy(), state.mean[: c.size]
+    heading = Observation(o.innovation[YAW:].copy(), o.jacobian[YAW:].copy(), R, o.considered, 0, o.shared)
+    correct(x, state.covariance[:], heading)
+    x[YAW] = wrap(x[YAW])
 
 
 @compiled
