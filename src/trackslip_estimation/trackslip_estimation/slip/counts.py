@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record, dtype_of
+from trackslip_estimation.kalman.constant_velocity import Known, later
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -76,11 +77,10 @@ def begin_counts(counts: CountsRecord, c: Config) -> None:
 @compiled
 def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> Followed:
     """``dt`` s later, when the positions changed by ``left`` and ``right`` rad/s."""
-    walk, R = _SPEED_WALK**2 * dt, c.encoder_resolution**2 / 12.0
-    speed_variance = counts.speed_variance + walk
-    covariance = counts.covariance + (counts.speed_variance + walk / 2.0) * dt
-    variance = counts.variance + (2.0 * counts.covariance + (counts.speed_variance + walk / 3.0) * dt) * dt
-    S, half = variance + R, c.encoder_resolution / 2.0
+    known = Known(counts.variance, counts.covariance, counts.speed_variance)
+    variance, covariance, speed_variance = later(known, dt, _SPEED_WALK)
+    R, half = c.encoder_resolution**2 / 12.0, c.encoder_resolution / 2.0
+    S = variance + R
     gain = _Gain(R / S, covariance / S)
     now = gain.kept * variance
     shared = gain.kept * (counts.variance + counts.covariance * dt)  # of θ now and before

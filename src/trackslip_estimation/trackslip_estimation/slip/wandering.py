@@ -10,8 +10,6 @@
 While a branch assumes that a receiver wanders, none of its fixes corrects the state. What they are off by
 begins at nothing, with any speed up to ``events.wander_speed``. Fixes that go on faster are those of a
 machine whose tracks do not show it: the branch pays for them each time.
-
-Source: white noise acceleration, Bar-Shalom, Li & Kirubarajan (2001), section 6.2.2.
 """
 
 from __future__ import annotations
@@ -22,6 +20,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record
+from trackslip_estimation.kalman.constant_velocity import Known, later
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
 
@@ -82,12 +81,10 @@ def weigh_wander(
 @compiled
 def _propagate(wander: Wander, dt: float, c: Config) -> None:
     """p, v and P, dt s later."""
-    walk = c.events.wander_walk**2 * dt
     wander.east += wander.east_speed * dt
     wander.north += wander.north_speed * dt
-    wander.variance += (2.0 * wander.covariance + (wander.speed_variance + walk / 3.0) * dt) * dt
-    wander.covariance += (wander.speed_variance + walk / 2.0) * dt
-    wander.speed_variance += walk
+    known = Known(wander.variance, wander.covariance, wander.speed_variance)
+    wander.variance, wander.covariance, wander.speed_variance = later(known, dt, c.events.wander_walk)
 
 
 @compiled
