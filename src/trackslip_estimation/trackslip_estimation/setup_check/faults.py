@@ -102,7 +102,8 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     lost = np.zeros(len(tracks.t), np.bool_)
     count = log.counts.shown / max(float(np.median(np.diff(tracks.t))), 1e-9) if len(tracks.t) > 1 else 0.0
     for side, name in enumerate(("left", "right")):
-        lost |= _note(found, "sprockets", f"{name} speed", tracks.speeds[:, side], count)
+        speeds, gaps = tracks.speeds[:, side], _after_gap(tracks.t)
+        lost |= _note(found, "sprockets", f"{name} speed", speeds, gaps, count)
     if lost.any():
         kept = ~lost
         none = np.full((int(kept.sum()), 2), np.nan)
@@ -112,7 +113,7 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     for gyro in log.gyros:
         lost = np.zeros(len(gyro.t), np.bool_)
         for axis, name in enumerate("xyz"):
-            lost |= _note(found, gyro.name, f"rate about {name}", gyro.rates[:, axis])
+            lost |= _note(found, gyro.name, f"rate about {name}", gyro.rates[:, axis], _after_gap(gyro.t))
         kept = ~lost
         gyros.append(
             replace(gyro, t=gyro.t[kept], rates=gyro.rates[kept], accelerations=gyro.accelerations[kept])
@@ -124,11 +125,22 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
     return replace(log, gyros=tuple(gyros), fixes=tuple(fixes)), found
 
 
+def _after_gap(t: FloatArray) -> BoolArray:
+    """(n,) readings before which one is missing: an increment is twice as large there."""
+    intervals = np.diff(t, prepend=t[:1])
+    return np.asarray(intervals > 1.5 * np.median(intervals))
+
+
 def _note(
-    found: list[Missing], source: str, column: str, values: FloatArray, count: float = 0.0
+    found: list[Missing],
+    source: str,
+    column: str,
+    values: FloatArray,
+    after_gap: BoolArray,
+    count: float = 0.0,
 ) -> BoolArray:
     missing = missing_in(values, count)
-    if missing is None:
+    if missing is None or after_gap[missing[1]].mean() > 0.5:
         return np.zeros(len(values), np.bool_)
     value, where = missing
     found.append(Missing(source, column, value, int(where.sum()), float(where.mean())))
