@@ -264,8 +264,8 @@ def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_two_secon
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_centimetre_fixes_that_are_off_for_ten_seconds_may_be(seed: int) -> None:
-    """0.3 m off between two fixes may be a skid, too; the machine skidded for certain, once in a minute."""
+def test_centimetre_fixes_that_are_off_for_ten_seconds_are_not_a_skid_for_certain(seed: int) -> None:
+    """0.3 m between two fixes may be either; a machine was expected to skid once a minute."""
     machine = Machine(duration=50.0, track_error=0.1, fix_noise=0.02, fix_stated=0.02, fix_rate=1, seed=seed)
     recording = drive(machine)
     off = changed(recording, lambda m, t: moved(m, 0.24, 0.18) if 20.0 <= t < 30.0 else m)

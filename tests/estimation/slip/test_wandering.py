@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -19,7 +20,7 @@ PLACE, FIX = 0.02, 0.03  # m, standard deviations of the place at the begin, and
 NOTHING = 1e-12
 
 
-def evidence_of(residuals: np.ndarray, t: np.ndarray, most: float) -> float:
+def evidence_of(residuals: FloatArray, t: FloatArray, most: float) -> float:
     """Sum of the evidence of fixes, (n, 2) m, at n times since the begin, s."""
     p = load_slip_parameters({"events.wander_speed": most, "events.wander_walk": NOTHING})
     config, wander = make_config(p)[0], np.zeros(1, OFFSET)[0]["wander"]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One state of a Gaussian: replaced, decayed, added to another one, or of another prior; compiled, in place.
 
-It decays as a first-order Gauss–Markov process. How much more likely another variance is, is a Bayes factor.
+It decays as a first-order Gauss–Markov process. Two variances of it are compared by their Bayes factor.
 
 x, P   mean and covariance of the state    (n,), (m, m), m ≥ n
 """

@@ -36,8 +36,8 @@ parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventPara
     LATE             delay of all fixes                                  before all of them
     BIASED           bias of the first gyro, and the heading             since the last consistent measurement
                      the same, and the offset of a coarse receiver       or a while ago
-    FOLDED           the source's offset, which becomes a jump of what   just before it
-                     it measures; nothing for one of swing angles,
+    FOLDED           what the source is off by, which becomes a jump of  just before it
+                     what it measures; nothing for one of swing angles,
                      which keeps it
 
 Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.

@@ -38,7 +38,7 @@ class SourceFault(IntEnum):
     HEADING_OFF = 7  # its headings, or swing angles, are off, not its places
     HEADING_WANDERS = 8  # the same, by something else at any time
     MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
-    WANDERS = 10  # its places
+    WANDERS = 10  # its places go off evenly, and none is used
 
 
 (

@@ -7,7 +7,7 @@
     P      covariance of p and v, the same for both axes
     S      variance of r
 
-While a branch assumes that a receiver wanders, none of its fixes corrects the state. What they are off by
+While a branch assumes that a receiver wanders, none of its places corrects the state. What they are off by
 begins at nothing, with any speed up to ``events.wander_speed``. Fixes that go on faster are those of a
 machine whose tracks do not show it: the branch pays for them each time.
 """
