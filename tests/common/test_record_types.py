@@ -20,7 +20,7 @@ class Part(Record):
     """Of another."""
 
     number: int
-    is_sound: bool
+    is_finite_state: bool
 
 
 class Whole(Record):

@@ -154,7 +154,7 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     """A replay knows both; a bag without /diagnostics serves."""
     zero_ns = emulated_run.recording.zero_ns
     off = Explanation("box_pose is 1.0 m off", 0.9, zero_ns)
-    moved = Explanation("the machine was moved", 0.1, zero_ns, lasts=False)
+    moved = Explanation("the machine was moved", 0.1, zero_ns, is_ongoing=False)
     details = Details()
     details.sources = emulated_run.details.sources
     for at_s in range(10, 31):
@@ -163,7 +163,7 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     happened = [
         Happened(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
         Happened(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),
-        Happened(zero_ns + 24 * SECOND_NS, Explaining.SOUND, "box_pose", 1.0),
+        Happened(zero_ns + 24 * SECOND_NS, Explaining.RECOVERED, "box_pose", 1.0),
     ]
     replayed = dataclasses.replace(emulated_run.replay, happened=happened)
     run = dataclasses.replace(emulated_run, details=details, replay=replayed)

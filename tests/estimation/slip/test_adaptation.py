@@ -13,7 +13,7 @@ from trackslip_estimation.slip.measurements import Outcome, PoseFix, YawRate
 from trackslip_estimation.slip.models.model import GYRO_SCALE
 from trackslip_estimation.slip.models.turning import ASYMMETRY
 from trackslip_estimation.slip.records import to_records
-from trackslip_estimation.slip.stands import repeats_stand
+from trackslip_estimation.slip.standstill import standstill_inflation
 
 
 def run(machine: Machine, **changed: object) -> Any:
@@ -97,7 +97,7 @@ def test_gaussian_fixes_as_good_as_they_state_are_not_found_better() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
 def test_fixes_at_standstill_together_observe_what_the_common_part_leaves(share: float) -> None:
     for count in (1, 2, 10, 500):
-        told = sum(1.0 / repeats_stand(k, share) for k in range(1, count + 1))
+        told = sum(1.0 / standstill_inflation(k, share) for k in range(1, count + 1))
         assert 1.0 / told == pytest.approx(share + (1.0 - share) / count)
 
 

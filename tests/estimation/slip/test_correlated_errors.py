@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixes whose errors are correlated in time: found from the fixes, held by an offset, and never given away.
 
-An offset is a state (``own_errors``); errors of what sits above are weighed (``adaptation.repeats``).
+An offset is a state (``source_states``); errors of what sits above are weighed (``adaptation.repeats``).
 """
 
 import math
@@ -23,7 +23,7 @@ from trackslip_estimation.slip.correlated_errors import (
     MASSES,
     PRECISE,
     RECEIVER,
-    WayError,
+    DisplacementError,
     add_fix,
     quality_of,
     reset_receiver,
@@ -31,16 +31,16 @@ from trackslip_estimation.slip.correlated_errors import (
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import PoseFix
 from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, Y
-from trackslip_estimation.slip.own_errors import (
-    begin_offset,
-    pass_offsets,
-    prepare_offset,
-    to_offset,
-)
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import PRIOR, UPDATE
+from trackslip_estimation.slip.source_offsets import (
+    begin_offset,
+    prepare_offset,
+    propagate_offsets,
+    to_measured_position,
+)
 
-PERIOD, LASTS, SIGMA = 0.1, 10.0, 0.01  # s, s, m
+PERIOD, CORRELATION_TIME, SIGMA = 0.1, 10.0, 0.01  # s, s, m
 C = make_config(load_slip_parameters())[0]
 SOURCE, S = 0, 1_000_000_000
 PLACE, OFFSET = slice(0, Y + 1), slice(SENSOR_ERRORS, SENSOR_ERRORS + 2)
@@ -69,14 +69,14 @@ def test_an_estimate_that_may_have_all_of_it_learns_nothing() -> None:
 def test_position_is_never_much_worse_than_the_fixes_and_claims_no_less_than_is_true(walk: float) -> None:
     """``walk``: error of dead reckoning in a period, m. It was 4.3 times the fixes' for 0.03 m."""
     rng = np.random.default_rng(1)
-    kept, runs = math.exp(-PERIOD / LASTS), 400
+    kept, runs = math.exp(-PERIOD / CORRELATION_TIME), 400
     slow, error, P = SIGMA * rng.normal(size=runs), np.zeros(runs), SIGMA**2
     error = slow.copy()
     squares, claimed = [], []
     for k in range(1500):
         slow = kept * slow + math.sqrt(1.0 - kept * kept) * SIGMA * rng.normal(size=runs)
         error, P = error + walk * rng.normal(size=runs), P + walk * walk
-        R = min(repeats(round(PERIOD * 1e9), LASTS), cap(P, SIGMA**2)) * SIGMA**2
+        R = min(repeats(round(PERIOD * 1e9), CORRELATION_TIME), cap(P, SIGMA**2)) * SIGMA**2
         K = P / (P + R)
         error, P = error + K * (slow - error), (1.0 - K) * P
         if k > 500:
@@ -113,12 +113,12 @@ def prior_of(state: Any) -> Any:
 def test_the_place_that_a_fix_shows_and_back() -> None:
     known = made_up()
     x, P = known.mean.copy(), known.covariance.copy()
-    to_offset(x, P, SOURCE, 1.0, C)
+    to_measured_position(x, P, SOURCE, 1.0, C)
     T = np.eye(SIZE)
     T[PLACE, OFFSET] = np.eye(2)
     np.testing.assert_allclose(x, T @ known.mean, atol=1e-14)
     np.testing.assert_allclose(P, T @ known.covariance @ T.T, atol=1e-14)
-    to_offset(x, P, SOURCE, -1.0, C)
+    to_measured_position(x, P, SOURCE, -1.0, C)
     np.testing.assert_allclose(x, known.mean, atol=1e-14)
     np.testing.assert_allclose(P, known.covariance, atol=1e-14)
 
@@ -132,7 +132,7 @@ def test_a_first_coarse_fix_is_not_the_place() -> None:
     x, P = state["mean"].copy(), state["covariance"].copy()
     np.testing.assert_allclose(np.diag(P)[OFFSET], 4.0)
     np.testing.assert_allclose(np.diag(P)[PLACE], 0.5 * np.diag(R) + 4.0)
-    to_offset(x, P, SOURCE, 1.0, C)
+    to_measured_position(x, P, SOURCE, 1.0, C)
     np.testing.assert_allclose(P[PLACE, PLACE], 0.5 * R, atol=1e-14)
     np.testing.assert_allclose(P[PLACE, OFFSET], 0.0, atol=1e-14)
 
@@ -174,7 +174,7 @@ def test_another_quality_has_another_error(stddev: float, variance: float) -> No
 def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> None:
     state = given_offset(made_up(), 4.0, time=time)
     x, P = state["mean"].copy(), state["covariance"].copy()
-    pass_offsets(state, dt, C)
+    propagate_offsets(state, dt, C)
     F, Q, left = np.eye(SIZE), np.zeros((SIZE, SIZE)), math.exp(-dt / time)
     F[OFFSET, OFFSET] *= left
     Q[OFFSET, OFFSET] = 4.0 * (1.0 - left * left) * np.eye(2)
@@ -217,7 +217,9 @@ def found(fixes: FloatArray, stddev: float, period: float) -> Any:
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
     reset_receiver(receiver[0], C)
     for k, fix in enumerate(fixes):
-        add_fix(receiver[0], masses[0], fix, stddev, WayError(0.0, 0.0), S + round(k * period * S), C)
+        add_fix(
+            receiver[0], masses[0], fix, stddev, DisplacementError(0.0, 0.0), S + round(k * period * S), C
+        )
     return receiver[0]["errors"][quality_of(stddev, C)]
 
 

@@ -23,7 +23,7 @@ from trackslip_estimation.slip.source_watch import SourceWatch
 
 S = 1_000_000_000
 OFF = Explanation("gnss_pose is 1.0 m off", 0.9, 8 * S)
-MOVED = Explanation("the machine was moved", 0.1, 8 * S, lasts=False)
+MOVED = Explanation("the machine was moved", 0.1, 8 * S, is_ongoing=False)
 CALM = Explanation(AS_BEFORE, 0.0, 10 * S)
 
 
@@ -58,7 +58,7 @@ def test_last_events_have_stamps_and_no_single_outliers() -> None:
     happened = [
         Happened(40 * S, Event.OFFSET, "gnss_pose", 0.9),
         Happened(45 * S, Event.OUTLIER, "gnss_pose", 0.9),
-        Happened(50 * S + S // 4, Event.SOUND, "gnss_pose", 0.9),
+        Happened(50 * S + S // 4, Event.RECOVERED, "gnss_pose", 0.9),
     ]
     assert recent(happened) == "40.00 gnss_pose is off; 50.25 gnss_pose is sound again; probability 90 %"
     assert recent([]) == "none"

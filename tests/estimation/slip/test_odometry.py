@@ -143,8 +143,8 @@ def test_an_odometry_that_does_not_show_the_motion_takes_nothing_from_what_fixes
         assert np.sqrt(np.mean(errors(found, recorded, 30.0, 55.0)[0] ** 2)) < 0.15
         nees.append(np.mean(errors(found, recorded, 34.0, 55.0)[1]))  # five fixes take 2 s to show it
         happened = [e.event for e in running.read_events() if e.source == SOURCE]
-        assert happened[0] is Event.STRAYS
-        assert happened[-1] is Event.SOUND
+        assert happened[0] is Event.FAILED
+        assert happened[-1] is Event.RECOVERED
     assert np.mean(nees) < 5.0  # 2 if consistent
 
 

@@ -38,7 +38,7 @@ def test_each_finds_its_bias(model: str, filter_: str) -> None:
     estimator = SlipEstimator(p)
     estimator.process_all(given)
     state = estimator.window.best[estimator.window.count - 1]
-    places = {GYRO: GYRO_BIAS, SECOND: int(make_config(p)[0]["own_errors"][estimator.sources[SECOND]])}
+    places = {GYRO: GYRO_BIAS, SECOND: int(make_config(p)[0]["source_states"][estimator.sources[SECOND]])}
     for source, place in places.items():
         deviation = np.sqrt(state["covariance"][place, place])
         assert state["mean"][place] == pytest.approx(BIASES[source], abs=max(3.0 * deviation, 1e-4))

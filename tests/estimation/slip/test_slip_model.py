@@ -33,7 +33,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models import dispatch
 from trackslip_estimation.slip.models.free_slips import ACTIVE, LEFT_SLIP, RIGHT_SLIP, SLIP_ANGLE
-from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import GYRO_BIAS, SIZE, UNDERCARRIAGE_SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.model import POSE as POSE_SLICE
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.records import POSE, YAW_RATE
@@ -226,7 +226,7 @@ def test_nothing_happens_in_no_time(x: FloatArray, left: float, right: float) ->
 @given(states, speeds, speeds, times)
 def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right: float, dt: float) -> None:
     root = np.random.default_rng(0).normal(size=(SIZE, SIZE)) * 0.1
-    root[BELOW:] = 0.0  # of what is not looked at
+    root[UNDERCARRIAGE_SIZE:] = 0.0  # of what is not looked at
     P, R = root @ root.T, np.array(((1e-4,),))
     known = Gaussian(x, P)
     step = filter_step(CONFIG, known, measured(left, right), dt, STRAIGHT, rate_measured(0.3, 1e-4))

@@ -28,7 +28,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_log
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, SlipFix
 from trackslip_estimation.slip.models.model import SIZE
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, TURN_STATE_1, TURN_STATE_2
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SLIPS, to_records
@@ -60,7 +60,7 @@ def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
 
 def test_slips_know_of_the_rounding_of_the_counts() -> None:
     config, x = config_of(), np.zeros(SIZE)
-    x[FIRST], x[SECOND], x[COMMON_SLIP] = 0.5, 0.4, 0.02
+    x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = 0.5, 0.4, 0.02
     known, changing = Gaussian(x, np.zeros((SIZE, SIZE))), MotionState(Motion.STRAIGHT, departure=1.0)
     for variance in (4e-4, 0.0):
         speeds = Speeds(2.0, 2.0, variance)

@@ -30,21 +30,21 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.models import dispatch
 from trackslip_estimation.slip.models.model import (
-    BELOW,
     DOWNHILL,
     FIX_DELAY,
     GYRO_BIAS,
-    LASTS,
     POSE,
     SIZE,
+    SPEED_TIME,
+    UNDERCARRIAGE_SIZE,
     YAW,
 )
 from trackslip_estimation.slip.models.speed import (
     COMMON_SLIP,
-    FIRST,
     ROTATION_OFFSET,
-    SECOND,
     SPEED_ERROR,
+    TURN_STATE_1,
+    TURN_STATE_2,
     YAW_RATE_ERROR,
 )
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
@@ -68,7 +68,7 @@ states = st.tuples(
     st.floats(0.2, 2.0),
     st.floats(-2.0, -0.2),
     *[st.floats(-0.3, 0.3)] * 6,
-    *[st.just(0.0)] * (SIZE - BELOW),
+    *[st.just(0.0)] * (SIZE - UNDERCARRIAGE_SIZE),
 ).map(np.array)
 speeds = st.floats(-4.0, 4.0)
 times = st.floats(0.0, 0.5)
@@ -131,7 +131,7 @@ def test_a_standing_track_does_not_roll_with_the_machine(model: str) -> None:
     """Its slip was the common one whatever dragged it: to the soil estimator that is a track that drives."""
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     x = np.zeros(SIZE)
-    x[FIRST], x[SECOND], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
+    x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
     stands = Speeds(0.0, 2.0)
     found = outputs_of(config, Gaussian(x, P), stands)
     (v, _, rate), slips = found["twist"], found["slips"]
@@ -148,7 +148,7 @@ def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
     """Against many drives whose speeds are rounded; nothing else is unknown."""
     config, rng = CONFIGS[model], np.random.default_rng(3)
     x = np.zeros(SIZE)
-    x[FIRST], x[SECOND], x[COMMON_SLIP], x[ROTATION_OFFSET] = 0.7, -0.2, 0.05, 0.02
+    x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[ROTATION_OFFSET] = 0.7, -0.2, 0.05, 0.02
     variance = 4e-4  # (rad/s)²
     known = Gaussian(x, NOTHING)
     changing = MotionState(Motion.TURNING, departure=1.0)  # rad/s: the speeds are not low-passed
@@ -167,7 +167,7 @@ def test_the_turning_equations_hold_where_stated(
     """v = (1 − i₀) V − η s, ω = κ D/B; the mirrored turn mirrored, the one in reverse reversed."""
     x = np.zeros(SIZE)
     V, D = RADIUS * (left + right) / 2.0, RADIUS * (right - left)
-    x[FIRST], x[SECOND], x[COMMON_SLIP] = kappa, eta, common
+    x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = kappa, eta, common
     one_way = left * right >= 0.0
     c, half = RECORDS["turning"], abs(D) / 2.0
     lost = math.copysign(half, V) if one_way else V * abs(V / half) ** 2
@@ -185,7 +185,7 @@ def test_the_icr_equations_hold_where_stated(
     """r ω_j (1 − i₀) = v − ω y_j solved for v and ω."""
     x = np.zeros(SIZE)
     tracks = RADIUS * np.array((left, right)) * (1.0 - common)
-    x[FIRST], x[SECOND], x[COMMON_SLIP] = y_left, y_right, common
+    x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = y_left, y_right, common
     v, _, rate = dispatch.twist(x, left, right, RECORDS["icr"])
     np.testing.assert_allclose(
         (v, rate), np.linalg.solve(((1.0, -y_left), (1.0, -y_right)), tracks), atol=1e-12
@@ -196,7 +196,7 @@ def test_both_models_without_slip_are_the_ideal_vehicle() -> None:
     """κ = 1 and η = 0, and y = ±B/2: the yaw rate (3.18)."""
     for model, pair in (("turning", (1.0, 0.0)), ("icr", (TREAD / 2.0, -TREAD / 2.0))):
         x = np.zeros(SIZE)
-        x[FIRST], x[SECOND] = pair
+        x[TURN_STATE_1], x[TURN_STATE_2] = pair
         found = dispatch.twist(x, 1.0, 2.0, RECORDS[model])
         np.testing.assert_allclose(found, (RADIUS * 1.5, 0.0, RADIUS * 1.0 / TREAD), atol=1e-12)
 
@@ -205,7 +205,7 @@ def test_both_models_without_slip_are_the_ideal_vehicle() -> None:
 def test_velocity_errors_add_up_to_the_twist_and_fade(model: str) -> None:
     """After a correlation time 1/e is left, and over it 1 − 1/e was driven on average; more in silence."""
     c, x = RECORDS[model], np.zeros(SIZE)
-    x[FIRST], x[SECOND], x[SPEED_ERROR], x[YAW_RATE_ERROR] = 1.0, -1.0, 0.1, 0.2
+    x[TURN_STATE_1], x[TURN_STATE_2], x[SPEED_ERROR], x[YAW_RATE_ERROR] = 1.0, -1.0, 0.1, 0.2
     np.testing.assert_allclose(dispatch.twist(x, 0.0, 0.0, c), (0.1, 0.0, 0.2))
     tau = float(c["velocity_errors"]["time"])
     after = moved(x, Drive(0.0, 0.0), tau, CONFIGS[model])
@@ -213,9 +213,9 @@ def test_velocity_errors_add_up_to_the_twist_and_fade(model: str) -> None:
     assert math.hypot(*after[:YAW]) == pytest.approx(0.1 * tau * (1.0 - 1.0 / math.e))
     assert after[YAW] == pytest.approx(0.2 * tau * (1.0 - 1.0 / math.e))
     silent = moved(x, Drive(0.0, 0.0, Motion.UNKNOWN), tau, CONFIGS[model])
-    left = math.exp(-tau / LASTS)
+    left = math.exp(-tau / SPEED_TIME)
     np.testing.assert_allclose(silent[SPEED_ERROR : YAW_RATE_ERROR + 1], (0.1 * left, 0.2 * left))
-    assert silent[YAW] == pytest.approx(0.2 * LASTS * (1.0 - left))
+    assert silent[YAW] == pytest.approx(0.2 * SPEED_TIME * (1.0 - left))
 
 
 @both
@@ -223,7 +223,7 @@ def test_size_of_the_velocity_errors_by_hand(model: str) -> None:
     """Shares of V, D and d, more on a soil that yields; over a long time all of it shows in the states."""
     config, x = CONFIGS[model], np.zeros(SIZE)
     e = {name: float(config["velocity_errors"][name][0]) for name in config["velocity_errors"].dtype.names}
-    x[FIRST], x[SECOND], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * e["yielding_slip"]
+    x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * e["yielding_slip"]
     steady, changing = e["turning"] ** 2, (e["changing"] * 0.5) ** 2
     of_speed = 5.0 * RADIUS**2 * (steady + changing) + e["standing"] ** 2
     of_rate = 5.0 * RADIUS**2 * (e["yaw_rate_ratio"] ** 2 * steady + changing) + e["standing"] ** 2
@@ -248,7 +248,7 @@ def test_process_noise_does_not_depend_on_the_steps(model: str, motion: Motion) 
 
     def grown(steps: int) -> FloatArray:
         x = np.zeros(SIZE)
-        x[FIRST], x[SECOND] = 1.0, -1.0
+        x[TURN_STATE_1], x[TURN_STATE_2] = 1.0, -1.0
         known = Gaussian(x, NOTHING)
         for _ in range(steps):
             known = filter_step(config, known, moving, 0.2 / steps, MotionState(motion), Measured()).predicted
@@ -267,7 +267,7 @@ def test_process_noise_does_not_depend_on_the_steps(model: str, motion: Motion) 
     [
         (Motion.STANDING, []),
         (Motion.STRAIGHT, [COMMON_SLIP, DOWNHILL]),
-        (Motion.TURNING, [FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET, DOWNHILL]),
+        (Motion.TURNING, [TURN_STATE_1, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET, DOWNHILL]),
     ],
 )
 def test_what_shows_in_turns_only_changes_in_turns_only(
@@ -288,7 +288,7 @@ def test_a_start_has_its_pose_and_wide_priors_of_the_rest(model: str) -> None:
     active = dispatch.MODELS[model].ACTIVE
     assert (np.diag(P)[GYRO_BIAS:active] > 0.0).all()
     assert (np.diag(P)[active:] == 0.0).all()
-    assert mean[FIRST] > 0.0
+    assert mean[TURN_STATE_1] > 0.0
 
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])

@@ -24,9 +24,9 @@ from trackslip_estimation.slip.conversions import swing_angle
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, YawRate
 from trackslip_estimation.slip.models.model import (
-    BELOW,
     GYRO_BIAS,
     SENSOR_ERRORS,
+    UNDERCARRIAGE_SIZE,
     YAW,
 )
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
@@ -79,8 +79,8 @@ def test_nothing_above_costs_nothing() -> None:
             np.testing.assert_array_equal(a.outputs.slips, b.outputs.slips)
             assert a.outputs.swing is None
     last = own.window.best[own.window.count - 1]
-    assert not last["mean"][BELOW:].any()
-    assert not last["covariance"][BELOW:].any()
+    assert not last["mean"][UNDERCARRIAGE_SIZE:].any()
+    assert not last["covariance"][UNDERCARRIAGE_SIZE:].any()
 
 
 @pytest.mark.parametrize("model", ["turning", "icr"])

@@ -11,7 +11,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, YAW_RATE, to_records
-from trackslip_estimation.slip.sprockets import remember, set_speeds
+from trackslip_estimation.slip.sprockets import set_speeds, store_sample
 from trackslip_estimation.slip.window import Records, insert, is_at, make_window, place_of
 
 MS = 1_000_000
@@ -47,7 +47,7 @@ class Track:
         self._state = estimator.window.best[:1].copy()
 
     def add(self, ms: int, speeds: tuple[float, float], angles: tuple[float, float] | None = None) -> None:
-        remember(self._state[0], self.sample(ms, speeds, angles)[0], self._config[0])
+        store_sample(self._state[0], self.sample(ms, speeds, angles)[0], self._config[0])
 
     def sample(
         self, ms: int, speeds: tuple[float, float], angles: tuple[float, float] | None = None

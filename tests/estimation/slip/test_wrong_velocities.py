@@ -87,4 +87,4 @@ def test_a_velocity_that_is_off_is_named_and_sound_again_afterwards() -> None:
         if abs(m.stamp_ns - 50 * S) < S // 50:
             texts = [e.text for e in running.explained.found]
     assert any(text.startswith(f"{SOURCE} is 0.") and text.endswith(" m/s off") for text in texts)
-    assert [e.source for e in running.read_events() if e.event is Event.SOUND] == [SOURCE]
+    assert [e.source for e in running.read_events() if e.event is Event.RECOVERED] == [SOURCE]

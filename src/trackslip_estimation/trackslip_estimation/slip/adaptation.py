@@ -45,7 +45,7 @@ _TRACK_RATIO = 3.0  # from one s to the next
 _RATE_RATIO = 4.0  # from one a to the next
 _FIX_STEP = 0.35  # of ln f, and beyond what any fix may show twice as much
 _FIX_BELOW, _USUAL = 2, 9  # point masses of f below 1, and all that any fix may show
-_LIKENESS_MEMORY = 0.95  # 20 fixes
+_CORRELATION_MEMORY = 0.95  # 20 fixes
 _WHITE = 0.4  # likeness of fixes that may show any f
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
@@ -89,7 +89,7 @@ class AdaptationParameters(Parameters):
     sideways: float = parameter("error of v_y, over the same", ge=0.0)
     common_slip: float = parameter("i₀ while driving, as a multiple of the track error", unit="1/√s", ge=0.0)
     memory: float = parameter("driving after which an innovation counts for 1/e", unit="s", gt=0.0)
-    rate_doubt: float = parameter(
+    rate_odds: float = parameter(
         "ln of the odds that a gyro is as good as it states, against half as good", ge=0.0
     )
     fix_memory: float = parameter(
@@ -106,7 +106,7 @@ def constants(p: AdaptationParameters) -> tuple[Any, ...]:
         np.square(p.least_track_error * _TRACK_RATIO ** np.arange(TRACK_ERRORS)),
         _RATE_RATIO ** np.arange(RATE_FACTORS),
         np.exp(ln_f),
-        -p.rate_doubt * np.arange(RATE_FACTORS),
+        -p.rate_odds * np.arange(RATE_FACTORS),
         -np.square(ln_f / _FIX_PRIOR) / 2.0,
         *(getattr(p, name) for name in (CONSTANTS.names or ())[5:]),
     )
@@ -128,7 +128,7 @@ def begin_adaptation(a: Adaptation, c: Config) -> None:
     a.fix_factors[:] = 1.0
     a.fix_log_weights[:] = 0.0
     a.fix_innovations[:] = 0.0
-    a.fix_likeness[:] = 1.0
+    a.fix_correlation[:] = 1.0
 
 
 @compiled
@@ -169,7 +169,7 @@ def clear_track_error(a: Adaptation) -> None:
 
 @compiled
 def learn_from_rate(
-    a: Adaptation, innovation: float, S: float, of_tracks: float, stated: float, stands: bool, c: Config
+    a: Adaptation, innovation: float, S: float, of_tracks: float, stated: float, is_standing: bool, c: Config
 ) -> float:
     """Weighs s and a by a yaw rate; returns its NIS under the largest of both.
 
@@ -181,7 +181,7 @@ def learn_from_rate(
     largest += stated * n.rate_factors[RATE_FACTORS - 1]
     squared = min(innovation * innovation, _OUTLIER * largest)
     weight = min(a.elapsed / c.velocity_errors.time, 1.0)
-    kept = 1.0 if stands else math.exp(-a.elapsed / n.memory)
+    kept = 1.0 if is_standing else math.exp(-a.elapsed / n.memory)
     a.exposure = a.elapsed = 0.0
     best = -math.inf
     for i in range(TRACK_ERRORS):
@@ -197,14 +197,14 @@ def learn_from_rate(
 
 @compiled
 def learn_from_speed(
-    a: Adaptation, innovation: float, S: float, of_tracks: float, stands: bool, c: Config
+    a: Adaptation, innovation: float, S: float, of_tracks: float, is_standing: bool, c: Config
 ) -> None:
     """Weighs s by a speed; ``of_tracks``: what of S is by the tracks for s = 1."""
     n = c.adaptation
     rest = max(S - a.track_variance * of_tracks, 0.0)
     squared = min(innovation**2, _OUTLIER * (rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]))
     weight = min(a.speed_elapsed / c.velocity_errors.time, 1.0)
-    kept = 1.0 if stands else math.exp(-a.speed_elapsed / n.memory)
+    kept = 1.0 if is_standing else math.exp(-a.speed_elapsed / n.memory)
     a.speed_exposure = a.speed_elapsed = 0.0
     best = -math.inf
     for i in range(TRACK_ERRORS):
@@ -254,7 +254,7 @@ def shared_error(P: FloatArray, R: FloatArray) -> float:
 
 
 @compiled
-def _goes_with_last(a: Adaptation, source: int, innovation: FloatArray) -> float:
+def _correlation_with_last(a: Adaptation, source: int, innovation: FloatArray) -> float:
     """How alike innovations of a source are that follow each other: 0 if they are white, 1 at the start."""
     last, both, squares = a.fix_innovations[source], 0.0, 0.0
     for i in range(min(innovation.size, last.size)):
@@ -262,10 +262,10 @@ def _goes_with_last(a: Adaptation, source: int, innovation: FloatArray) -> float
         squares += (last[i] * last[i] + innovation[i] * innovation[i]) / 2.0
         last[i] = innovation[i]
     if squares > 0.0:
-        kept = _LIKENESS_MEMORY * a.fix_likeness[source]
-        a.fix_likeness[source] = kept + (1.0 - _LIKENESS_MEMORY) * both / squares
-    likeness: float = a.fix_likeness[source]
-    return likeness
+        kept = _CORRELATION_MEMORY * a.fix_correlation[source]
+        a.fix_correlation[source] = kept + (1.0 - _CORRELATION_MEMORY) * both / squares
+    correlation: float = a.fix_correlation[source]
+    return correlation
 
 
 @compiled
@@ -275,7 +275,7 @@ def learn_from_fix(
     """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     scale = _OF_GAUSSIAN[m - 1] / _HEAVY
-    is_white = _goes_with_last(a, source, innovation) < _WHITE
+    is_white = _correlation_with_last(a, source, innovation) < _WHITE
     if not np.any(w):  # the first one: f is not known, but as good as never beyond the usual
         w[_USUAL:] = n.fix_prior[_USUAL:]
     best, likelihood = -math.inf, 0.0

@@ -26,7 +26,7 @@ from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
-from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
+from trackslip_estimation.slip.models.model import SPEED_TIME, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, YAW_RATE_ERROR
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ def inflate(state: State, dt: float, c: Config) -> None:
     P, share = state.covariance, 1.0
     if has_velocity_errors(c):  # which know of speed along the heading, as far as that is known
         share = min(_SIDEWAYS**2 + P[YAW, YAW], 1.0)
-    P[X, X] += 2.0 * LASTS * dt * share * c.unknown_speed**2
-    P[Y, Y] += 2.0 * LASTS * dt * share * c.unknown_speed**2
-    P[YAW, YAW] += 2.0 * LASTS * dt * c.unseen_yaw_rate**2
+    P[X, X] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
+    P[Y, Y] += 2.0 * SPEED_TIME * dt * share * c.unknown_speed**2
+    P[YAW, YAW] += 2.0 * SPEED_TIME * dt * c.unseen_yaw_rate**2
 
 
 @compiled
@@ -74,7 +74,7 @@ def widen_start(state: State, reached_ns: int, c: Config) -> None:
     """What may have been driven otherwise than the first sample shows, from the state's stamp on."""
     P, start_ns = state.covariance, state.sample.stamp_ns
     before, after = (state.stamp_ns - start_ns) * 1e-9, (reached_ns - start_ns) * 1e-9
-    grown = (after**3 - before**3) / (3.0 * LASTS)
+    grown = (after**3 - before**3) / (3.0 * SPEED_TIME)
     P[X, X] += grown * c.unknown_speed**2
     P[Y, Y] += grown * c.unknown_speed**2
     P[YAW, YAW] += grown * c.unknown_yaw_rate**2

@@ -25,8 +25,8 @@ from trackslip_estimation.slip.events import Event, EventParameters, event_rates
 from trackslip_estimation.slip.ground import GroundParameters
 from trackslip_estimation.slip.models.dispatch import CONSTANTS, MODELS
 from trackslip_estimation.slip.models.free_slips import FreeSlipsConstants
-from trackslip_estimation.slip.models.model import BELOW, GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING
-from trackslip_estimation.slip.models.speed import FIRST, SpeedConstants
+from trackslip_estimation.slip.models.model import GYRO_BIAS, SENSOR_ERRORS, SIZE, SWING, UNDERCARRIAGE_SIZE
+from trackslip_estimation.slip.models.speed import TURN_STATE_1, SpeedConstants
 from trackslip_estimation.slip.models.swing import SwingConstants
 from trackslip_estimation.slip.models.swing import constants as swing_constants
 from trackslip_estimation.slip.models.turning import TurningConstants
@@ -103,7 +103,7 @@ class Config(Record):
     poses: int  # how many sources of poses there are
     offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or velocities; −1: none
     yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all its headings are off by; −1: none
-    own_errors: Annotated[IntArray, MOST_SOURCES]  # place of its own error in the state; −1: it has none
+    source_states: Annotated[IntArray, MOST_SOURCES]  # place of its own error in the state; −1: it has none
     lean_errors: int  # place of the two of the tilt, over its standard deviation; −1: none
     lean_stddev: float  # of what lasts of it, rad
     error_times: Annotated[FloatArray, SIZE]  # s, for which one of variance 1 lasts; 0: it walks
@@ -150,7 +150,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
     _set_sources(c, p, numbers)
     _set_rates(c, p, numbers)
     _set_odometry(c, p, numbers)
-    _set_own_errors(c, p, numbers)
+    _set_source_states(c, p, numbers)
     return config
 
 
@@ -158,7 +158,7 @@ def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
     """What the chosen model says of itself."""
     model, noise = MODELS[p.model], p.noise_of(p.model)
     c["model"], c["active"] = model.CODE, SENSOR_ERRORS if p.swings else model.ACTIVE
-    c["swings"], c["size"] = p.swings, SENSOR_ERRORS if p.swings else BELOW
+    c["swings"], c["size"] = p.swings, SENSOR_ERRORS if p.swings else UNDERCARRIAGE_SIZE
     for name, dtype in CONSTANTS:
         of_model = {}
         if name in MODELS:
@@ -173,7 +173,7 @@ def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
         c["prior_mean"][SWING], c["prior_variance"][SWING] = p.initial_swing()
     c["prior_covariance"] = np.diag(c["prior_variance"])
     if hasattr(model, "couple"):
-        model.couple(c["prior_covariance"], float(c["prior_variance"][FIRST]))
+        model.couple(c["prior_covariance"], float(c["prior_variance"][TURN_STATE_1]))
     c["prior_variance"] = np.diag(c["prior_covariance"])
     for motion in Motion:
         for changing in (False, True):
@@ -250,9 +250,9 @@ def _set_odometry(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, i
         c["odometry_gap"][k] = odometry.max_gap
 
 
-def _set_own_errors(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
+def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Offsets of poses and headings, biases of further gyros, scales of odometries, what lasts of tilt."""
-    c["own_errors"] = c["yaw_offsets"] = -1
+    c["source_states"] = c["yaw_offsets"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)
     errors |= {name: (o.drift**2, o.drift**2 / DRIFT_TIME) for name, o in p.odometries().items()}
@@ -261,7 +261,7 @@ def _set_own_errors(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str,
         c["offsets"][numbers[name]] = place
         place += 2
     turned = {name: (stddev**2, stddev**2 / YAW_TIME) for name, stddev in p.yaw_offsets().items()}
-    for places, found in (("yaw_offsets", turned), ("own_errors", errors)):
+    for places, found in (("yaw_offsets", turned), ("source_states", errors)):
         for name, (variance, walk) in found.items():
             c[places][numbers[name]] = place
             c["prior_variance"][place] = c["prior_covariance"][place, place] = variance

@@ -59,7 +59,7 @@ LOG_PRIOR = np.concatenate(
 _ANY_WHITE = -1.0 - np.square(np.log(_WHITE_F) / 1.2) / 2.0
 _LEAST_G = 1e-3
 _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
-_UNKNOWN_WAY = 1e4  # variance of c at first, over R
+_UNKNOWN_DISPLACEMENT = 1e4  # variance of c at first, over R
 _NEGLIGIBLE = -6.0  # w below the best
 _EVEN = 0.5  # probability that errors are white, from which on they are taken for it
 
@@ -81,12 +81,12 @@ class Receiver(Record):
     stddev: float  # that the last fix stated, m
     errors: Annotated[Table[FixErrors], QUALITIES]
     elapsed: float  # s since masses learned last
-    driven: float  # m since then
-    way: Annotated[FloatArray, 2]  # as predicted since the last fix, m
-    lately: Annotated[FloatArray, 2]  # as predicted in about the longest time of an offset, m
-    last: Annotated[FloatArray, 2]  # place that it showed, m
+    distance: float  # m since then
+    displacement: Annotated[FloatArray, 2]  # as predicted since the last fix, m
+    recent_displacement: Annotated[FloatArray, 2]  # as predicted in about the longest time of an offset, m
+    last_position: Annotated[FloatArray, 2]  # place that it showed, m
     last_ns: int
-    beyond: Annotated[FloatArray, 2]  # r
+    residual: Annotated[FloatArray, 2]  # r
 
 
 RECEIVER = dtype_of(Receiver)
@@ -120,8 +120,8 @@ def same_quality(stddev: float, other: float, c: Config) -> bool:
 @compiled
 def reset_receiver(s: Receiver, c: Config) -> None:
     """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
-    s.known, s.stddev, s.elapsed, s.driven = 0, 0.0, 0.0, 0.0
-    s.way[:] = s.lately[:] = s.beyond[:] = s.last[:] = 0.0
+    s.known, s.stddev, s.elapsed, s.distance = 0, 0.0, 0.0, 0.0
+    s.displacement[:] = s.recent_displacement[:] = s.residual[:] = s.last_position[:] = 0.0
     s.last_ns = 0
     for quality in range(QUALITIES):
         s.errors[quality].observed = 0.0
@@ -138,7 +138,7 @@ def _log_priors(quality: int, c: Config) -> FloatArray:
     return priors
 
 
-class WayError(NamedTuple):
+class DisplacementError(NamedTuple):
     """How the way between two fixes errs, as it is predicted."""
 
     speed: float  # variance of the speed, (m/s)²
@@ -147,9 +147,15 @@ class WayError(NamedTuple):
 
 @compiled
 def add_fix(
-    s: Receiver, masses: Masses, shown: FloatArray, stddev: float, way: WayError, stamp_ns: int, c: Config
+    s: Receiver,
+    masses: Masses,
+    position: FloatArray,
+    stddev: float,
+    displacement: DisplacementError,
+    stamp_ns: int,
+    c: Config,
 ) -> None:
-    """One more fix weighs the masses of its source; ``shown``: place that it shows (2,), m."""
+    """One more fix weighs the masses of its source; ``position``: place that it shows (2,), m."""
     quality = quality_of(stddev, c)
     begins, other = s.known != 1, not same_quality(stddev, s.stddev, c) if s.known > 0 else False
     if s.known == 0:
@@ -157,26 +163,26 @@ def add_fix(
             masses.weights[q] = _log_priors(q, c)
     if begins:
         _begin_means(masses, stddev * stddev)
-        s.beyond[:] = s.lately[:] = s.elapsed = s.driven = 0.0
+        s.residual[:] = s.recent_displacement[:] = s.elapsed = s.distance = 0.0
     else:
         elapsed = max((stamp_ns - s.last_ns) * 1e-9, 1e-3)
         kept = math.exp(-elapsed / c.receivers.longest_time)
         for axis in range(2):
-            s.beyond[axis] += shown[axis] - s.last[axis] - s.way[axis]
-            s.lately[axis] = kept * s.lately[axis] + s.way[axis]
+            s.residual[axis] += position[axis] - s.last_position[axis] - s.displacement[axis]
+            s.recent_displacement[axis] = kept * s.recent_displacement[axis] + s.displacement[axis]
         s.elapsed += elapsed
         s.errors[quality].observed += min(elapsed, c.receivers.longest_time)
     s.known, s.stddev, s.last_ns = 1, stddev, stamp_ns
-    s.way[:] = 0.0
+    s.displacement[:] = 0.0
     for axis in range(2):
-        s.last[axis] = shown[axis]
+        s.last_position[axis] = position[axis]
     if other:
-        _renew_offsets(masses, stddev * stddev)
+        _reset_offsets(masses, stddev * stddev)
     if begins:
         _set_means(s.errors[quality], quality, masses.weights[quality], c)
     elif s.elapsed >= (c.receivers.interval if s.errors[quality].white < _EVEN else 0.0):
-        _learn(s, masses, stddev, way, c)
-        s.elapsed = s.driven = 0.0
+        _learn(s, masses, stddev, displacement, c)
+        s.elapsed = s.distance = 0.0
 
 
 @compiled
@@ -185,11 +191,11 @@ def _begin_means(masses: Masses, R: float) -> None:
     for k in range(COUNT):
         masses.means[k, :, :] = 0.0
         masses.covariances[k, :] = 0.0
-        masses.covariances[k, 0], masses.covariances[k, 3] = G[k] * R, _UNKNOWN_WAY * R
+        masses.covariances[k, 0], masses.covariances[k, 3] = G[k] * R, _UNKNOWN_DISPLACEMENT * R
 
 
 @compiled
-def _renew_offsets(masses: Masses, R: float) -> None:
+def _reset_offsets(masses: Masses, R: float) -> None:
     """The receiver has another solution: the offset is reset."""
     for k in range(COUNT):
         masses.means[k, 0, :] = 0.0
@@ -198,27 +204,27 @@ def _renew_offsets(masses: Masses, R: float) -> None:
 
 
 @compiled
-def _learn(s: Receiver, masses: Masses, stddev: float, way: WayError, c: Config) -> None:
+def _learn(s: Receiver, masses: Masses, stddev: float, displacement: DisplacementError, c: Config) -> None:
     """All masses predict r, are weighed by it and corrected; what the best one cannot explain is a jump."""
     quality, R = quality_of(stddev, c), stddev * stddev
-    _predict(s, masses, R, way, c)
+    _predict(s, masses, R, displacement, c)
     S, nis = np.empty(COUNT), np.empty(COUNT)
     for k in range(COUNT):
         x, P, squares = masses.means[k], masses.covariances[k], 0.0
         S[k] = max(P[0] + 2.0 * P[1] + P[3], 0.0) + F[k] * R
         for axis in range(2):
-            squares += (s.beyond[axis] - x[0, axis] - x[1, axis]) ** 2
+            squares += (s.residual[axis] - x[0, axis] - x[1, axis]) ** 2
         nis[k] = squares / S[k]
     if quality == PRECISE and nis[masses.weights[quality].argmax()] > c.receivers.jump:
         _begin_means(masses, R)
-        s.beyond[:] = 0.0
+        s.residual[:] = 0.0
         return
     w, priors, memory = masses.weights[quality], _log_priors(quality, c), c.receivers.memory
     for k in range(COUNT):
         heavy = (_HEAVY + 2.0) / 2.0 * math.log(1.0 + _OF_GAUSSIAN * nis[k] / _HEAVY)
         w[k] = memory * w[k] + (1.0 - memory) * priors[k] - math.log(S[k]) - heavy
         more = student_inflation(nis[k], 2) * S[k] if nis[k] > 2.0 else 0.0
-        _correct(masses.means[k], masses.covariances[k], s.beyond, S[k], more, G[k] > 0.0)
+        _correct(masses.means[k], masses.covariances[k], s.residual, S[k], more, G[k] > 0.0)
     w -= w.max()
     if quality == PRECISE:  # errors may be of another kind at any time
         w[:] = np.maximum(w, priors - c.receivers.most_odds)
@@ -226,12 +232,12 @@ def _learn(s: Receiver, masses: Masses, stddev: float, way: WayError, c: Config)
 
 
 @compiled
-def _predict(s: Receiver, masses: Masses, R: float, way: WayError, c: Config) -> None:
+def _predict(s: Receiver, masses: Masses, R: float, displacement: DisplacementError, c: Config) -> None:
     """b, c and ċ of all masses at the next fix."""
-    n, dt, squared = c.receivers, s.elapsed, (s.driven / s.elapsed) ** 2
-    of_speed = 2.0 * way.speed * c.velocity_errors.time
-    walk = dt * (squared * n.way_error**2 + of_speed + n.way_rate**2)
-    kept, turned = math.exp(-dt / n.direction_time), squared * (way.direction + n.direction_error**2)
+    n, dt, squared = c.receivers, s.elapsed, (s.distance / s.elapsed) ** 2
+    of_speed = 2.0 * displacement.speed * c.velocity_errors.time
+    walk = dt * (squared * n.distance_error**2 + of_speed + n.displacement_walk**2)
+    kept, turned = math.exp(-dt / n.direction_time), squared * (displacement.direction + n.direction_error**2)
     for k in range(COUNT):
         x, P = masses.means[k], masses.covariances[k]
         rho = math.exp(-dt / TIMES[k]) if G[k] > 0.0 else 0.0
@@ -245,10 +251,10 @@ def _predict(s: Receiver, masses: Masses, R: float, way: WayError, c: Config) ->
 
 
 @compiled
-def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float, lasts: bool) -> None:
+def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float, correlated: bool) -> None:
     """b, c and ċ of a mass (3, 2) by r (2,), where r has the variance S, and ``more`` as it surprises."""
     S += more
-    if lasts:
+    if correlated:
         P[0] += more
     hb, hc, hd = P[0] + P[1], P[1] + P[3], P[2] + P[4]
     for axis in range(2):
@@ -286,7 +292,7 @@ def _set_means(found: FixErrors, quality: int, w: FloatArray, c: Config) -> None
     longest = c.receivers.longest_time
     found.time = min(g / driving, longest) if driving > 0.0 else longest
     if quality == PRECISE:
-        found.f = max(found.f, 1.0 - c.receivers.most_lasting)
+        found.f = max(found.f, 1.0 - c.receivers.most_correlated)
         if found.white >= _EVEN:
             rest = 1.0 - found.f
             found.g = rest if rest > c.receivers.least_rest else 0.0

@@ -59,7 +59,7 @@ class Event(IntEnum):
     OFFSET = 2
     REPEATS = 3
     SCATTERS = 4
-    SOUND = 5
+    RECOVERED = 5
     MOVED = 6
     TURNED = 7
     SWUNG = 8
@@ -68,7 +68,7 @@ class Event(IntEnum):
     NOISE = 11
     FOLDED = 12
     SKIDDED = 13
-    STRAYS = 14
+    FAILED = 14
     WANDERS = 15
     BIASED = 16
     STAYS = 17
@@ -83,7 +83,7 @@ class Event(IntEnum):
     OFFSET,
     REPEATS,
     SCATTERS,
-    SOUND,
+    RECOVERED,
     MOVED,
     TURNED,
     SWUNG,
@@ -92,7 +92,7 @@ class Event(IntEnum):
     NOISE,
     FOLDED,
     SKIDDED,
-    STRAYS,
+    FAILED,
     WANDERS,
     BIASED,
     STAYS,
@@ -128,10 +128,10 @@ class EventParameters(Parameters):
     skid_time: float = parameter("that it lasts at the most", unit="s", gt=0.0)
     skid_share: float = parameter("its standard deviation, over the way meanwhile", gt=0.0)
     skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
-    stray_rate: float = parameter(
+    failure_rate: float = parameter(
         "rate at which sprockets, gyros or an odometry no longer show the motion", unit="1/s", gt=0.0
     )
-    stray_heading: float = parameter(
+    failure_heading: float = parameter(
         "standard deviation of what such gyros turn the heading by unseen", unit="rad", ge=0.0
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
@@ -157,7 +157,7 @@ def event_rates(
         Event.STAYS: fault_rate * e.repeat_share * repeat_jitter,
         Event.WANDERS: fault_rate * e.wander_share,
         Event.SCATTERS: fault_rate * e.scatter_share,
-        Event.SOUND: 1.0 / e.fault_time,
+        Event.RECOVERED: 1.0 / e.fault_time,
         Event.MOVED: jump_rate,
         Event.TURNED: e.heading_rate,
         Event.SWUNG: e.heading_rate,
@@ -165,6 +165,6 @@ def event_rates(
         Event.SLID: e.slide_rate,
         Event.SKIDDED: e.skid_rate,
         Event.NOISE: e.noise_rate,
-        Event.STRAYS: e.stray_rate,
+        Event.FAILED: e.failure_rate,
         Event.BIASED: e.bias_rate,
     }

@@ -35,7 +35,7 @@ class Explanation(NamedTuple):
     text: str  # "gnss_pose is 1.0 m off"
     probability: float
     since_ns: int  # stamp of the measurement that it explains
-    lasts: bool = True  # False: it happened at that time
+    is_ongoing: bool = True  # False: it happened at that time
 
 
 class Explained(NamedTuple):
@@ -91,8 +91,8 @@ class Sources(NamedTuple):
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
 _OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
-_FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.STRAYS)
-_STRAYS = "{source} and motion disagree"
+_FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
+_FAILURES = "{source} and motion disagree"
 _WORDS = {
     Event.NONE: AS_BEFORE,
     Event.OUTLIER: "one measurement of {source} is an outlier",
@@ -103,14 +103,14 @@ _WORDS = {
     Event.REPEATS: "{source} repeats itself",
     Event.STAYS: "{source} stays where it was",
     Event.SCATTERS: "{source} scatters",
-    Event.SOUND: "{source} is sound again",
+    Event.RECOVERED: "{source} is sound again",
     Event.MOVED: "the machine was moved",
     Event.TURNED: "the heading was wrong",
     Event.SWUNG: "the upper structure has swung",
     Event.SLIPPED: "the slip of both tracks changed",
     Event.SLID: "the machine slides",
     Event.SKIDDED: "the machine skidded",
-    Event.STRAYS: _STRAYS,
+    Event.FAILED: _FAILURES,
     Event.BIASED: "the bias of the gyro changed",
     Event.LATE: "stamps of {source} are late or early",
     Event.NOISE: "{source} is noisier than before",
@@ -138,7 +138,9 @@ def explanations(window: Window, sources: Sources) -> list[Explanation]:
 def sentence(found: Sequence[Explanation], seconds: float) -> str:
     """As "two explanations for 2.0 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)"."""
     if len(found) == 1:
-        return f"{found[0].text}, " + (f"for {seconds:.1f} s" if found[0].lasts else f"{seconds:.1f} s ago")
+        return f"{found[0].text}, " + (
+            f"for {seconds:.1f} s" if found[0].is_ongoing else f"{seconds:.1f} s ago"
+        )
     count = _COUNTS[len(found)] if len(found) < len(_COUNTS) else str(len(found))
     named = [(e.text, e.probability) for e in found[:_MOST]]
     named += [("others", sum(e.probability for e in found[_MOST:]))] if len(found) > _MOST else []
@@ -148,11 +150,11 @@ def sentence(found: Sequence[Explanation], seconds: float) -> str:
 
 def recent(events: Sequence[Happened]) -> str:
     """The last events with the stamps of what they explain, for /diagnostics; single outliers are reports."""
-    lasting = [h for h in events if h.event is not Event.OUTLIER][-_LISTED:]
-    if not lasting:
+    ongoing = [h for h in events if h.event is not Event.OUTLIER][-_LISTED:]
+    if not ongoing:
         return "none"
-    listed = "; ".join(f"{h.stamp_ns * 1e-9:.2f} {h.text}" for h in lasting)
-    return f"{listed}; probability {100.0 * lasting[-1].probability:.0f} %"
+    listed = "; ".join(f"{h.stamp_ns * 1e-9:.2f} {h.text}" for h in ongoing)
+    return f"{listed}; probability {100.0 * ongoing[-1].probability:.0f} %"
 
 
 def history(branch: Branch, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
@@ -192,26 +194,26 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
     ``is_found``: the heading is, where it was unknown.
     """
     for number, fault in enumerate(state["fault"].tolist()):
-        if fault != SourceFault.SOUND and number in sources.names:
+        if fault != SourceFault.HEALTHY and number in sources.names:
             text = _fault_text(state, number, SourceFault(fault), sources)
             kind = SourceFault.HEADING_OFF if fault == SourceFault.HEADING_WANDERS else fault
             return f"{kind} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
     count = int(branch["events"])
     events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
-    sound: set[int] = set()  # sources that are sound again
+    healthy: set[int] = set()  # sources that are sound again
     for n, e in reversed(list(enumerate(events))):
         event, source, stamp_ns = Event(e["event"]), int(e["source"]), int(e["decided_ns"])
         if state["stamp_ns"] - stamp_ns > _RECENT_NS:
             break
-        if event is Event.SOUND:
-            sound.add(source)
+        if event is Event.RECOVERED:
+            healthy.add(source)
         elif event is Event.SLIPPED:
             text = f"both tracks slip {100.0 * state['mean'][COMMON_SLIP]:.0f} %"
             return event.name, Explanation(text, 0.0, stamp_ns)
         elif _begins(e):
             if not is_found:
                 return _BEGINS, Explanation(_BEGINS, 0.0, stamp_ns)
-        elif event is not Event.OUTLIER and not (event in _FAULTS and source in sound):
+        elif event is not Event.OUTLIER and not (event in _FAULTS and source in healthy):
             name = sources.names.get(source, "")
             text = _text(event, name, name in sources.swings)
             if event is Event.FOLDED:
@@ -228,8 +230,8 @@ def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
 
 def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources) -> str:
     name, own = sources.names[number], sources.offsets[number]
-    if fault is SourceFault.STRAYS:
-        return _STRAYS.format(source=name)
+    if fault is SourceFault.FAILED:
+        return _FAILURES.format(source=name)
     if fault is SourceFault.MISCOUNTS:
         return f"{name} count half of the way"
     if fault in (SourceFault.REPEATS, SourceFault.STAYS, SourceFault.WANDERS):

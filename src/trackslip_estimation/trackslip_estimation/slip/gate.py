@@ -46,9 +46,9 @@ def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config)
 def note_reception(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """A source outside its gate insists for longer by the time since its last measurement, not by silence."""
     source = measurement.source
-    if state.consistent_ns[source] >= state.heard_ns[source]:
+    if state.consistent_ns[source] >= state.received_ns[source]:
         state.refused_ns[source] = 0
     else:
-        silent_ns = measurement.stamp_ns - state.heard_ns[source]
+        silent_ns = measurement.stamp_ns - state.received_ns[source]
         state.refused_ns[source] += min(max(silent_ns, 0), c.timeouts_ns[source])
-    state.heard_ns[source] = measurement.stamp_ns
+    state.received_ns[source] = measurement.stamp_ns

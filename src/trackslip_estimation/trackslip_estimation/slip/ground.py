@@ -15,7 +15,9 @@ class GroundParameters(Parameters):
     lag: float = parameter(
         "of the yaw rate without slip, by which the machine may still turn the other way", ge=0.0
     )
-    alike: float = parameter("of the yaw rate without slip, by which readings that agree may differ", gt=0.0)
+    agreement: float = parameter(
+        "of the yaw rate without slip, by which readings that agree may differ", gt=0.0
+    )
     persists: float = parameter(
         "share of the first reading's departure that a further one must have", gt=0.0, le=1.0
     )

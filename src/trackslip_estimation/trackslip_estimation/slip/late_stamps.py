@@ -38,7 +38,7 @@ def begin_delay(state: State, c: Config) -> None:
 
 
 @compiled
-def pass_delay(state: State, dt: float, c: Config) -> None:
+def propagate_delay(state: State, dt: float, c: Config) -> None:
     """v, dt s later."""
     state.delay_variance += c.process_noise[0, 0, FIX_DELAY] * dt  # the same in any motion
 

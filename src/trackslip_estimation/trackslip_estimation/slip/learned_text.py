@@ -28,7 +28,7 @@ class Form(NamedTuple):
     unit: str = "1"
     scale: float = 1.0
     zero: float = 0.0
-    ways: tuple[str, str] = ("", "")  # above zero, below
+    directions: tuple[str, str] = ("", "")  # above zero, below
     least: float = -math.inf  # that it can be, as shown
 
     def shown(self, value: float) -> float:
@@ -41,16 +41,19 @@ _FORMS = {
     "gyro_bias": Form("gyro bias", "gyro shows {v} °/s at rest ± {s}", "°/s", _DEGREES),
     "gyro_noise_factor": Form("gyro noise", "gyro variance {v} times what it states ± {s}", least=0.0),
     "asymmetry": Form(
-        "side asymmetry ε", "turns {a} rad/m to the {way} ± {s}", "rad/m", ways=("left", "right")
+        "side asymmetry ε", "turns {a} rad/m to the {way} ± {s}", "rad/m", directions=("left", "right")
     ),
-    "fix_delay": Form("delay of {of}", "{of} fixes {a} s {way} ± {s}", "s", ways=("late", "early")),
+    "fix_delay": Form("delay of {of}", "{of} fixes {a} s {way} ± {s}", "s", directions=("late", "early")),
     "fix_noise_factor": Form("noise of {of}", "{of} variance {v} times what it states ± {s}", least=0.0),
     "track_error": Form("track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0, least=0.0),
     "efficiency": Form("turning efficiency κ", "turning efficiency κ {v} ± {s}"),
     "loss": Form("speed lost in turns η", "speed lost in turns η {v} ± {s}"),
     "common_slip": Form("common slip i₀", "both tracks slip {v} % ± {s}", "%", 100.0),
     "rotation_offset": Form(
-        "centre of rotation x_I", "turns about {a} m {way} its middle ± {s}", "m", ways=("ahead of", "behind")
+        "centre of rotation x_I",
+        "turns about {a} m {way} its middle ± {s}",
+        "m",
+        directions=("ahead of", "behind"),
     ),
 }
 
@@ -83,7 +86,7 @@ class Finding(NamedTuple):
             v=f"{round(shown, digits) + 0.0:.{digits}f}",  # no −0
             a=f"{abs(shown):.{digits}f}",
             of=self.name.partition(".")[2],
-            way=form.ways[int(shown < 0.0)],
+            way=form.directions[int(shown < 0.0)],
             s=f"{stddev:.{digits}f}",
         )
 

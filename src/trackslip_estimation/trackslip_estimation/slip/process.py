@@ -23,7 +23,7 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.outputs import fill_estimate, fill_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.start import begin
-from trackslip_estimation.slip.usable import fault_of
+from trackslip_estimation.slip.validity import fault_of
 from trackslip_estimation.slip.window import (
     Records,
     Window,
@@ -72,13 +72,13 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
             return taken
         was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
         measurements[measurements.size - 1] = arrivals[taken]
-        outcome, entry = _take(window, arrival, c)
+        outcome, entry = _accept(window, arrival, c)
         results[taken].stamp_ns = arrival.stamp_ns
         taken += 1
 
 
 @inlined
-def _take(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
+def _accept(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
     """Outcome so far, and entry of a measurement that was put in its place; 0 where it was not, or begins."""
     outcome = _check(window, measurement, c)
     if outcome not in (_ACCEPTED, _RESTARTED):

@@ -89,7 +89,7 @@ class Reading(Record):
     """The last of a source."""
 
     stamp_ns: int  # never: there was none
-    driven: Annotated[FloatArray, 2]  # of the state then
+    sprocket_angles: Annotated[FloatArray, 2]  # of the state then
 
 
 class Streak(Record):
@@ -116,7 +116,7 @@ class Adaptation(Record):
     fix_factors: Annotated[FloatArray, MOST_SOURCES]  # f, of the covariance of each source's fixes
     fix_log_weights: Annotated[FloatArray, (MOST_SOURCES, FIX_FACTORS)]
     fix_innovations: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of the last that taught f
-    fix_likeness: Annotated[FloatArray, MOST_SOURCES]  # of those that follow each other
+    fix_correlation: Annotated[FloatArray, MOST_SOURCES]  # of those that follow each other
 
 
 ADAPTATION = dtype_of(Adaptation)
@@ -131,15 +131,15 @@ class OdometryRecord(Record):
     place: Annotated[FloatArray, 3]
     turn: Annotated[FloatArray, 4]
     noise: Annotated[FloatArray, (3, 3)]
-    moved: Annotated[FloatArray, 3]  # of the state then
+    integrated_twist: Annotated[FloatArray, 3]  # of the state then
     errors: Annotated[FloatArray, 2]  # variances of the velocity errors then, (m/s)², (rad/s)²
     slip_weight: float  # of what increments of late say that i₀ is off by, 1/variance
     slip_sum: float  # that times its weight
-    slip_way: float  # that the tracks have gone since it is, m
+    slip_distance: float  # that the tracks have gone since it is, m
     slip_ns: int  # stamp since when
 
 
-class Stand(Record):
+class Standstill(Record):
     """Of a machine, to a source: fixes from there, and the angle of what swings, rad."""
 
     count: int
@@ -169,26 +169,28 @@ class State(Record):
     shear: Annotated[FloatArray, 2]  # of the left and right track, see ``models.shear``
     coasting: bool  # the sprockets have been silent for too long
     sample: SprocketSample  # the last of the sprockets
-    unheard: float  # s since it, in the middle of a step in which its speeds are taken to go on
+    time_since_sample: float  # s since it, in the middle of a step in which its speeds are taken to go on
     consistent_ns: Annotated[IntArray, MOST_SOURCES]  # when each source was last inside its plain gate
     refused_ns: Annotated[IntArray, MOST_SOURCES]  # for how long it has insisted since, its silences apart
-    heard_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of its last measurement; of poses never
+    received_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of its last measurement; of poses never
     offsets: Annotated[Table[Offset], MOST_RECEIVERS]  # of sources of poses
-    rests_on: int  # source of the one fix that the place rests on; −1: others agreed with it
-    heading_rests: bool  # on that fix, too
-    way: Annotated[FloatArray, 2]  # by which the place went as it was predicted, since the start, m
-    stands: Annotated[Table[Stand], MOST_SOURCES]
+    sole_fix_source: int  # source of the one fix that the place rests on; −1: others agreed with it
+    sole_fix_heading: bool  # on that fix, too
+    displacement: Annotated[FloatArray, 2]  # by which the place went as it was predicted, since the start, m
+    standstills: Annotated[Table[Standstill], MOST_SOURCES]
     streaks: Annotated[Table[Streak], MOST_SOURCES]  # measurements in a row that speak for other ground
     readings: Annotated[Table[Reading], MOST_SOURCES]  # of gyros and odometry
     adaptation: Adaptation
     attitude: Attitude
     odometry: Annotated[Table[OdometryRecord], MOST_ODOMETRIES]
-    driven: Annotated[FloatArray, 2]  # by left and right sprocket since the start, rad
-    moved: Annotated[FloatArray, 3]  # ∫ of the twist as it was predicted, since the start: m, m, rad
+    sprocket_angles: Annotated[FloatArray, 2]  # by left and right sprocket since the start, rad
+    integrated_twist: Annotated[
+        FloatArray, 3
+    ]  # ∫ of the twist as it was predicted, since the start: m, m, rad
     fixed_ns: int  # stamp of the last fix; never
     delay_variance: float  # of δ, had no fix shown it
-    down: float  # sine of the slope that the tracks drove down as k was learned
-    ran: float  # by the tracks since the start, mean of both, forward or not, m
+    learned_downhill: float  # sine of the slope that the tracks drove down as k was learned
+    track_distance: float  # by the tracks since the start, mean of both, forward or not, m
     is_sector: bool  # whether its heading is one share of the circle
     fault: Annotated[IntArray, MOST_SOURCES]  # of ``events.SourceFault``: what is assumed of each source
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
@@ -212,13 +214,13 @@ class Update(Record):
     whitened: Annotated[FloatArray, 2]  # innovation of a fix along and across, over its standard deviation
     stated: float  # standard deviation that a fix states, m
     coarse: int  # 0 or 1: whether its error may last
-    shown: Annotated[FloatArray, 2]  # place of base_link by a coarse fix, m
-    again: float  # squared distance of a fix from the source's fix before, m²
+    measured_position: Annotated[FloatArray, 2]  # place of base_link by a coarse fix, m
+    squared_repeat_distance: float  # squared distance of a fix from the source's fix before, m²
     tied: int  # 0 or 1: the fix is as likely as in the most probable branch that may use it
     opened: int  # last ``events.Event`` that opened states since the state before
     attitude: int  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted
     follows: bool  # whether the prior follows from the state before by the model
-    renewed: int  # bit i: state i does not follow from the state before
+    reset_states: int  # bit i: state i does not follow from the state before
 
 
 UPDATE = dtype_of(Update)

@@ -13,8 +13,8 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
-from trackslip_estimation.slip.own_errors import number_of
 from trackslip_estimation.slip.records import POSE, VELOCITY
+from trackslip_estimation.slip.source_offsets import number_of
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -28,12 +28,12 @@ _AREA = 1e4  # m², of a place of which nothing is known
 class SourceFault(IntEnum):
     """What a branch assumes of a source."""
 
-    SOUND = 0
+    HEALTHY = 0
     OFFSET = 1
     REPEATS = 2
     SCATTERS = 3
     IGNORED = 4  # for one measurement
-    STRAYS = 5  # of the sprockets, or of all gyros: they do not show the motion
+    FAILED = 5  # of the sprockets, or of all gyros: they do not show the motion
     STAYS = 6  # where it was, and jitters on
     HEADING_OFF = 7  # its headings, or swing angles, are off, not its places
     HEADING_WANDERS = 8  # the same, by something else at any time
@@ -42,12 +42,12 @@ class SourceFault(IntEnum):
 
 
 (
-    IS_SOUND,
+    IS_HEALTHY,
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
     IS_IGNORED,
-    IS_STRAYING,
+    IS_FAILED,
     IS_STAYING,
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
@@ -65,19 +65,19 @@ def is_heading_off(fault: int) -> bool:
 @compiled
 def is_trusted(fault: int, kind: int) -> bool:
     """Whether a measurement of a source is taken for sound; places are, though headings of theirs are off."""
-    return fault == IS_SOUND or (kind == POSE and is_heading_off(fault))
+    return fault == IS_HEALTHY or (kind == POSE and is_heading_off(fault))
 
 
 @compiled
-def is_straying(fault: int) -> bool:
+def is_failed(fault: int) -> bool:
     """Whether a unit is assumed not to show the motion, or but for a factor."""
-    return fault in (IS_STRAYING, IS_MISCOUNTING)
+    return fault in (IS_FAILED, IS_MISCOUNTING)
 
 
 @compiled
-def strays(state: State) -> bool:
+def has_failed_unit(state: State) -> bool:
     """Whether sprockets, gyros or an odometry are assumed not to show the motion."""
-    return bool(((state.fault == IS_STRAYING) | (state.fault == IS_MISCOUNTING)).any())
+    return bool(((state.fault == IS_FAILED) | (state.fault == IS_MISCOUNTING)).any())
 
 
 @compiled
@@ -89,7 +89,7 @@ def wanders(state: State, source: int, c: Config) -> bool:
 
 
 @compiled
-def pass_faults(state: State, dt: float, c: Config) -> None:
+def propagate_faults(state: State, dt: float, c: Config) -> None:
     """Headings that wander, and velocities that are off, are so by something else dt later."""
     P = state.covariance
     for source in range(state.fault.size):
@@ -160,13 +160,13 @@ def density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArr
 @compiled
 def is_repeated(update: Update, c: Config) -> bool:
     """Whether a fix is the one before, but for the rounding of a map projection."""
-    return bool(update.again <= c.gate_limits[YAW] * c.bank.repeat_stddev**2)
+    return bool(update.squared_repeat_distance <= c.gate_limits[YAW] * c.bank.repeat_stddev**2)
 
 
 @compiled
 def may_repeat(update: Update, c: Config) -> bool:
     """Whether a fix differs from the one before by no more than the noise that both state."""
-    return bool(update.again <= 2.0 * c.gate_limits[YAW] * update.stated**2)
+    return bool(update.squared_repeat_distance <= 2.0 * c.gate_limits[YAW] * update.stated**2)
 
 
 @compiled
@@ -179,7 +179,7 @@ def weigh_repeat(m: int, stays: bool, c: Config, update: Update) -> None:
     limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
     if stays:
         update.tied, stddev = int(may_repeat(update, c)), math.sqrt(2.0) * update.stated
-    update.dof, update.gate, update.nis = YAW, limit, update.again / stddev**2
+    update.dof, update.gate, update.nis = YAW, limit, update.squared_repeat_distance / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
     heading = _LOG_TURN if m > YAW else 0.0
     update.evidence = -(squared + 4.0 * math.log(stddev)) / 2.0 - _LOG_TURN - heading

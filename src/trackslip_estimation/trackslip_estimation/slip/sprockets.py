@@ -9,7 +9,7 @@ the newest sample it is the same. The longer speeds are taken to go on, the more
 what silence leaves of them (``coasting``). Between a start and the first sample, where that comes within the
 timeout, the speeds are those that it shows, and may have been others (``coasting.widen_start``).
 
-While a branch assumes that the machine does not move as its sprockets turn (``events.STRAYS``), all is
+While a branch assumes that the machine does not move as its sprockets turn (``events.FAILED``), all is
 silence.
 
 Speeds come from the difference of positions where there are positions and they do not jump; else from the
@@ -29,7 +29,7 @@ from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.counts import begin_counts, follow, keep
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
-from trackslip_estimation.slip.source_faults import IS_STRAYING
+from trackslip_estimation.slip.source_faults import IS_FAILED
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -44,8 +44,8 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
     That is ``stamp_ns``, or an earlier one beyond which there is silence.
     """
     sample, speeds = state.sample, state.speeds
-    state.unheard = 0.0
-    if state.fault[TRACKS] == IS_STRAYING:
+    state.time_since_sample = 0.0
+    if state.fault[TRACKS] == IS_FAILED:
         return NEVER_NS
     closed = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start
@@ -57,7 +57,7 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
         return int(sample.stamp_ns)
     _copy(sample.speeds, speeds)
     known_ns = int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
-    state.unheard = ((state.stamp_ns - sample.stamp_ns) + (known_ns - sample.stamp_ns)) / 2.0 * 1e-9
+    state.time_since_sample = ((state.stamp_ns - sample.stamp_ns) + (known_ns - sample.stamp_ns)) / 2.0 * 1e-9
     return known_ns
 
 
@@ -83,7 +83,7 @@ def _shown(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> tup
     """Left and right speed by the encoder, rad/s, and over which time, s; 0: ``closing`` continues none."""
     elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
     dt = elapsed_ns * 1e-9 if elapsed_ns <= c.sprocket_timeout_ns else 0.0
-    if dt > 0.0 and is_sound(sample, closing, c):
+    if dt > 0.0 and is_continuous(sample, closing, c):
         left, right = closing.left_angle - sample.left_angle, closing.right_angle - sample.right_angle
         return left / dt, right / dt, dt
     return closing.left_speed, closing.right_speed, dt
@@ -98,7 +98,7 @@ def has_angles(sample: SprocketSample, closing: MeasurementRecord) -> bool:
 
 
 @compiled
-def is_sound(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
+def is_continuous(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
     """Whether the positions of ``closing`` are the continuation of those of ``sample``, to a count."""
     if not has_angles(sample, closing):
         return False
@@ -111,11 +111,11 @@ def is_sound(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> b
 def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
     """Whether its positions are not the continuation of those before, though it came in time."""
     in_time = has_angles(sample, closing) and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
-    return in_time and not is_sound(sample, closing, c)
+    return in_time and not is_continuous(sample, closing, c)
 
 
 @compiled
-def remember(state: State, closing: MeasurementRecord, c: Config) -> None:
+def store_sample(state: State, closing: MeasurementRecord, c: Config) -> None:
     """Makes ``closing`` the last sample of ``state``."""
     sample = state.sample
     left, right, dt = _shown(sample, closing, c)
@@ -135,6 +135,6 @@ def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
 
 
 @compiled
-def stand_still(speeds: SpeedsRecord) -> None:
+def set_zero_speeds(speeds: SpeedsRecord) -> None:
     """No motion."""
     speeds.left = speeds.right = speeds.variance = speeds.angle_variance = 0.0

@@ -11,7 +11,7 @@ from trackslip_common.compiled import inlined
 from trackslip_estimation.attitude.start import forget_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.bank.receivers import add_first_fix
-from trackslip_estimation.slip.bank.rows import begin_row, drives_unheaded, split_unknown_heading
+from trackslip_estimation.slip.bank.rows import begin_row, is_moving_without_heading, split_unknown_heading
 from trackslip_estimation.slip.bank.script import play_script
 from trackslip_estimation.slip.late_stamps import begin_delay
 from trackslip_estimation.slip.levers import to_sensor
@@ -20,11 +20,11 @@ from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import reset_motion
 from trackslip_estimation.slip.observations.odometry import begin_odometry
 from trackslip_estimation.slip.observations.pose import raise_to_floors
-from trackslip_estimation.slip.own_errors import begin_offset, to_shown_heading
 from trackslip_estimation.slip.records import MANUAL, MOST_SOURCES, POSE, SPROCKETS
-from trackslip_estimation.slip.source_faults import IS_SOUND
-from trackslip_estimation.slip.sprockets import remember, stand_still
-from trackslip_estimation.slip.usable import has_heading
+from trackslip_estimation.slip.source_faults import IS_HEALTHY
+from trackslip_estimation.slip.source_offsets import begin_offset, to_sensor_heading
+from trackslip_estimation.slip.sprockets import set_zero_speeds, store_sample
+from trackslip_estimation.slip.validity import has_heading
 from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
 
 if TYPE_CHECKING:
@@ -53,10 +53,10 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     insert(window, entry)
     state, sample = window.states[0, 0], window.states[0, 0].sample
     sample.seen = sample.known = False
-    stand_still(sample.speeds)
+    set_zero_speeds(sample.speeds)
     for k in range(entry + 1):
         if measurements[k].kind == SPROCKETS:
-            remember(state, measurements[k], c)
+            store_sample(state, measurements[k], c)
     status.known = 0
     drop(window, entry, entry)
     begin_row(window, 0, c)
@@ -65,7 +65,7 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
     if status.scripted:
         play_script(window, 0, 1, c)
-    elif drives_unheaded(window.states[0, 0]):
+    elif is_moving_without_heading(window.states[0, 0]):
         split_unknown_heading(window, 0, c)
     status.started, status.known = True, 1
     return _ACCEPTED
@@ -91,7 +91,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
             raise_to_floors(P, rows, source, c)
             begin_offset(state, source, c)
             if rows > YAW:
-                to_shown_heading(x, P, source, -1.0, c)
+                to_sensor_heading(x, P, source, -1.0, c)
             if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]
@@ -100,7 +100,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
             if c.tilt_source >= 0:  # how it leans is still to come
                 for i in range(YAW):
                     P[i, i] += (c.levers[source, 2] * _LEAN) ** 2
-    stand_still(state.speeds)
+    set_zero_speeds(state.speeds)
     reset_motion(state.motion)
     state.shear[:] = 0.0
     state.stamp_ns, state.coasting = stamp_ns, False
@@ -113,15 +113,15 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     begin_delay(state, c)
     if measurement.kind != POSE:
         state.fixed_ns = NEVER_NS
-    state.ran = state.down = state.way[:] = 0.0
-    state.is_sector, state.rests_on, state.heading_rests = False, -1, False
+    state.track_distance = state.learned_downhill = state.displacement[:] = 0.0
+    state.is_sector, state.sole_fix_source, state.sole_fix_heading = False, -1, False
     state.fault_ns[:] = stamp_ns
-    state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_SOUND, c.bank.initial_outlier_share, 0.0
+    state.fault[:], state.outlier_share[:], state.last_fix[:] = IS_HEALTHY, c.bank.initial_outlier_share, 0.0
     if measurement.kind == POSE and measurement.source != MANUAL:
         state.last_fix[measurement.source] = measurement.value[:2]
-        state.rests_on, state.heading_rests = measurement.source, has_heading(measurement)
+        state.sole_fix_source, state.sole_fix_heading = measurement.source, has_heading(measurement)
     for k in range(MOST_SOURCES):
-        state.consistent_ns[k], state.heard_ns[k] = stamp_ns, NEVER_NS
+        state.consistent_ns[k], state.received_ns[k] = stamp_ns, NEVER_NS
         state.readings[k].stamp_ns = NEVER_NS
-        state.refused_ns[k], state.last_ns[k], state.stands[k].count = 0, stamp_ns, 0
+        state.refused_ns[k], state.last_ns[k], state.standstills[k].count = 0, stamp_ns, 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

@@ -28,7 +28,7 @@ from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
 from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
 from trackslip_estimation.slip.events import ANY_HEADING, UNKNOWN_HEADING
-from trackslip_estimation.slip.late_stamps import pass_delay
+from trackslip_estimation.slip.late_stamps import propagate_delay
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
@@ -38,17 +38,23 @@ from trackslip_estimation.slip.models.dispatch import (
     twist,
     twist_jacobian,
 )
-from trackslip_estimation.slip.models.model import BELOW, SENSOR_ERRORS, SIZE, YAW, X, Y
+from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE, UNDERCARRIAGE_SIZE, YAW, X, Y
 from trackslip_estimation.slip.models.shear import build_up
 from trackslip_estimation.slip.models.slope import update_direction
 from trackslip_estimation.slip.models.swing import shear
 from trackslip_estimation.slip.motion import reset_motion, update_motion
 from trackslip_estimation.slip.observations.altitude import use_altitude
 from trackslip_estimation.slip.observations.odometry import integrate_motion
-from trackslip_estimation.slip.own_errors import pass_offsets
 from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, TRACKS
-from trackslip_estimation.slip.source_faults import IS_SOUND, IS_STRAYING, pass_faults
-from trackslip_estimation.slip.sprockets import interval_speeds, jumps, remember, set_speeds, stand_still
+from trackslip_estimation.slip.source_faults import IS_FAILED, IS_HEALTHY, propagate_faults
+from trackslip_estimation.slip.source_offsets import propagate_offsets
+from trackslip_estimation.slip.sprockets import (
+    interval_speeds,
+    jumps,
+    set_speeds,
+    set_zero_speeds,
+    store_sample,
+)
 from trackslip_estimation.slip.tilt import rise, update_ground
 from trackslip_estimation.slip.update import use
 
@@ -58,7 +64,7 @@ if TYPE_CHECKING:
 
 
 _SETTLED = 0.2  # rad, standard deviation of a heading that is known
-_UNDER_WAY = 0.1  # m that the tracks have run since the start
+_MOVING = 0.1  # m that the tracks have run since the start
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 
@@ -75,8 +81,8 @@ def step(
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.whitened[:] = 0, 0.0, 0.0
-    update.again, update.tied = math.inf, 0
-    update.coarse, update.stated, update.shown[:] = 0, 0.0, 0.0
+    update.squared_repeat_distance, update.tied = math.inf, 0
+    update.coarse, update.stated, update.measured_position[:] = 0, 0.0, 0.0
     update.nis = update.gate = update.log_determinant = np.nan
     prior.mean = state.mean
     copy_square(state.covariance, prior.covariance, c.size)
@@ -85,7 +91,7 @@ def step(
     if measurement.kind == SPROCKETS:
         if jumps(state.sample, measurement, c):
             update.outcome = _JUMPED
-        remember(state, measurement, c)
+        store_sample(state, measurement, c)
     elif measurement.source == MANUAL:
         place(state, measurement)
         update.follows = False
@@ -104,8 +110,8 @@ def step(
 @inlined
 def _update_ground(state: State, update: Update, prior: Prior) -> None:
     """The height, where the place was corrected; one where it began, or that was found again, is no way."""
-    jumped = update.renewed & ((1 << X) | (1 << Y)) != 0
-    if update.follows and not jumped and update.outcome == _ACCEPTED and state.ran > _UNDER_WAY:
+    jumped = update.reset_states & ((1 << X) | (1 << Y)) != 0
+    if update.follows and not jumped and update.outcome == _ACCEPTED and state.track_distance > _MOVING:
         update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
 
 
@@ -132,7 +138,7 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
         ends = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
-        if ends and state.fault[TRACKS] != IS_STRAYING:
+        if ends and state.fault[TRACKS] != IS_FAILED:
             interval_speeds(state.sample, closing, c, state.speeds)
     state.stamp_ns = stamp_ns
 
@@ -144,11 +150,11 @@ def coast(state: State, dt: float, c: Config) -> None:
     if not state.coasting:
         left, right = state.speeds.left, state.speeds.right
         rate, variance = 0.0, c.unknown_yaw_rate**2
-        if state.fault[TRACKS] != IS_STRAYING:
+        if state.fault[TRACKS] != IS_FAILED:
             rate = twist(state.mean[:], left, right, c)[2]
             variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
         begin_coast(state, (rate, variance), c)
-    stand_still(state.speeds)
+    set_zero_speeds(state.speeds)
     clear_track_error(state.adaptation)
     reset_motion(state.motion)
     state.shear[:] = 0.0
@@ -175,9 +181,9 @@ def limit_heading(state: State) -> None:
 def integrate_tracks(state: State, dt: float, c: Config) -> None:
     """Angles of the sprockets, and distance of the tracks, forward or not, after ``dt`` s more."""
     left, right = state.speeds.left, state.speeds.right
-    state.driven[0] += left * dt
-    state.driven[1] += right * dt
-    state.ran += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
+    state.sprocket_angles[0] += left * dt
+    state.sprocket_angles[1] += right * dt
+    state.track_distance += c.rolling_radius * (abs(left) + abs(right)) / 2.0 * dt
 
 
 @compiled
@@ -185,7 +191,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
     """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
     P, n = state.covariance[:], c.size
     if not c.sigma_points:
-        n = max(used_size(P, n), SENSOR_ERRORS if c.swings else BELOW)
+        n = max(used_size(P, n), SENSOR_ERRORS if c.swings else UNDERCARRIAGE_SIZE)
     x = state.mean[:n]
     integrate_motion(state, dt, c)
     integrate_tracks(state, dt, c)
@@ -198,8 +204,8 @@ def propagate(state: State, dt: float, c: Config) -> None:
         squared = (moved[X] - x[X]) ** 2 + (moved[Y] - x[Y]) ** 2
         P[X, X] += 2.0 * squared
         P[Y, Y] += 2.0 * squared
-    state.way[X] += moved[X] - x[X]
-    state.way[Y] += moved[Y] - x[Y]
+    state.displacement[X] += moved[X] - x[X]
+    state.displacement[Y] += moved[Y] - x[Y]
     if has_velocity_errors(c):
         build_up(state, dt, c)
     if not c.sigma_points:
@@ -215,9 +221,9 @@ def propagate(state: State, dt: float, c: Config) -> None:
         mean, departures, weights = daf.moments(points, weights, YAW)
         x[:] = mean
         P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q
-    pass_offsets(state, dt, c)
-    pass_faults(state, dt, c)
-    pass_delay(state, dt, c)
+    propagate_offsets(state, dt, c)
+    propagate_faults(state, dt, c)
+    propagate_delay(state, dt, c)
 
 
 @compiled
@@ -229,6 +235,6 @@ def place(state: State, manual: MeasurementRecord) -> None:
         for j in range(SIZE):
             P[i, j] = P[j, i] = 0.0
     P[:3, :3] = manual.noise
-    state.is_sector, state.heading_rests, state.fault[:] = False, False, IS_SOUND
-    for k in range(len(state.stands)):
-        state.stands[k].count = 0
+    state.is_sector, state.sole_fix_heading, state.fault[:] = False, False, IS_HEALTHY
+    for k in range(len(state.standstills)):
+        state.standstills[k].count = 0

@@ -25,7 +25,7 @@ from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, u
 from trackslip_estimation.slip.observations.odometry import use_odometry
 from trackslip_estimation.slip.observations.slips import observe_slips, use_slips
 from trackslip_estimation.slip.records import GYROS, ODOMETRY, SLIPS, YAW_RATE
-from trackslip_estimation.slip.source_faults import IS_SOUND
+from trackslip_estimation.slip.source_faults import IS_HEALTHY
 from trackslip_estimation.slip.tilt import tilt_by
 from trackslip_estimation.slip.weighing import observe_weighed, use_weighed
 from trackslip_estimation.slip.window import is_weighed
@@ -48,7 +48,7 @@ def use(state: State, measurement: MeasurementRecord, c: Config, update: Update,
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
             update.attitude = tilt_by(state, measurement, bias_of(measurement.source, c), c)
-        if state.fault[GYROS] != IS_SOUND:
+        if state.fault[GYROS] != IS_HEALTHY:
             update.outcome = _GATED
             return
         use_rate(state, measurement, c, update, prior)

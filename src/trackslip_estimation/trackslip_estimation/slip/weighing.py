@@ -35,8 +35,8 @@ from trackslip_estimation.slip.adaptation import (
     shared_error,
 )
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, student_inflation
-from trackslip_estimation.slip.driven import Drive
 from trackslip_estimation.slip.levers import lever, turn_about
+from trackslip_estimation.slip.mean_speeds import MeanSpeeds
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
@@ -46,15 +46,6 @@ from trackslip_estimation.slip.observations.odometry import by_track_error
 from trackslip_estimation.slip.observations.pose import has_offset, observe_pose, stated_noise
 from trackslip_estimation.slip.observations.swing import observe_swing
 from trackslip_estimation.slip.observations.velocity import observe_velocity
-from trackslip_estimation.slip.own_errors import (
-    inflate_offset,
-    is_correlated,
-    lasts,
-    latest_pose_source,
-    number_of,
-    prepare_offset,
-    spread_of,
-)
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, VELOCITY
 from trackslip_estimation.slip.source_faults import (
     IS_IGNORED,
@@ -69,7 +60,16 @@ from trackslip_estimation.slip.source_faults import (
     is_trusted,
     weigh_repeat,
 )
-from trackslip_estimation.slip.stands import count_fix, stands_still
+from trackslip_estimation.slip.source_offsets import (
+    has_correlated_errors,
+    inflate_offset,
+    is_correlated,
+    latest_pose_source,
+    number_of,
+    position_stddev,
+    prepare_offset,
+)
+from trackslip_estimation.slip.standstill import inflate_repeated_fix, is_at_same_standstill
 from trackslip_estimation.slip.wandering import weigh_wander
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def use_weighed(
     if kind == POSE:
         stated = stated_noise(measurement, state, c)
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
-        update.stated = spread_of(stated)
+        update.stated = position_stddev(stated)
         update.coarse = 0 if quality_of(update.stated, c) == PRECISE else 1
         _compare_with_last(state, measurement, update)
     o = observe_weighed(state, measurement, c)
@@ -129,7 +129,7 @@ def use_weighed(
     soften(R, o.innovation, predicted, c.gate_limits[m])
     if kind == POSE:
         R *= min(known, shared_error(predicted, R))
-        count_fix(state, source, alone, R, c)
+        inflate_repeated_fix(state, source, alone, R, c)
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
     if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
         update.outcome = _GATED
@@ -201,9 +201,9 @@ def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int
 def _show_place(state: State, source: int, o: Observation, update: Update, c: Config) -> None:
     """The place of base_link that a pose shows."""
     for axis in (X, Y):
-        update.shown[axis] = o.innovation[axis] + state.mean[axis]
+        update.measured_position[axis] = o.innovation[axis] + state.mean[axis]
         if has_offset(state, source, c):
-            update.shown[axis] += state.mean[c.offsets[source] + axis]
+            update.measured_position[axis] += state.mean[c.offsets[source] + axis]
 
 
 @compiled
@@ -211,15 +211,15 @@ def _learn_track_error(
     state: State, innovation: FloatArray, S: FloatArray, elapsed: float, c: Config
 ) -> None:
     """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
-    if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= c.bank.longest_way:
+    if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= c.bank.longest_interval:
         return
-    if state.adaptation.elapsed <= c.bank.longest_way:  # a gyro does
+    if state.adaptation.elapsed <= c.bank.longest_interval:  # a gyro does
         return
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
     variance = (sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]) / elapsed**2
     left, right = state.speeds.left, state.speeds.right
-    _, sideways, turning = by_track_error(state, Drive(left, right, elapsed), c)
+    _, sideways, turning = by_track_error(state, MeanSpeeds(left, right, elapsed), c)
     way = c.rolling_radius * (left + right) / 2.0 * elapsed
     by_tracks = sideways + way * way * turning / 3.0
     learn_from_speed(state.adaptation, aside, variance, by_tracks, state.motion.motion == _STANDING, c)
@@ -246,7 +246,7 @@ def _weigh(
     L = root(predicted + R)
     update.dof, update.gate = m, limit
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
-    alone = not stands_still(state, source, c) or update.nis > limit
+    alone = not is_at_same_standstill(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
         update.evidence, update.outcome = density_of_scatter(measurement, o, predicted, c), _GATED
         return R, False, alone
@@ -255,7 +255,7 @@ def _weigh(
         density = density_of_fix(a, source, o.innovation, predicted, o.noise, c)
     evidence, outlier = math.log(1.0 - share) + density, math.log(share) + outside
     is_outlier = fault == IS_IGNORED or (outlier > evidence and not np.isinf(limit))
-    shown = c.bank.outlier_share if is_outlier else c.bank.sound_share
+    shown = c.bank.outlier_share if is_outlier else c.bank.healthy_share
     state.outlier_share[source] += c.bank.share_memory * (shown - share)
     if is_outlier:
         update.evidence, update.outcome = outlier, _GATED
@@ -264,7 +264,7 @@ def _weigh(
         learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
         number = number_of(source, c)
         errs_aside = number >= 0 and (
-            state.offsets[number].variance > 0.0 or lasts(state, source, update.stated, c)
+            state.offsets[number].variance > 0.0 or has_correlated_errors(state, source, update.stated, c)
         )
         if errs_aside or c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
@@ -273,7 +273,7 @@ def _weigh(
     if update.nis <= limit:
         state.consistent_ns[source] = measurement.stamp_ns
         if measurement.kind == POSE:
-            state.rests_on, state.heading_rests = -1, False
+            state.sole_fix_source, state.sole_fix_heading = -1, False
     return R, True, alone
 
 
@@ -281,7 +281,7 @@ def _weigh(
 def _compare_with_last(state: State, measurement: MeasurementRecord, update: Update) -> None:
     """How far a fix is from the source's fix before; it becomes the last one."""
     last, z = state.last_fix[measurement.source], measurement.value
-    update.again = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
+    update.squared_repeat_distance = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
     last[X], last[Y] = z[X], z[Y]
 
 

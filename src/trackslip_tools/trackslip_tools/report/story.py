@@ -257,7 +257,7 @@ def _explanations(run: Run) -> Iterator[Event]:
             yield _event(spell.start, Level.WARN, spell.text)
     for h in run.replay.happened:
         if h.event is not Explaining.OUTLIER:
-            level = Level.OK if h.event is Explaining.SOUND or h.begins else Level.WARN
+            level = Level.OK if h.event is Explaining.RECOVERED or h.begins else Level.WARN
             yield _event(float(run.recording.seconds(np.array(h.stamp_ns))), level, h.text)
 
 

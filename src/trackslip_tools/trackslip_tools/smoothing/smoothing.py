@@ -24,9 +24,9 @@ from trackslip_estimation.slip.log import Block, Log, begin_log, run_blocks, scr
 from trackslip_estimation.slip.models.dispatch import linearize
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.outputs import fill_estimate
-from trackslip_estimation.slip.own_errors import fade_offsets
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
+from trackslip_estimation.slip.source_offsets import set_offset_transition
 from trackslip_estimation.slip.window import Records, Window, copy_first, make_like, prior_of
 
 
@@ -108,9 +108,9 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
         if update.follows:
             dt = (state.stamp_ns - before.stamp_ns) * 1e-9
             F = linearize(filtered[0], filtered[1], state, dt, c)[1]
-            fade_offsets(F, state, dt, c)
+            set_offset_transition(F, state, dt, c)
             for i in range(n):
-                if update.renewed >> i & 1:
+                if update.reset_states >> i & 1:
                     F[i] = 0.0
             predicted = prior.mean[:n].copy(), prior.covariance[:n, :n].copy()
             x, P = step_back(filtered, predicted, (x, P), F, YAW)

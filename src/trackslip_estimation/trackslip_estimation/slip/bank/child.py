@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.opening import open_states
-from trackslip_estimation.slip.bank.script import remember
+from trackslip_estimation.slip.bank.script import record_event
 from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED
 from trackslip_estimation.slip.models.model import X, Y
-from trackslip_estimation.slip.own_errors import number_of
 from trackslip_estimation.slip.records import HISTORY, OLDER, POSE
 from trackslip_estimation.slip.source_faults import reach
+from trackslip_estimation.slip.source_offsets import number_of
 from trackslip_estimation.slip.window import POOL, Window
 
 if TYPE_CHECKING:
@@ -44,10 +44,11 @@ def log_time_since(window: Window, p: int, k: int, c: Config) -> float:
 
 
 @compiled
-def driven_since(window: Window, p: int, k: int) -> float:
+def distance_since(window: Window, p: int, k: int) -> float:
     """By the tracks since the snapshot of branch p of row k − 1, m."""
     snapshot = window.branches[p, k - 1].snapshots[OLDER]
-    return float(window.states[p, k - 1].ran - window.states[snapshot.slot, snapshot.entry].ran)
+    then = window.states[snapshot.slot, snapshot.entry]
+    return float(window.states[p, k - 1].track_distance - then.track_distance)
 
 
 @compiled
@@ -107,9 +108,9 @@ def add_child(
         branch.weight = before.weight + log_prior
     branch.first, branch.fresh = first, 1
     value = _value(window, p, k, event, source, since, c)
-    e = remember(branch, event, source, part, value, m, window.measurements[first], 0)
+    e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
     update.opened = event
-    update.renewed = open_states(state, e, c)
+    update.reset_states = open_states(state, e, c)
 
 
 @compiled
@@ -118,7 +119,7 @@ def _value(window: Window, p: int, k: int, event: int, source: int, since: bool,
     m, before = window.measurements[k], window.states[p, k - 1]
     if event == SKIDDED:
         seconds = math.exp(log_time_since(window, p, k, c))
-        return c.events.skid_share * driven_since(window, p, k) * min(c.events.skid_time / seconds, 1.0)
+        return c.events.skid_share * distance_since(window, p, k) * min(c.events.skid_time / seconds, 1.0)
     if event in (SLIPPED, BIASED):
         return 0.0 if since else float(c.receivers.longest_time)
     if event == OFFSET and number_of(source, c) < 0:

@@ -12,14 +12,14 @@ from trackslip_estimation.slip.bank.child import (
     add_child,
     child_now,
     child_since,
-    driven_since,
+    distance_since,
     log_time,
     squared_jump,
 )
 from trackslip_estimation.slip.bank.earlier_children import (
     correlated_penalty,
     fixes_decide,
-    have_earlier_children,
+    make_earlier_children,
     tracks_are_known,
 )
 from trackslip_estimation.slip.bank.lags import is_behind, log_odds_of_lag
@@ -34,11 +34,11 @@ from trackslip_estimation.slip.events import (
     MOVED,
     OFFSET,
     OUTLIER,
+    RECOVERED,
     REPEATS,
     SCATTERS,
     SKIDDED,
     SLIPPED,
-    SOUND,
     STAYS,
     SWUNG,
     TURNED,
@@ -50,24 +50,24 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import is_moved_by_swing, may_swing
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.own_errors import is_correlated, number_of
 from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, TRACKS, VELOCITY
 from trackslip_estimation.slip.source_faults import (
+    IS_HEALTHY,
     IS_MISCOUNTING,
     IS_OFFSET,
     IS_SCATTERING,
-    IS_SOUND,
     IS_WANDERING,
+    has_failed_unit,
+    is_failed,
     is_heading_off,
     is_repeated,
-    is_straying,
     is_trusted,
     log_density_of_any_size,
     may_repeat,
     reach,
-    strays,
     wanders,
 )
+from trackslip_estimation.slip.source_offsets import is_correlated, number_of
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -87,8 +87,8 @@ def propose(window: Window, k: int, c: Config) -> int:
     """
     count, spawns = window.counts[k], False
     for s in range(count):
-        _pay(window, s, k, c)
-        spawns = spawns or _wants_children(window, s, k, c)
+        _subtract_fault_costs(window, s, k, c)
+        spawns = spawns or _needs_children(window, s, k, c)
     if count == 1 and not spawns:
         branch = window.branches[0, k]
         for snapshot in branch.snapshots:
@@ -98,29 +98,29 @@ def propose(window: Window, k: int, c: Config) -> int:
     status = window.status[0]
     status.pooled, status.steps_left = to_pool(window, k), c.bank.steps
     for p in range(count):
-        if window.branches[p, k - 1].weight >= -c.bank.spawns and _wants_children(window, p, k, c):
-            _have_children(window, p, k, c)
+        if window.branches[p, k - 1].weight >= -c.bank.spawns and _needs_children(window, p, k, c):
+            _make_children(window, p, k, c)
             window.pool_branches[p].cusum[:] = 0.0
     return int(status.pooled)
 
 
 @compiled
-def _pay(window: Window, s: int, k: int, c: Config) -> None:
+def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     """What branch s of row k pays for a fault that lasts and for a slip that no track has; its CUSUM."""
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
     branch.fresh = 0
-    if fault != IS_SOUND:
+    if fault != IS_HEALTHY:
         elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
         branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     for unit in range(MOST_SOURCES):
-        if measurement.kind in (POSE, VELOCITY) and is_straying(state.fault[unit]):
+        if measurement.kind in (POSE, VELOCITY) and is_failed(state.fault[unit]):
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
     if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
-        follows = fault == IS_SOUND and state.motion.motion != _STANDING
+        follows = fault == IS_HEALTHY and state.motion.motion != _STANDING
     if follows and not is_correlated(state, source, c):
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
@@ -149,7 +149,7 @@ def _contradicts(window: Window, s: int, k: int, c: Config) -> bool:
 
 
 @compiled
-def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
+def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether branch s of row k has children."""
     measurement, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
     fault, update = before.fault[measurement.source], update_of(window, s, k)
@@ -159,7 +159,7 @@ def _wants_children(window: Window, s: int, k: int, c: Config) -> bool:
         return True
     if is_behind(window, s, k, c) or _late_log_odds(measurement, before, c) > 0.0:
         return True
-    if strays(before) and measurement.kind in (POSE, VELOCITY):
+    if has_failed_unit(before) and measurement.kind in (POSE, VELOCITY):
         return True
     if wanders(before, measurement.source, c):
         return True
@@ -204,7 +204,7 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
 
 
 @compiled
-def _have_children(window: Window, p: int, k: int, c: Config) -> None:
+def _make_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at measurement k."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault, contradicts = m.source, before.fault[m.source], _contradicts(window, p, k, c)
@@ -222,25 +222,25 @@ def _have_children(window: Window, p: int, k: int, c: Config) -> None:
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if m.kind == POSE:
         implausible = outside_range(before, c) > 0.0
-        _have_fix_children(window, p, k, contradicts, c)
+        _make_fix_children(window, p, k, contradicts, c)
         if contradicts or implausible or shows:
-            have_earlier_children(window, p, k, contradicts, implausible, c)
+            make_earlier_children(window, p, k, contradicts, implausible, c)
         return
     if contradicts:
-        _have_angle_children(window, p, k, c)
+        _make_angle_children(window, p, k, c)
     if m.kind == VELOCITY and (contradicts or shows):
-        have_earlier_children(window, p, k, contradicts, False, c)
+        make_earlier_children(window, p, k, contradicts, False, c)
 
 
 @compiled
 def _end_scatter(window: Window, p: int, k: int, c: Config) -> None:
     """Children in which the source is sound again; nobody saw meanwhile whether the machine was moved."""
     m, before = window.measurements[k], window.states[p, k - 1]
-    child_now(window, p, k, SOUND, m.source, 0.0, c)
+    child_now(window, p, k, RECOVERED, m.source, 0.0, c)
     if m.kind == POSE:
         scattered = math.log(max((m.stamp_ns - before.fault_ns[m.source]) * 1e-9, c.bank.shortest_time))
         moved = scattered + c.log_rates[MOVED, m.source] + _log_any_size(m, before, c)
-        ended = log_time(window, p, k, c) + c.log_rates[SOUND, m.source]
+        ended = log_time(window, p, k, c) + c.log_rates[RECOVERED, m.source]
         add_child(window, p, k, MOVED, m.source, 0, False, ended + moved, c)
 
 
@@ -249,19 +249,19 @@ def _end_faults(window: Window, p: int, k: int, contradicts: bool, c: Config) ->
     """Children in which a fault of the source, or of what shows the motion, has ended."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault = m.source, before.fault[m.source]
-    if fault != IS_SOUND and (contradicts or wanders(before, source, c)):
-        child_now(window, p, k, SOUND, source, 0.0, c)
+    if fault != IS_HEALTHY and (contradicts or wanders(before, source, c)):
+        child_now(window, p, k, RECOVERED, source, 0.0, c)
     if _may_fold(window, p, k, c):  # as a jump it would not have paid for its duration
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
         add_child(window, p, k, FOLDED, source, 0, False, prior, c)
     for unit in range(MOST_SOURCES):
-        if m.kind in (POSE, VELOCITY) and is_straying(before.fault[unit]):
-            child_since(window, p, k, SOUND, unit, 0, 0.0, c)
+        if m.kind in (POSE, VELOCITY) and is_failed(before.fault[unit]):
+            child_since(window, p, k, RECOVERED, unit, 0, 0.0, c)
 
 
 @compiled
-def _have_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
+def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
     """Children in which something happened just before a fix."""
     before, update = window.states[p, k - 1], update_of(window, p, k)
     source = window.measurements[k].source
@@ -282,25 +282,25 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
     if is_trusted(before.fault[source], POSE):
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
-        if before.rests_on != source:
+        if before.sole_fix_source != source:
             child_now(window, p, k, SCATTERS, source, 0.0, c)
             child_now(window, p, k, OFFSET, source, size, c)
-            if update.dof > YAW and before.fault[source] == IS_SOUND:
-                _have_heading_off(window, p, k, c)
+            if update.dof > YAW and before.fault[source] == IS_HEALTHY:
+                _make_heading_offset_child(window, p, k, c)
     elif before.fault[source] == IS_OFFSET:  # by something else
         child_now(window, p, k, OFFSET, source, size, c)
     moved = log_time(window, p, k, c) + c.log_rates[MOVED, source]
-    if before.rests_on == source:  # on one fix, which is as likely to be the outlier as this one
+    if before.sole_fix_source == source:  # on one fix, which is as likely to be the outlier as this one
         moved = max(moved, math.log(before.outlier_share[source]))
     add_child(window, p, k, MOVED, source, 0, False, size + moved, c)
-    if driven_since(window, p, k) > c.bank.least_driven and update.stated <= c.events.skid_stddev:
+    if distance_since(window, p, k) > c.bank.least_distance and update.stated <= c.events.skid_stddev:
         skidded = min(log_time(window, p, k, c), math.log(c.events.skid_time)) + c.log_rates[SKIDDED, source]
         penalty = correlated_penalty(window, p, k, c)
         add_child(window, p, k, SKIDDED, source, 0, False, skidded - penalty, c)
 
 
 @compiled
-def _have_heading_off(window: Window, p: int, k: int, c: Config) -> None:
+def _make_heading_offset_child(window: Window, p: int, k: int, c: Config) -> None:
     """Children in which the angles of the source are off, where they have an offset."""
     source = window.measurements[k].source
     if c.yaw_offsets[source] >= 0:
@@ -317,15 +317,15 @@ def _log_any_size(m: MeasurementRecord, before: State, c: Config) -> float:
 
 
 @compiled
-def _have_angle_children(window: Window, p: int, k: int, c: Config) -> None:
+def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     """Children of branch p at a heading, a swing angle or a velocity that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source = m.source
-    if before.fault[source] == IS_SOUND:
+    if before.fault[source] == IS_HEALTHY:
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         child_now(window, p, k, SCATTERS, source, 0.0, c)
-        _have_heading_off(window, p, k, c)
+        _make_heading_offset_child(window, p, k, c)
         if m.kind == VELOCITY and fixes_decide(before, m, c):
             child_now(window, p, k, OFFSET, source, 0.0, c)
     jumped = log_time(window, p, k, c) + c.log_rates[MOVED, source]

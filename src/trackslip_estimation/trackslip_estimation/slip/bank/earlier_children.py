@@ -8,10 +8,11 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.child import add_child, child_since, driven_since
+from trackslip_estimation.slip.bank.child import add_child, child_since, distance_since
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.events import (
     BIASED,
+    FAILED,
     HEADING_WANDERS,
     HEADINGS,
     LOST,
@@ -20,7 +21,6 @@ from trackslip_estimation.slip.events import (
     SLID,
     SLIPPED,
     STAYS,
-    STRAYS,
     SWUNG,
     TURNED,
     UNKNOWN_HEADING,
@@ -30,16 +30,16 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.models.swing import may_swing
-from trackslip_estimation.slip.own_errors import errs_by_place, is_correlated, number_of
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
 from trackslip_estimation.slip.source_faults import (
+    IS_HEALTHY,
     IS_MISCOUNTING,
     IS_REPEATING,
-    IS_SOUND,
     IS_STAYING,
     is_trusted,
     may_repeat,
 )
+from trackslip_estimation.slip.source_offsets import errs_by_position, is_correlated, number_of
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -51,12 +51,12 @@ _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
 @compiled
-def have_earlier_children(
+def make_earlier_children(
     window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
 ) -> None:
     """Children of branch p at a fix or a velocity that ``contradicts`` it, or by which its slip is none."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    e, source, drove = window.branches[p, k], m.source, driven_since(window, p, k) > c.bank.least_driven
+    e, source, drove = window.branches[p, k], m.source, distance_since(window, p, k) > c.bank.least_distance
     penalty = correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
         child_since(window, p, k, SLIPPED, source, 0, -penalty, c)
@@ -69,11 +69,11 @@ def have_earlier_children(
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
     if is_place and drove and tracks_are_known(before) and may_repeat(update, c):
         child_since(window, p, k, STAYS, source, 0, 0.0, c)
-    if is_place and update.coarse == 0 and not errs_by_place(source, c):
+    if is_place and update.coarse == 0 and not errs_by_position(source, c):
         child_since(window, p, k, WANDERS, source, 0, 0.0, c)
-    _have_wrong_sources(window, p, k, penalty, c)
+    _make_source_fault_children(window, p, k, penalty, c)
     if has_velocity_errors(c):
-        _have_stray_children(window, p, k, penalty, c)
+        _make_failure_children(window, p, k, penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
         child_since(window, p, k, NOISE, source, 0, 0.0, c)
     if _is_steep(before) and has_velocity_errors(c):
@@ -84,13 +84,13 @@ def have_earlier_children(
 
 
 @compiled
-def _have_wrong_sources(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Children in which another source has shown wrong angles, or velocities."""
     before = window.states[p, k - 1]
     if not fixes_decide(before, window.measurements[k], c):
         return
     for other in range(MOST_SOURCES):
-        if before.fault[other] != IS_SOUND:
+        if before.fault[other] != IS_HEALTHY:
             continue
         if c.yaw_offsets[other] >= 0:
             child_since(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
@@ -112,7 +112,7 @@ def _heading_is_open(before: State) -> bool:
 
 
 @compiled
-def _have_stray_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
+def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Children in which sprockets, gyros or an odometry have not shown the motion.
 
     While the heading is unknown nothing tells them from it. A slip that is nearer to −1 than to one of tracks
@@ -122,23 +122,23 @@ def _have_stray_children(window: Window, p: int, k: int, penalty: float, c: Conf
     if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
         return
     for unit in range(MOST_SOURCES):
-        if c.shows_motion[unit] == 1 and before.fault[unit] == IS_SOUND:
-            child_since(window, p, k, STRAYS, unit, 0, -penalty, c)
+        if c.shows_motion[unit] == 1 and before.fault[unit] == IS_HEALTHY:
+            child_since(window, p, k, FAILED, unit, 0, -penalty, c)
         elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # another kind of the same
-            add_child(window, p, k, STRAYS, unit, 0, True, 0.0, c)
-    if before.fault[TRACKS] == IS_SOUND and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
-        instead = c.log_rates[STRAYS, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
-        add_child(window, p, k, STRAYS, TRACKS, LOST, True, instead, c)
-    elif before.fault[TRACKS] == IS_SOUND:
-        child_since(window, p, k, STRAYS, TRACKS, LOST, -penalty, c)
-    if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_SOUND:
+            add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
+    if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
+        instead = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
+        add_child(window, p, k, FAILED, TRACKS, LOST, True, instead, c)
+    elif before.fault[TRACKS] == IS_HEALTHY:
+        child_since(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
+    if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
         child_since(window, p, k, BIASED, GYROS, 0, -penalty, c)
 
 
 @compiled
 def tracks_are_known(before: State) -> bool:
     """Whether the sprockets show what the tracks do, and are not just taken to go on."""
-    return bool(before.unheard == 0.0 and not before.coasting)
+    return bool(before.time_since_sample == 0.0 and not before.coasting)
 
 
 @compiled

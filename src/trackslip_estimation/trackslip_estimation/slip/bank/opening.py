@@ -16,6 +16,7 @@ from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.events import (
     ANY_HEADING,
     BIASED,
+    FAILED,
     FOLDED,
     HEADING_OFF,
     HEADING_WANDERS,
@@ -27,14 +28,13 @@ from trackslip_estimation.slip.events import (
     NOISE,
     OFFSET,
     OUTLIER,
+    RECOVERED,
     REPEATS,
     SCATTERS,
     SKIDDED,
     SLID,
     SLIPPED,
-    SOUND,
     STAYS,
-    STRAYS,
     SWUNG,
     TURNED,
     WANDERS,
@@ -54,28 +54,28 @@ from trackslip_estimation.slip.models.model import (
     X,
     Y,
 )
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, SECOND
-from trackslip_estimation.slip.own_errors import (
-    latest_pose_source,
-    number_of,
-    to_offset,
-    to_shown_heading,
-    usual_variance,
-)
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, ROTATION_OFFSET, TURN_STATE_2
 from trackslip_estimation.slip.records import GYROS, TRACKS
 from trackslip_estimation.slip.source_faults import (
+    IS_FAILED,
     IS_HEADING_OFF,
     IS_HEADING_WANDERING,
+    IS_HEALTHY,
     IS_IGNORED,
     IS_MISCOUNTING,
     IS_OFFSET,
     IS_REPEATING,
     IS_SCATTERING,
-    IS_SOUND,
     IS_STAYING,
-    IS_STRAYING,
     IS_WANDERING,
     is_heading_off,
+)
+from trackslip_estimation.slip.source_offsets import (
+    latest_pose_source,
+    number_of,
+    prior_offset_variance,
+    to_measured_position,
+    to_sensor_heading,
 )
 from trackslip_estimation.slip.wandering import begin_wander
 
@@ -83,16 +83,16 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import EventRecord, State
 
-_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, SECOND, COMMON_SLIP, ROTATION_OFFSET
+_LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET
 _SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
 _PLACE = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
 _FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # by event, what is assumed of its source from then on
-_FAULTS[[SOUND, FOLDED]] = IS_SOUND
+_FAULTS[[RECOVERED, FOLDED]] = IS_HEALTHY
 _FAULTS[OFFSET], _FAULTS[WANDERS] = IS_OFFSET, IS_WANDERING
 _FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
 _FAULTS[HEADING_OFF], _FAULTS[HEADING_WANDERS] = IS_HEADING_OFF, IS_HEADING_WANDERING
-_FAULTS[STRAYS] = IS_STRAYING
+_FAULTS[FAILED] = IS_FAILED
 
 
 @compiled
@@ -110,7 +110,7 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
-    if e.event in (SOUND, FOLDED):
+    if e.event in (RECOVERED, FOLDED):
         return _end_fault(state, e, was, c)
     if e.event == MOVED:
         return _move(state, e, c)
@@ -130,10 +130,10 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
     elif e.event == SKIDDED:
         P[X, X] += e.value**2
         P[Y, Y] += e.value**2
-    elif e.event == STRAYS:
-        return _stray(state, e, was, c)
+    elif e.event == FAILED:
+        return _open_failure(state, e, was, c)
     if e.event in (SLIPPED, BIASED) and e.value > 0.0:
-        return _give_offset_to_place(state, source, c)
+        return _move_offset_to_position(state, source, c)
     return 0
 
 
@@ -153,12 +153,12 @@ def _assume(state: State, e: EventRecord) -> None:
     elif e.event == NOISE:
         state.adaptation.fix_log_weights[source] = 1e-9
     elif e.event == MOVED:
-        state.rests_on = source
+        state.sole_fix_source = source
         if state.fault[source] == IS_SCATTERING:
-            state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_SOUND
+            state.fault_ns[source], state.fault[source] = state.stamp_ns, IS_HEALTHY
     elif fault != _NOT_ABOUT_SOURCE:
         state.fault_ns[source], state.fault[source] = state.stamp_ns, fault
-        if e.event == STRAYS and e.part == LOST:
+        if e.event == FAILED and e.part == LOST:
             state.fault[source] = IS_MISCOUNTING
 
 
@@ -166,11 +166,11 @@ def _assume(state: State, e: EventRecord) -> None:
 def _move(state: State, e: EventRecord, c: Config) -> int:
     """The place is another one, and so is a heading that rests on the same fix."""
     x = state.mean
-    renewed = _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
-    if state.heading_rests:
-        renewed |= _replace(state, YAW, x[YAW], ANY_HEADING**2, c)
-        state.heading_rests = False
-    return renewed
+    reset_states = _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
+    if state.sole_fix_heading:
+        reset_states |= _replace(state, YAW, x[YAW], ANY_HEADING**2, c)
+        state.sole_fix_heading = False
+    return reset_states
 
 
 @compiled
@@ -192,18 +192,18 @@ def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
         if e.event == FOLDED and c.of_swing[source] == 1:  # it stays off
             return 0
         if e.event == FOLDED:
-            to_shown_heading(x, P, source, 1.0, c)
-        renewed = _replace(state, own, 0.0, c.prior_variance[own], c)
-        return renewed | (1 << YAW) if e.event == FOLDED else renewed
+            to_sensor_heading(x, P, source, 1.0, c)
+        reset_states = _replace(state, own, 0.0, c.prior_variance[own], c)
+        return reset_states | (1 << YAW) if e.event == FOLDED else reset_states
     if was == IS_WANDERING and e.event == FOLDED:
         wander = state.offsets[number_of(source, c)].wander
-        renewed = _replace(state, X, x[X] + wander.east, wander.variance, c)
-        return renewed | _replace(state, Y, x[Y] + wander.north, wander.variance, c)
+        reset_states = _replace(state, X, x[X] + wander.east, wander.variance, c)
+        return reset_states | _replace(state, Y, x[Y] + wander.north, wander.variance, c)
     if c.offsets[source] >= 0:
         if e.event == FOLDED:
-            to_offset(x, P, source, 1.0, c)
-        renewed = _end_offset(state, source, c)
-        return renewed | _PLACE if e.event == FOLDED else renewed
+            to_measured_position(x, P, source, 1.0, c)
+        reset_states = _end_offset(state, source, c)
+        return reset_states | _PLACE if e.event == FOLDED else reset_states
     if source == TRACKS and was == IS_MISCOUNTING:
         return _replace(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
     return 0
@@ -214,19 +214,19 @@ def _end_offset(state: State, source: int, c: Config) -> int:
     """The offset of a source's places is that of its receiver again, that of its velocities none."""
     own, number, usual = c.offsets[source], number_of(source, c), 0.0
     if number >= 0:
-        usual = usual_variance(state, source, c)
+        usual = prior_offset_variance(state, source, c)
         state.offsets[number].variance = usual
     return _replace(state, own, 0.0, usual, c) | _replace(state, own + 1, 0.0, usual, c)
 
 
 @compiled
-def _give_offset_to_place(state: State, source: int, c: Config) -> int:
+def _move_offset_to_position(state: State, source: int, c: Config) -> int:
     """A receiver took for its own offset what the machine did; its error is as at the start, and in both."""
     x, P = state.mean[: c.size], state.covariance[:]
-    to_offset(x, P, source, 1.0, c)
-    renewed = _end_offset(state, source, c)
-    to_offset(x, P, source, -1.0, c)
-    return renewed | _PLACE
+    to_measured_position(x, P, source, 1.0, c)
+    reset_states = _end_offset(state, source, c)
+    to_measured_position(x, P, source, -1.0, c)
+    return reset_states | _PLACE
 
 
 @compiled
@@ -240,11 +240,11 @@ def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
 
 
 @compiled
-def _stray(state: State, e: EventRecord, was: int, c: Config) -> int:
+def _open_failure(state: State, e: EventRecord, was: int, c: Config) -> int:
     """Sprockets, gyros or an odometry do not show the motion."""
     opened = c.events.slip_stddev**2
     if e.source == GYROS:
-        state.covariance[YAW, YAW] += c.events.stray_heading**2
+        state.covariance[YAW, YAW] += c.events.failure_heading**2
     elif e.source < TRACKS:
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
     elif e.source == TRACKS and e.part == LOST:
@@ -267,13 +267,13 @@ def _turn(state: State, e: EventRecord, c: Config) -> int:
     heading = wrap(x[YAW] + turn + swing)
     state.is_sector = not is_measured
     to_sensor(x, P, level, about, 1.0, c)
-    renewed = _PLACE | _replace(state, YAW, heading, variance, c)
+    reset_states = _PLACE | _replace(state, YAW, heading, variance, c)
     if has_velocity_errors(c):
         for k in _LEARNED_BY_HEADING:
-            renewed |= _replace(state, k, c.prior_mean[k], c.prior_variance[k], c)
+            reset_states |= _replace(state, k, c.prior_mean[k], c.prior_variance[k], c)
         begin_delay(state, c)
     to_sensor(x, P, level, about, -1.0, c)
-    return renewed
+    return reset_states
 
 
 @compiled
@@ -283,5 +283,5 @@ def _swing(state: State, e: EventRecord, c: Config) -> int:
     turn, variance = sector(max(e.part, 0))
     if e.part == MEASURED:
         turn = wrap(e.value - c.heading_offset[e.source] - x[SWING])
-    renewed = _replace(state, SWING, wrap(x[SWING] + turn), variance, c)
-    return renewed | _replace(state, SWING_RATE, 0.0, c.swing.fastest**2, c)
+    reset_states = _replace(state, SWING, wrap(x[SWING] + turn), variance, c)
+    return reset_states | _replace(state, SWING_RATE, 0.0, c.swing.fastest**2, c)

@@ -12,10 +12,10 @@ class BankParameters(Parameters):
     """When a branch has children, and how long it stays; when a measurement is an outlier."""
 
     pruned: float = parameter("ln of the odds against a branch that is pruned", gt=0.0)
-    least_sound: float = parameter(
+    least_healthy: float = parameter(
         "ln of the odds against the last branch without a fault at the most", gt=0.0
     )
-    alike: float = parameter(
+    merge_distance: float = parameter(
         "mean squared distance of two branches that are one, over the sum of their variances", gt=0.0
     )
     spawns: float = parameter("ln of the odds against a branch that has no children", gt=0.0)
@@ -28,7 +28,7 @@ class BankParameters(Parameters):
     look_back_time: float = parameter("for which a branch looks back at the most", unit="s", gt=0.0)
     shortest_time: float = parameter("in which an event may have happened at the least", unit="s", gt=0.0)
     slip_excess: float = parameter("standard deviation by which the common slip may leave its range", gt=0.0)
-    least_driven: float = parameter(
+    least_distance: float = parameter(
         "by the tracks, with which heading and slip show in the place", unit="m", ge=0.0
     )
     often_outliers: float = parameter(
@@ -44,10 +44,10 @@ class BankParameters(Parameters):
     )
     share_memory: float = parameter("of a measurement in the share of outliers", gt=0.0, lt=1.0)
     outlier_share: float = parameter("share of outliers that an outlier shows", gt=0.0, lt=1.0)
-    sound_share: float = parameter("share of outliers that a sound measurement shows", gt=0.0, lt=1.0)
+    healthy_share: float = parameter("share of outliers that a sound measurement shows", gt=0.0, lt=1.0)
     repeat_stddev: float = parameter("of a fix that repeats the one before", unit="m", gt=0.0)
     repeat_jitter: float = parameter("share of frozen sources whose fixes jitter on", gt=0.0, lt=1.0)
-    longest_way: float = parameter("between fixes that show what tracks err by", unit="s", gt=0.0)
+    longest_interval: float = parameter("between fixes that show what tracks err by", unit="s", gt=0.0)
     initial_outlier_share: float = parameter(
         "share of outliers of a source that nothing is known of", gt=0.0, lt=1.0
     )
@@ -83,8 +83,8 @@ class ReceiverParameters(Parameters):
     interval: float = parameter(
         "between fixes that are learned from, once errors are correlated", unit="s", ge=0.0
     )
-    way_error: float = parameter("of the way driven, random walk", unit="√s", ge=0.0)
-    way_rate: float = parameter("random walk of the way while nothing drives", unit="m/√s", ge=0.0)
+    distance_error: float = parameter("of the way driven, random walk", unit="√s", ge=0.0)
+    displacement_walk: float = parameter("random walk of the way while nothing drives", unit="m/√s", ge=0.0)
     direction_error: float = parameter("by which the way errs beyond heading and slip", unit="rad", ge=0.0)
     direction_time: float = parameter("for which it does", unit="s", gt=0.0)
     most_spread: float = parameter(
@@ -93,11 +93,11 @@ class ReceiverParameters(Parameters):
     observed: float = parameter(
         "times its time constant, after which a coarse receiver may correct the bias of a gyro", ge=0.0
     )
-    most_lasting: float = parameter(
+    most_correlated: float = parameter(
         "share of what precise fixes state that lasts, at the most: their times err, too", gt=0.0, lt=1.0
     )
     white_odds: float = parameter("ln of the odds that errors of precise fixes are white", ge=0.0)
     precise_time: float = parameter("for which an error of precise fixes lasts", unit="s", gt=0.0)
-    surprised: float = parameter(
+    largest_inflation: float = parameter(
         "variance of an offset at the most by fixes that surprise, over its prior", gt=1.0
     )

@@ -14,7 +14,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.records import MOST_SOURCES
-from trackslip_estimation.slip.source_faults import IS_OFFSET, IS_SOUND, is_heading_off
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_OFFSET, is_heading_off
 from trackslip_estimation.slip.window import MOST_BRANCHES, Window
 
 if TYPE_CHECKING:
@@ -40,18 +40,18 @@ def to_pool(window: Window, k: int) -> int:
 @compiled
 def from_pool(window: Window, k: int, count: int, c: Config) -> None:
     """Row k: the most probable branches of the pool in their order, the first one's weight 0."""
-    best, kept, sound = (
+    best, kept, healthy = (
         window.pool_branches[_heaviest(window, count)].weight,
         0,
-        _heaviest_sound(window, count),
+        _heaviest_healthy(window, count),
     )
     while kept < MOST_BRANCHES:
         h = _heaviest(window, count)
-        if kept == MOST_BRANCHES - 1 and sound >= 0:
-            h = sound
-        if h == sound:
-            window.pool_branches[h].weight = max(window.pool_branches[h].weight, best - c.bank.least_sound)
-            sound = -1
+        if kept == MOST_BRANCHES - 1 and healthy >= 0:
+            h = healthy
+        if h == healthy:
+            window.pool_branches[h].weight = max(window.pool_branches[h].weight, best - c.bank.least_healthy)
+            healthy = -1
         weight = window.pool_branches[h].weight
         if weight < best - c.bank.pruned or weight == -math.inf:
             break
@@ -67,18 +67,18 @@ def from_pool(window: Window, k: int, count: int, c: Config) -> None:
         window.pool_branches[h].weight = -math.inf
         kept += 1
     window.counts[k] = kept
-    if sound >= 0:  # it is far behind, and stays
-        _keep_sound(window, k, sound, best, c)
+    if healthy >= 0:  # it is far behind, and stays
+        _keep_healthy(window, k, healthy, best, c)
 
 
 @compiled
-def _keep_sound(window: Window, k: int, h: int, best: float, c: Config) -> None:
+def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> None:
     """Append branch h of the pool to row k, whatever its weight: in it no source is at fault."""
     s = min(window.counts[k], MOST_BRANCHES - 1)
     branch = window.branches[s, k]
     window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
     window.trials[s] = window.pool_updates[h]
-    least = -c.bank.least_sound
+    least = -c.bank.least_healthy
     branch.weight = least
     for snapshot in branch.snapshots:
         snapshot.weight = max(snapshot.weight - best, least)
@@ -86,13 +86,13 @@ def _keep_sound(window: Window, k: int, h: int, best: float, c: Config) -> None:
 
 
 @compiled
-def _heaviest_sound(window: Window, count: int) -> int:
+def _heaviest_healthy(window: Window, count: int) -> int:
     """The most probable branch of the pool in which no source is at fault; −1: there is none."""
     heaviest = -1
     for h in range(count):
         weight, faults = window.pool_branches[h].weight, 0
         for k in range(MOST_SOURCES):
-            faults += 1 if window.pool_states[h].fault[k] != IS_SOUND else 0
+            faults += 1 if window.pool_states[h].fault[k] != IS_HEALTHY else 0
         heavier = heaviest < 0 or weight > window.pool_branches[heaviest].weight
         if faults == 0 and weight > -math.inf and heavier:
             heaviest = h
@@ -117,13 +117,13 @@ def merge(window: Window, count: int, c: Config) -> None:
         for b in range(count):
             if a == b or branches[a].weight == -math.inf or branches[a].weight < branches[b].weight:
                 continue
-            if branches[b].weight > -math.inf and _are_alike(window.pool_states[a], window.pool_states[b], c):
+            if branches[b].weight > -math.inf and _are_close(window.pool_states[a], window.pool_states[b], c):
                 branches[a].weight += math.log1p(math.exp(branches[b].weight - branches[a].weight))
                 branches[b].weight = -math.inf
 
 
 @compiled
-def _are_alike(a: State, b: State, c: Config) -> bool:
+def _are_close(a: State, b: State, c: Config) -> bool:
     """Whether two states make the same assumptions of the sources, and differ by little."""
     total, n = 0.0, 0
     for k in range(MOST_SOURCES):
@@ -139,7 +139,7 @@ def _are_alike(a: State, b: State, c: Config) -> bool:
         if i == SWING and not c.swings:
             continue
         total, n = total + _distance(a, b, i), n + 1
-    return total < c.bank.alike * n
+    return total < c.bank.merge_distance * n
 
 
 @compiled

@@ -14,22 +14,22 @@ from typing import TYPE_CHECKING
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.slip.correlated_errors import QUALITIES, WayError, add_fix, reset_receiver
+from trackslip_estimation.slip.correlated_errors import QUALITIES, DisplacementError, add_fix, reset_receiver
 from trackslip_estimation.slip.events import TURNED
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR
-from trackslip_estimation.slip.own_errors import errs_by_place, number_of
 from trackslip_estimation.slip.records import HISTORY, POSE
 from trackslip_estimation.slip.source_faults import (
     IS_IGNORED,
     IS_REPEATING,
     IS_SCATTERING,
     IS_STAYING,
+    has_failed_unit,
     is_trusted,
-    strays,
 )
+from trackslip_estimation.slip.source_offsets import errs_by_position, number_of
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ _GATED = int(Outcome.GATED)
 
 
 @compiled
-def take_errors(state: State, window: Window, k: int, c: Config) -> None:
+def copy_error_models(state: State, window: Window, k: int, c: Config) -> None:
     """What row k knows of the errors of fixes, for the next step."""
     for n in range(c.poses):
         offset, of = state.offsets[n], window.receivers[k, n]
@@ -60,10 +60,11 @@ def carry_receivers(
     for n in range(receivers.shape[1]):
         of = receivers[k, n]
         if of.known != 0:
-            way = state.way[X] - before.way[X], state.way[Y] - before.way[Y]
-            of.way[X] += way[X]
-            of.way[Y] += way[Y]
-            of.driven += math.hypot(way[X], way[Y])
+            east = state.displacement[X] - before.displacement[X]
+            north = state.displacement[Y] - before.displacement[Y]
+            of.displacement[X] += east
+            of.displacement[Y] += north
+            of.distance += math.hypot(east, north)
 
 
 @compiled
@@ -79,16 +80,16 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
     is_off = update.coarse == 0 and not is_trusted(state.fault[m.source], POSE)
-    is_known = heading < c.receivers.most_spread or math.hypot(of.way[X], of.way[Y]) < c.bank.least_driven
-    if is_off or not is_known:
+    distance = math.hypot(of.displacement[X], of.displacement[Y])
+    if is_off or (heading >= c.receivers.most_spread and distance >= c.bank.least_distance):
         if of.known > 0:
-            of.known, of.way[:], of.driven = 2, 0.0, 0.0
+            of.known, of.displacement[:], of.distance = 2, 0.0, 0.0
         return
-    P, way = prior_of(window, k).covariance, WayError(0.0, heading)
+    P, displacement = prior_of(window, k).covariance, DisplacementError(0.0, heading)
     if has_velocity_errors(c):
-        way = WayError(P[SPEED_ERROR, SPEED_ERROR], heading + P[COMMON_SLIP, COMMON_SLIP])
-    add_fix(of, window.masses[k, n], update.shown, update.stated, way, m.stamp_ns, c)
-    if way.direction >= c.receivers.most_spread:
+        displacement = DisplacementError(P[SPEED_ERROR, SPEED_ERROR], heading + P[COMMON_SLIP, COMMON_SLIP])
+    add_fix(of, window.masses[k, n], update.measured_position, update.stated, displacement, m.stamp_ns, c)
+    if displacement.direction >= c.receivers.most_spread:
         for quality in range(QUALITIES):
             of.errors[quality].observed = 0.0
 
@@ -100,14 +101,14 @@ def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
     A precise fix shows nothing as an outlier, or where its source errs by its place.
     """
     fault = state.fault[source]
-    if strays(state) or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
+    if has_failed_unit(state) or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return False
     is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(fault, POSE))
-    return bool(update.coarse == 1 or not (is_outlier or errs_by_place(source, c)))
+    return bool(update.coarse == 1 or not (is_outlier or errs_by_position(source, c)))
 
 
 @compiled
-def forget_wrong_ways(window: Window, k: int, c: Config) -> None:
+def reset_receivers_after_turn(window: Window, k: int, c: Config) -> None:
     """Where the heading turns out to have been wrong, fixes were compared with no way, and showed nothing."""
     if _turned_ns(window.branches[0, k]) > _turned_ns(window.branches[0, k - 1]):
         for n in range(c.poses):
@@ -144,4 +145,12 @@ def add_first_fix(window: Window, c: Config) -> None:
     number = number_of(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:
         of, masses = window.receivers[0, number], window.masses[0, number]
-        add_fix(of, masses, state.mean[:YAW], state.offsets[number].stddev, WayError(0.0, 0.0), m.stamp_ns, c)
+        add_fix(
+            of,
+            masses,
+            state.mean[:YAW],
+            state.offsets[number].stddev,
+            DisplacementError(0.0, 0.0),
+            m.stamp_ns,
+            c,
+        )

@@ -28,17 +28,17 @@ from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, updat
 from trackslip_estimation.slip.bank.receivers import (
     carry_receivers,
     compare_fix,
-    forget_wrong_ways,
-    take_errors,
+    copy_error_models,
+    reset_receivers_after_turn,
 )
-from trackslip_estimation.slip.bank.script import play_script, remember
+from trackslip_estimation.slip.bank.script import play_script, record_event
 from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEADING
+from trackslip_estimation.slip.finite import is_finite_state
 from trackslip_estimation.slip.models.model import YAW
-from trackslip_estimation.slip.own_errors import latest_pose_source
 from trackslip_estimation.slip.records import OLDER, POSE, VELOCITY, YOUNGER
-from trackslip_estimation.slip.sound import is_sound
-from trackslip_estimation.slip.source_faults import IS_IGNORED, IS_SOUND, is_trusted
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_IGNORED, is_trusted
+from trackslip_estimation.slip.source_offsets import latest_pose_source
 from trackslip_estimation.slip.step import step
 from trackslip_estimation.slip.window import Window, is_weighed, next_sample, prior_of
 
@@ -70,11 +70,11 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
             branch = branches[j, k] if j < was else window.pool_branches[j]
             update = window.updates[k] if j == 0 else window.trials[j] if j < was else window.pool_updates[j]
             if j < was:
-                update.opened, update.renewed = NONE, 0
+                update.opened, update.reset_states = NONE, 0
                 if scripted:
                     play_script(window, k, 0, c)
             for i in range(branch.first, k + 1):
-                take_errors(state, window, i - 1, c)
+                copy_error_models(state, window, i - 1, c)
                 if closes < i or i == branch.first:
                     closes = closing if i == k else next_sample(measurements, i, count)
                 sample = measurements[closes if closes < count else i]
@@ -93,11 +93,11 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
         else:
             if weighs:
                 settle_row(window, k, jobs, c)
-                forget_wrong_ways(window, k, c)
+                reset_receivers_after_turn(window, k, c)
             keep_snapshots(window, k, c)
-            if drives_unheaded(states[0, k]):
+            if is_moving_without_heading(states[0, k]):
                 split_unknown_heading(window, k, c)
-        if not is_sound(states[0, k], c.size):
+        if not is_finite_state(states[0, k], c.size):
             return False
     return True
 
@@ -108,7 +108,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
     window.counts[k] = 1
     for n in range(c.poses):
         reset_receiver(window.receivers[k, n], c)
-    take_errors(window.states[0, k], window, k, c)
+    copy_error_models(window.states[0, k], window, k, c)
     branch = window.branches[0, k]
     branch.weight, branch.events, branch.fresh = 0.0, 0, 0
     branch.cusum[:] = 0.0
@@ -116,7 +116,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def drives_unheaded(state: State) -> bool:
+def is_moving_without_heading(state: State) -> bool:
     """Whether tracks move and the heading is unknown; at rest nothing depends on it."""
     moves = not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0)
     return bool(moves and not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
@@ -132,9 +132,9 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
             window.pool_branches[0],
         )
         window.pool_updates[count] = window.pool_updates[0]
-        _take_sector(window, count, part, k, c)
+        _set_sector(window, count, part, k, c)
         count += 1
-    _take_sector(window, 0, 0, k, c)
+    _set_sector(window, 0, 0, k, c)
     from_pool(window, k, count, c)
     for s in range(window.counts[k]):
         if window.branches[s, k].fresh == 1:
@@ -142,13 +142,13 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def _take_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
+def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
     """Branch h of the pool gets a share of the circle for its heading."""
     state, branch, measurement = window.pool_states[h], window.pool_branches[h], window.measurements[k]
     source = latest_pose_source(state, c)
     branch.weight -= math.log(HEADINGS)
     branch.fresh = 1
-    open_states(state, remember(branch, TURNED, source, part, 0.0, measurement, measurement, 1), c)
+    open_states(state, record_event(branch, TURNED, source, part, 0.0, measurement, measurement, 1), c)
 
 
 @compiled
@@ -158,14 +158,16 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
     if jobs > 1:
         _tie(window, count, measurement.source)
         for h in range(jobs):
-            if not is_sound(window.pool_states[h], c.size) or math.isnan(window.pool_branches[h].weight):
+            if not is_finite_state(window.pool_states[h], c.size) or math.isnan(
+                window.pool_branches[h].weight
+            ):
                 window.pool_branches[h].weight = -math.inf
         for h in range(count, jobs):
             branch, state = window.pool_branches[h], window.pool_states[h]
             branch.weight -= outside_range(state, c)
             branch.cusum[:] = 0.0
             if state.fault[measurement.source] == IS_IGNORED:  # that one measurement
-                state.fault[measurement.source], branch.fresh = IS_SOUND, 0
+                state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0
         merge(window, jobs, c)
         from_pool(window, k, jobs, c)
     _move_snapshots(window, k, c)
@@ -177,7 +179,7 @@ def _tie(window: Window, count: int, source: int) -> None:
     best = -1
     for h in range(count):
         heavier = best < 0 or window.pool_branches[h].weight > window.pool_branches[best].weight
-        if window.pool_states[h].fault[source] == IS_SOUND and heavier:
+        if window.pool_states[h].fault[source] == IS_HEALTHY and heavier:
             best = h
     for h in range(count):
         update = window.pool_updates[h]

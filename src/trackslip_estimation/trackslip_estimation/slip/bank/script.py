@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.opening import open_states
 from trackslip_estimation.slip.records import HISTORY
-from trackslip_estimation.slip.source_faults import IS_IGNORED, IS_SOUND
+from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_IGNORED
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def remember(
+def record_event(
     branch: Branch,
     event: int,
     source: int,
@@ -43,11 +43,11 @@ def play_script(window: Window, k: int, after: int, c: Config) -> None:
     state, update = window.states[0, k], window.updates[k]
     for s in range(len(state.fault)):
         if after == 1 and state.fault[s] == IS_IGNORED:
-            state.fault[s] = IS_SOUND
+            state.fault[s] = IS_HEALTHY
     while status.played < script.size:
         e = script[status.played]
         if e.stamp_ns != m.stamp_ns or e.kind != m.kind or e.of != m.source or e.after != after:
             return
         update.opened = e.event
-        update.renewed |= open_states(state, e, c)
+        update.reset_states |= open_states(state, e, c)
         status.played += 1

@@ -31,7 +31,7 @@ from trackslip_estimation.slip.models import free_slips, icr, slope, speed, turn
 from trackslip_estimation.slip.models.free_slips import SlipNoise
 from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
-from trackslip_estimation.slip.models.speed import FIRST, SPEED_ERROR, YAW_RATE_ERROR
+from trackslip_estimation.slip.models.speed import SPEED_ERROR, TURN_STATE_1, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
 from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
 from trackslip_estimation.slip.models.turning import TurningNoise
@@ -198,7 +198,7 @@ def linearize(
     density = c.process_noise[drive.motion.motion, 1 if drive.motion.changing else 0]
     for i in range(n):
         F[i, i], Q[i, i] = 1.0, density[i] * dt
-    couple(Q, density[FIRST] * dt, c)
+    couple(Q, density[TURN_STATE_1] * dt, c)
     if dt <= 0.0:
         return moved, F, Q
     left, right = drive.speeds.left, drive.speeds.right

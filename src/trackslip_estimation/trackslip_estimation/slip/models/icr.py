@@ -20,7 +20,13 @@ from trackslip_common.compiled import compiled
 from trackslip_common.parameters import parameter
 from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.model import Part, Prior
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, SpeedNoise, noise_scale
+from trackslip_estimation.slip.models.speed import (
+    COMMON_SLIP,
+    TURN_STATE_1,
+    TURN_STATE_2,
+    SpeedNoise,
+    noise_scale,
+)
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 if TYPE_CHECKING:
@@ -28,7 +34,7 @@ if TYPE_CHECKING:
 
 
 CODE, NAME, ACTIVE = 2, "icr", speed.ACTIVE
-LEFT_CENTRE, RIGHT_CENTRE = FIRST, SECOND
+LEFT_CENTRE, RIGHT_CENTRE = TURN_STATE_1, TURN_STATE_2
 PARTS = (
     *speed.PARTS,
     Part("centres", slice(LEFT_CENTRE, RIGHT_CENTRE + 1), "m, m", "y_L and y_R, left of C"),

@@ -15,12 +15,15 @@ X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
 GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
 DOWNHILL = 12  # of the models that know how the vehicle turns
 POSE = slice(X, YAW + 1)
-BELOW = 14  # numbers of a machine that nothing swings on, and no source of which errs by itself
-SWING, SWING_RATE = BELOW, BELOW + 1  # σ of the upper structure (``swing``) and σ̇, rad, rad/s
-SENSOR_ERRORS = SWING_RATE + 1  # of sources that have errors of their own (``own_errors``)
+UNDERCARRIAGE_SIZE = 14  # numbers of a machine that nothing swings on, and no source of which errs by itself
+SWING, SWING_RATE = (
+    UNDERCARRIAGE_SIZE,
+    UNDERCARRIAGE_SIZE + 1,
+)  # σ of the upper structure (``swing``) and σ̇, rad, rad/s
+SENSOR_ERRORS = SWING_RATE + 1  # of sources that have errors of their own (``source_states``)
 MOST_SENSOR_ERRORS = 18
 SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
-LASTS = 1.0  # s, for which a speed lasts that nothing shows
+SPEED_TIME = 1.0  # s, for which a speed lasts that nothing shows
 
 
 class Part(NamedTuple):

@@ -67,5 +67,5 @@ def lost_variances(drive: State, c: Config) -> tuple[float, float]:
     e, (left, right) = c.velocity_errors, lost_speeds(drive, c)
     both = (left + right) / 2.0
     fastest = c.rolling_radius * max(abs(drive.speeds.left), abs(drive.speeds.right))
-    lasts = min(1.0, e.start_shear / max(fastest * e.time, 1e-12))
-    return lasts * both**2, lasts * ((right - left) ** 2 + (e.yaw_rate_ratio * both) ** 2)
+    share = min(1.0, e.start_shear / max(fastest * e.time, 1e-12))
+    return share * both**2, share * ((right - left) ** 2 + (e.yaw_rate_ratio * both) ** 2)

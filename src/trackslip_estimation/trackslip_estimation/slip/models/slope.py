@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.models.model import DOWNHILL, YAW
-from trackslip_estimation.slip.models.speed import FIRST, ROTATION_OFFSET, SECOND
+from trackslip_estimation.slip.models.speed import ROTATION_OFFSET, TURN_STATE_1, TURN_STATE_2
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Level
@@ -107,12 +107,12 @@ def update_direction(state: State) -> None:
     if V == 0.0 or level.tilted == 0:
         return
     down = math.copysign(level.downhill_x, V * level.downhill_x)
-    changed = abs(down - state.down)
+    changed = abs(down - state.learned_downhill)
     if changed < _TURNED:
         return
     steep = math.sqrt(level.downhill_x**2 + level.downhill_y**2 + _GENTLE**2)
     state.covariance[DOWNHILL, DOWNHILL] += (_OTHER * state.mean[DOWNHILL] * changed / steep) ** 2
-    state.down = down
+    state.learned_downhill = down
 
 
 @compiled
@@ -123,6 +123,6 @@ def set_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None
     Q[YAW, YAW] += level.turn_variance * dt
     if turns and level.tilted == 1:
         of_first, of_second, of_offset = _WALKS
-        Q[FIRST, FIRST] += of_first**2 * slope * dt
-        Q[SECOND, SECOND] += of_second**2 * slope * dt
+        Q[TURN_STATE_1, TURN_STATE_1] += of_first**2 * slope * dt
+        Q[TURN_STATE_2, TURN_STATE_2] += of_second**2 * slope * dt
         Q[ROTATION_OFFSET, ROTATION_OFFSET] += of_offset**2 * slope * dt

@@ -47,8 +47,8 @@ from trackslip_estimation.slip.models.model import (
     FIX_DELAY,
     GYRO_BIAS,
     GYRO_SCALE,
-    LASTS,
     SIZE,
+    SPEED_TIME,
     Part,
     Prior,
     X,
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 
-SPEED_ERROR, YAW_RATE_ERROR, FIRST, SECOND, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
+SPEED_ERROR, YAW_RATE_ERROR, TURN_STATE_1, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
 ACTIVE = 13  # numbers of the state, with those of ``model``
 PARTS = (
@@ -194,7 +194,7 @@ def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
 @compiled
 def _error_time(motion: int, c: Config) -> float:
     """τ, s; of silent sprockets that of the speeds themselves."""
-    return LASTS if motion == _SILENT else c.velocity_errors.time
+    return SPEED_TIME if motion == _SILENT else c.velocity_errors.time
 
 
 @compiled
@@ -248,7 +248,7 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     if motion.motion != _STANDING:
         rounding = c.rolling_radius**2 * rounding_over(e.time, speeds)
         of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
-    goes_on = drive.unheard / LASTS
+    goes_on = drive.time_since_sample / SPEED_TIME
     return (
         of_speed + goes_on * c.unknown_speed**2,
         of_rate / (c.tread * c.tread) + goes_on * c.unknown_yaw_rate**2,

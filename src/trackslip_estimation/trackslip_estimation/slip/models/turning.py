@@ -35,7 +35,13 @@ from trackslip_common.parameters import parameter
 from trackslip_common.record_types import Record, dtype_of
 from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.model import Part, Prior
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, SpeedNoise, noise_scale
+from trackslip_estimation.slip.models.speed import (
+    COMMON_SLIP,
+    TURN_STATE_1,
+    TURN_STATE_2,
+    SpeedNoise,
+    noise_scale,
+)
 from trackslip_estimation.slip.motion import Motion, MotionState
 
 if TYPE_CHECKING:
@@ -43,7 +49,7 @@ if TYPE_CHECKING:
 
 
 CODE, NAME, ACTIVE = 1, "turning", speed.ACTIVE + 1
-EFFICIENCY, LOSS, ASYMMETRY = FIRST, SECOND, speed.ACTIVE
+EFFICIENCY, LOSS, ASYMMETRY = TURN_STATE_1, TURN_STATE_2, speed.ACTIVE
 PARTS = (
     *speed.PARTS,
     Part("efficiency", slice(EFFICIENCY, EFFICIENCY + 1), "1", "turning efficiency κ"),
@@ -116,7 +122,7 @@ def couple(P: FloatArray, variance: float) -> None:
 
 @compiled
 def set_slope_noise(Q: FloatArray, way: float, across: float) -> None:
-    """What ε changes by, ``way`` m along a slope whose sine is ``across``."""
+    """What ε changes by, ``displacement`` m along a slope whose sine is ``across``."""
     Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * way
 
 

@@ -33,8 +33,8 @@ from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.own_errors import errors_of, number_of, time_correlated_share
-from trackslip_estimation.slip.usable import HIGHEST
+from trackslip_estimation.slip.source_offsets import errors_of, number_of, time_correlated_share
+from trackslip_estimation.slip.validity import HIGHEST
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Climb

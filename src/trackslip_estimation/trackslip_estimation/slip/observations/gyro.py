@@ -33,15 +33,15 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import copy_square, wrap
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_rate
-from trackslip_estimation.slip.driven import drive_since, remember_reading
 from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.mean_speeds import mean_speeds_since, store_reading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import couple, has_velocity_errors, twist, twist_jacobian
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW
-from trackslip_estimation.slip.models.speed import COMMON_SLIP, FIRST, SECOND, YAW_RATE_ERROR
+from trackslip_estimation.slip.models.speed import COMMON_SLIP, TURN_STATE_1, TURN_STATE_2, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import may_swing
 from trackslip_estimation.slip.motion import Motion, is_rounding, steady_speeds
-from trackslip_estimation.slip.usable import LEAST_VARIANCE
+from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -54,7 +54,7 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 @compiled
 def bias_of(source: int, c: Config) -> int:
     """Number of the state that is the bias of a gyro."""
-    own = c.own_errors[source]
+    own = c.source_states[source]
     return GYRO_BIAS if own < 0 else int(own)
 
 
@@ -73,7 +73,7 @@ def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[
     """Of the sprockets, rad/s: their mean since the gyro's last reading, or the newest beyond rounding."""
     speeds = state.speeds
     if 0 < stamp_ns - state.readings[source].stamp_ns <= c.sprocket_timeout_ns:
-        left, right, _ = drive_since(state, source, stamp_ns)
+        left, right, _ = mean_speeds_since(state, source, stamp_ns)
         if is_rounding(max(abs(left - speeds.left), abs(right - speeds.right)), speeds):
             return left, right
     return speeds.left, speeds.right
@@ -95,12 +95,12 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     H[0, bias], H[0, GYRO_SCALE] = 1.0, rate
     nu = measurement.value[0] / c.rate_scale[source] - scale * rate - x[bias]
     R = stated_variance(measurement, state, c)
-    known = _known(left, right, bias, c)
+    known = _consider_states(left, right, bias, c)
     return Observation(np.array((nu,)), H, np.array(((R,),)), 0, known, H[:0])
 
 
 @compiled
-def _known(left: float, right: float, bias: int, c: Config) -> int:
+def _consider_states(left: float, right: float, bias: int, c: Config) -> int:
     """Bits of the states that a yaw rate leaves as they were, and corrects the rest as if they were known.
 
     Of a machine that moves b_g and s_g: tracks that turn more to one side than to the other, and at one speed
@@ -120,23 +120,23 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
     o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
     left, right = _speeds_since(state, source, measurement.stamp_ns, c)
-    remember_reading(state, source, measurement.stamp_ns)
+    store_reading(state, source, measurement.stamp_ns)
     limit, innovation = c.gate_limits[1], o.innovation[0]
     update.dof, update.gate = 1, limit_of(state, measurement, 1, c)
-    shown, of_shown = _rate_shown(state, measurement, o.noise[0, 0], c)
-    possible = np.isinf(limit) or not _on_no_ground(shown, of_shown, left, right, c)
+    measured, measured_variance = _measured_rate(state, measurement, o.noise[0, 0], c)
+    is_physical = np.isinf(limit) or not _is_impossible_rate(measured, measured_variance, left, right, c)
     S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
     least_nis = nis = innovation * innovation / S
-    if possible and has_velocity_errors(c) and not state.coasting:
+    if is_physical and has_velocity_errors(c) and not state.coasting:
         by_tracks = state.adaptation.exposure * (1.0 + x[GYRO_SCALE]) ** 2
-        stands = state.motion.motion == _STANDING
-        least_nis = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, stands, c)
+        is_standing = state.motion.motion == _STANDING
+        least_nis = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, is_standing, c)
     streak = state.streaks[source]
     forgets = nis > limit or streak.count > 0
-    forgets = forgets and _other_ground(shown, x, streak, left, right, c)
+    forgets = forgets and _has_ground_changed(measured, x, streak, left, right, c)
     if forgets:
         streak.count = 0
-        _forget_ground(P, c)
+        _reset_turning_states(P, c)
         S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
         least_nis = nis = innovation * innovation / S
     elif nis <= limit:
@@ -144,7 +144,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
     elif least_nis <= limit:
         soften(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
     update.nis, update.log_determinant = nis, np.log(S)
-    if least_nis > update.gate or not possible:
+    if least_nis > update.gate or not is_physical:
         update.outcome = _GATED
         copy_square(prior.covariance, P, c.size)
         return
@@ -162,19 +162,19 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
 
 
 @compiled
-def _rate_shown(
+def _measured_rate(
     state: State, measurement: MeasurementRecord, variance: float, c: Config
 ) -> tuple[float, float]:
     """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by."""
     source, x, P = measurement.source, state.mean, state.covariance
-    bias, shown = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
+    bias, measured = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
     if c.above[source] == 1:
-        shown -= x[SWING_RATE]
+        measured -= x[SWING_RATE]
         variance += P[SWING_RATE, SWING_RATE] + 2.0 * P[SWING_RATE, YAW_RATE_ERROR]
     variance += P[bias, bias]
     if has_velocity_errors(c):
         variance += P[YAW_RATE_ERROR, YAW_RATE_ERROR]
-    return (shown - x[bias]) / (1.0 + x[GYRO_SCALE]), variance
+    return (measured - x[bias]) / (1.0 + x[GYRO_SCALE]), variance
 
 
 @compiled
@@ -185,7 +185,7 @@ def _without_slip(left: float, right: float, c: Config) -> float:
 
 
 @compiled
-def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
+def _is_impossible_rate(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
     """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
     without_slip = _without_slip(left, right, c)
     allowed = c.ground.against_tracks * np.sqrt(variance) + c.ground.lag * abs(without_slip)
@@ -193,7 +193,9 @@ def _on_no_ground(rate: float, variance: float, left: float, right: float, c: Co
 
 
 @compiled
-def _other_ground(rate: float, x: FloatArray, streak: Streak, left: float, right: float, c: Config) -> bool:
+def _has_ground_changed(
+    rate: float, x: FloatArray, streak: Streak, left: float, right: float, c: Config
+) -> bool:
     """Whether some ground lets the machine turn so, and enough readings in a row show the same one.
 
     After the first, a reading counts that agrees with it and departs half as far at the least from the yaw
@@ -205,8 +207,8 @@ def _other_ground(rate: float, x: FloatArray, streak: Streak, left: float, right
         return False
     learned = twist(x, left, right, c)[2] - x[YAW_RATE_ERROR]
     efficiency, departure = rate / without_slip, (rate - learned) / without_slip
-    alike = streak.count > 0 and abs(efficiency - streak.value) <= c.ground.alike
-    if not alike or departure * streak.departure < c.ground.persists * streak.departure**2:
+    agreement = streak.count > 0 and abs(efficiency - streak.value) <= c.ground.agreement
+    if not agreement or departure * streak.departure < c.ground.persists * streak.departure**2:
         streak.count, streak.value, streak.departure = 1, efficiency, departure
     else:
         streak.count += 1
@@ -214,9 +216,9 @@ def _other_ground(rate: float, x: FloatArray, streak: Streak, left: float, right
 
 
 @compiled
-def _forget_ground(P: FloatArray, c: Config) -> None:
+def _reset_turning_states(P: FloatArray, c: Config) -> None:
     """How the vehicle turns and slips is no better known than at the start."""
-    P[FIRST, FIRST] += c.velocity_errors.first_variance
-    P[SECOND, SECOND] += c.velocity_errors.second_variance
+    P[TURN_STATE_1, TURN_STATE_1] += c.velocity_errors.first_variance
+    P[TURN_STATE_2, TURN_STATE_2] += c.velocity_errors.second_variance
     couple(P, c.velocity_errors.first_variance, c)
     P[COMMON_SLIP, COMMON_SLIP] += c.velocity_errors.slip_variance

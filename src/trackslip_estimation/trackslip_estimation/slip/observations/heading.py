@@ -4,7 +4,7 @@
 
     z    direction that it shows, rad
     h    φ + the direction of its axis in base_link, with the swing where it sits above, + b − δ σ_t φ̇
-    b    yaw offset of the source (``own_errors``)                                       rad
+    b    yaw offset of the source (``source_states``)                                       rad
 
 A pair of antennas errs by much when it fixes its ambiguities wrongly, and states a small variance. Whether it
 errs then, or the heading of the machine is wrong, is for the bank to weigh.
@@ -21,7 +21,7 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.levers import seen_from_above, stamp_shift
 from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, YAW
-from trackslip_estimation.slip.usable import LEAST_VARIANCE
+from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config

@@ -22,7 +22,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.usable import LEAST_VARIANCE
+from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config

@@ -40,17 +40,17 @@ from trackslip_estimation.kalman.linear_algebra import (
 )
 from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
-from trackslip_estimation.slip.driven import Drive, drive_since, remember_reading
 from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.mean_speeds import MeanSpeeds, mean_speeds_since, store_reading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models import speed
 from trackslip_estimation.slip.models.dispatch import body_jacobian, body_twist, has_velocity_errors
-from trackslip_estimation.slip.models.model import LASTS, YAW, X, Y
+from trackslip_estimation.slip.models.model import SPEED_TIME, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW_RATE_ERROR
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observations.increments import increment, variances_stated
-from trackslip_estimation.slip.source_faults import IS_STRAYING
-from trackslip_estimation.slip.usable import FASTEST, FASTEST_TURN
+from trackslip_estimation.slip.source_faults import IS_FAILED
+from trackslip_estimation.slip.validity import FASTEST, FASTEST_TURN
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -63,14 +63,14 @@ _MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds
 
 @compiled
 def _agree_on_nothing(before: OdometryRecord, since_ns: int) -> None:
-    before.slip_weight = before.slip_sum = before.slip_way = 0.0
+    before.slip_weight = before.slip_sum = before.slip_distance = 0.0
     before.slip_ns = since_ns
 
 
 @compiled
 def begin_odometry(state: State) -> None:
     """At the start of the estimate."""
-    state.driven[:], state.moved[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
+    state.sprocket_angles[:], state.integrated_twist[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
     for k in range(state.odometry.size):
         state.odometry[k].known = False
         _agree_on_nothing(state.odometry[k], state.stamp_ns)
@@ -87,9 +87,9 @@ def integrate_motion(state: State, dt: float, c: Config) -> None:
         x[SPEED_ERROR] *= share
         x[YAW_RATE_ERROR] *= share
     v_x, v_y, rate = body_twist(x, left, right, state, c)
-    state.moved[0] += v_x * dt
-    state.moved[1] += v_y * dt
-    state.moved[2] += rate * dt
+    state.integrated_twist[0] += v_x * dt
+    state.integrated_twist[1] += v_y * dt
+    state.integrated_twist[2] += rate * dt
 
 
 @inlined
@@ -102,7 +102,7 @@ def use_odometry(
     since_ns = state.readings[source].stamp_ns
     T = (measurement.stamp_ns - since_ns) * 1e-9
     follows = before.known and before.frame == measurement.frame and before.coasting == state.coasting
-    if state.fault[source] == IS_STRAYING:
+    if state.fault[source] == IS_FAILED:
         update.outcome = _GATED
         _agree_on_nothing(before, since_ns)
     elif follows and c.odometry_gap[source] >= T:
@@ -115,10 +115,10 @@ def use_odometry(
             update.outcome = _GATED
     else:
         update.outcome = _BEGUN
-    remember_reading(state, source, measurement.stamp_ns)
+    store_reading(state, source, measurement.stamp_ns)
     before.known, before.coasting = True, state.coasting
     before.frame, before.place[:], before.turn[:] = measurement.frame, measurement.value, measurement.turn
-    before.noise[:], before.moved[:] = measurement.noise, state.moved
+    before.noise[:], before.integrated_twist[:] = measurement.noise, state.integrated_twist
     before.errors[0] = state.covariance[SPEED_ERROR, SPEED_ERROR]
     before.errors[1] = state.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR]
 
@@ -136,7 +136,7 @@ def _use(
     """Gate and update; ``stated``: R (3, 3) as the source states it."""
     source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
     before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
-    drive, since_ns = drive_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
+    drive, since_ns = mean_speeds_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
     ahead, turned, open_ = _unseen_errors(state, before, drive, c)
     h, H = _expected(state, before, drive, source, ahead, turned, c)
     D = np.diag(open_)
@@ -161,7 +161,7 @@ def _use(
         copy_square(prior.covariance, P, c.size)
     else:
         soften(R, innovation, predicted, limit)
-    scale = c.own_errors[source]
+    scale = c.source_states[source]
     shared = _shared_with_pose(state, since_ns, drive.T, open_)
     correct(state.mean[:], P, Observation(innovation, H, R + D, 1 << scale if scale >= 0 else 0, 0, shared))
     state.mean[YAW] = wrap(state.mean[YAW])
@@ -175,7 +175,7 @@ def _least_nis(
     innovation: FloatArray,
     predicted: FloatArray,
     stated: FloatArray,
-    drive: Drive,
+    drive: MeanSpeeds,
     gate: float,
     c: Config,
 ) -> float:
@@ -193,8 +193,8 @@ def _least_nis(
             most[k, k] += lacking * by_tracks[k]
     least_nis = weighted_square(root(most), innovation)
     if has_velocity_errors(c) and least_nis <= gate:
-        stands = state.motion.motion == _STANDING
-        learn_from_speed(a, innovation[0], S[0, 0], by_tracks[0], stands, c)
+        is_standing = state.motion.motion == _STANDING
+        learn_from_speed(a, innovation[0], S[0, 0], by_tracks[0], is_standing, c)
         if weighted_square(root(S), innovation) <= c.gate_limits[3]:
             learn_from_fix(a, source, innovation, predicted, stated, c)
     return least_nis
@@ -206,7 +206,7 @@ def _weigh_slip(
     before: OdometryRecord,
     since_ns: int,
     innovation: float,
-    drive: Drive,
+    drive: MeanSpeeds,
     H: FloatArray,
     own: float,
     c: Config,
@@ -225,12 +225,12 @@ def _weigh_slip(
     kept = math.exp(-T / c.ground.increments_time)
     before.slip_weight = kept * before.slip_weight + track * track / own
     before.slip_sum = kept * before.slip_sum - track * innovation / own
-    before.slip_way += track * T
+    before.slip_distance += track * T
     off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
     if off * off <= variance:
-        before.slip_way, before.slip_ns = 0.0, since_ns
+        before.slip_distance, before.slip_ns = 0.0, since_ns
     elif off * off > c.ground.significant**2 * variance:
-        way = before.slip_way if state.fixed_ns < before.slip_ns else 0.0
+        way = before.slip_distance if state.fixed_ns < before.slip_ns else 0.0
         by = np.zeros(P.shape[0])
         by[COMMON_SLIP], by[X], by[Y] = off, -off * way * math.cos(x[YAW]), -off * way * math.sin(x[YAW])
         P += np.outer(by, by)
@@ -239,10 +239,16 @@ def _weigh_slip(
 
 @compiled
 def _expected(
-    state: State, before: OdometryRecord, drive: Drive, source: int, ahead: float, turned: float, c: Config
+    state: State,
+    before: OdometryRecord,
+    drive: MeanSpeeds,
+    source: int,
+    ahead: float,
+    turned: float,
+    c: Config,
 ) -> tuple[FloatArray, FloatArray]:
     """h (3,) and H (3, n); ``ahead``, ``turned``: by how much the means of m err as m does now."""
-    own, h = c.own_errors[source], (state.moved - before.moved) / drive.T
+    own, h = c.source_states[source], (state.integrated_twist - before.integrated_twist) / drive.T
     scale = 1.0 + (state.mean[own] if own >= 0 else 0.0)
     H = body_jacobian(state.mean[:], drive.left, drive.right, state, c)
     for i in range(3):
@@ -260,7 +266,7 @@ def _expected(
 
 @compiled
 def _unseen_errors(
-    state: State, before: OdometryRecord, drive: Drive, c: Config
+    state: State, before: OdometryRecord, drive: MeanSpeeds, c: Config
 ) -> tuple[float, float, FloatArray]:
     """By how much the means of both velocity errors over T err as they do at its end, and D (3,).
 
@@ -268,7 +274,7 @@ def _unseen_errors(
     """
     T, D = drive.T, np.zeros(3)
     if state.coasting:
-        D[0] = D[1] = 2.0 * LASTS * c.unknown_speed**2 / T
+        D[0] = D[1] = 2.0 * SPEED_TIME * c.unknown_speed**2 / T
         return 0.0, 1.0, D
     if not has_velocity_errors(c):
         return 0.0, 0.0, D
@@ -293,14 +299,14 @@ def _split(
 
 
 @compiled
-def _sideways(drive: Drive, c: Config) -> float:
+def _sideways(drive: MeanSpeeds, c: Config) -> float:
     """Variance of the mean of v_y over T, by the tracks for a track error of 1 (``speed``), (m/s)²."""
     squares: float = c.rolling_radius**2 * (drive.left * drive.left + drive.right * drive.right)
     return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / drive.T)
 
 
 @compiled
-def by_track_error(state: State, drive: Drive, c: Config) -> FloatArray:
+def by_track_error(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
     """(3,) what of S is the tracks', for a track error of 1."""
     share = speed.persistence(drive.T, state.motion.motion, c)[1]
     of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]

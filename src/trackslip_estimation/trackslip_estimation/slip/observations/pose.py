@@ -5,7 +5,7 @@
     z    x, y of the sensor, m, and direction of the machine, or of the upper structure it sits on, rad
     h    C + R(φ) p + b − δ σ_t d/dt (…),  φ + σ + ε − δ σ_t d/dt (…)
     δ    delay of all fixes, over the stamp errors σ_t                                   1
-    b    offset of the source (``own_errors``), where it has one                         (2,), m
+    b    offset of the source (``source_states``), where it has one                         (2,), m
     ε    yaw offset of the source                                                        rad
 
 R is what the source states, no less than its floors; of a fix whose error lasts in part, what is new in each.
@@ -28,9 +28,14 @@ from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above,
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.shear import starts
-from trackslip_estimation.slip.own_errors import is_new, lasts, number_of, spread_of
 from trackslip_estimation.slip.source_faults import IS_OFFSET
-from trackslip_estimation.slip.usable import LEAST_VARIANCE
+from trackslip_estimation.slip.source_offsets import (
+    has_correlated_errors,
+    is_unobserved_receiver,
+    number_of,
+    position_stddev,
+)
+from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -102,15 +107,15 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
     if m > YAW:
         nu[YAW] = wrap(nu[YAW])
     take_new(state, source, R, c)
-    considered = 1 << GYRO_BIAS if is_new(state, source, c) else 0
+    considered = 1 << GYRO_BIAS if is_unobserved_receiver(state, source, c) else 0
     return Observation(nu, H, R, considered | delay_considered(state, c), 0, H[:0])
 
 
 @compiled
 def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
     """R of a fix without what of it lasts."""
-    stddev = spread_of(R)
-    if not lasts(state, source, stddev, c):
+    stddev = position_stddev(R)
+    if not has_correlated_errors(state, source, stddev, c):
         return
     share = math.sqrt(state.offsets[number_of(source, c)].errors[quality_of(stddev, c)].f)
     R[:YAW] *= share

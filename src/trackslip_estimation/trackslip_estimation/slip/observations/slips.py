@@ -39,7 +39,7 @@ from trackslip_estimation.slip.models.free_slips import LEFT_SLIP
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
 from trackslip_estimation.slip.motion import steady_speeds
-from trackslip_estimation.slip.usable import LEAST_VARIANCE
+from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config

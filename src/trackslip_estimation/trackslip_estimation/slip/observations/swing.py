@@ -4,7 +4,7 @@
 
 z    angle that it shows, rad
 h    σ + its mounting + b
-b    offset of the source (``own_errors``), rad
+b    offset of the source (``source_states``), rad
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation, observe_alone
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.usable import LEAST_VARIANCE
+from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config

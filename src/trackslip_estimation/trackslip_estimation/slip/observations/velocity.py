@@ -37,7 +37,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import SWING, SWING_RATE, YAW
 from trackslip_estimation.slip.motion import steady_speeds
 from trackslip_estimation.slip.source_faults import IS_OFFSET
-from trackslip_estimation.slip.usable import LEAST_VARIANCE, rows_of_velocity
+from trackslip_estimation.slip.validity import LEAST_VARIANCE, rows_of_velocity
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config

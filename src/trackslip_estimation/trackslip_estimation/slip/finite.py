@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def is_sound(state: State, n: int) -> bool:
+def is_finite_state(state: State, n: int) -> bool:
     """Whether means and variances of the ``n`` states, and of the attitude, are finite, no variance negative.
 
     What else is not finite makes one of them so in the next step.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 
-class Drive(NamedTuple):
+class MeanSpeeds(NamedTuple):
     """Of both sprockets."""
 
     left: float  # mean speed, rad/s
@@ -21,15 +21,19 @@ class Drive(NamedTuple):
 
 
 @compiled
-def drive_since(state: State, source: int, stamp_ns: int) -> Drive:
+def mean_speeds_since(state: State, source: int, stamp_ns: int) -> MeanSpeeds:
     """From the last reading of a source, which was before ``stamp_ns``, to the state."""
     last = state.readings[source]
     T = (stamp_ns - last.stamp_ns) * 1e-9
-    return Drive((state.driven[0] - last.driven[0]) / T, (state.driven[1] - last.driven[1]) / T, T)
+    left, right = (
+        state.sprocket_angles[0] - last.sprocket_angles[0],
+        state.sprocket_angles[1] - last.sprocket_angles[1],
+    )
+    return MeanSpeeds(left / T, right / T, T)
 
 
 @compiled
-def remember_reading(state: State, source: int, stamp_ns: int) -> None:
+def store_reading(state: State, source: int, stamp_ns: int) -> None:
     """It is the last of its source."""
     last = state.readings[source]
-    last.stamp_ns, last.driven[:] = stamp_ns, state.driven
+    last.stamp_ns, last.sprocket_angles[:] = stamp_ns, state.sprocket_angles

@@ -54,7 +54,7 @@ def errors_of(offset: Offset, c: Config) -> FixErrors:
 
 
 @compiled
-def errs_by_place(source: int, c: Config) -> bool:
+def errs_by_position(source: int, c: Config) -> bool:
     """Whether fixes of a source err by where it stands, as a laser's do, and not by time."""
     return bool(c.standing_share[source] > 0.0)
 
@@ -74,13 +74,13 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
 def time_correlated_share(state: State, source: int, c: Config) -> float:
     """Share of the variance of a source that lasts, or may: a receiver may err so until it was observed."""
     number = number_of(source, c)
-    if number < 0 or errs_by_place(source, c):
+    if number < 0 or errs_by_position(source, c):
         return 0.0
     found = errors_of(state.offsets[number], c)
     if found.g > 0.0:
         return float(found.g / (found.g + found.f))
     least = 1.0 - found.f if _are_observed(found, c) else 1.0  # what white errors leave of what is stated
-    return float(min(max(least, 0.0), c.receivers.most_lasting))
+    return float(min(max(least, 0.0), c.receivers.most_correlated))
 
 
 @compiled
@@ -90,14 +90,14 @@ def _are_observed(found: FixErrors, c: Config) -> bool:
 
 
 @compiled
-def is_new(state: State, source: int, c: Config) -> bool:
+def is_unobserved_receiver(state: State, source: int, c: Config) -> bool:
     """Whether the fixes of a source err to one side, and were not observed for several times that long."""
     offset = state.offsets[number_of(source, c)]
     return is_correlated(state, source, c) and not _are_observed(errors_of(offset, c), c)
 
 
 @compiled
-def lasts(state: State, source: int, stddev: float, c: Config) -> bool:
+def has_correlated_errors(state: State, source: int, stddev: float, c: Config) -> bool:
     """Whether fixes of a source that state a standard deviation, m, have errors that f, g and τ describe."""
     number = number_of(source, c)
     return bool(number >= 0 and state.offsets[number].errors[quality_of(stddev, c)].g > 0.0)
@@ -113,93 +113,96 @@ def prepare_offset(
     Else its prior variance goes to what the masses have now; one of white errors is none. One that an event
     opened stays as it is.
     """
-    offset, own, stddev = state.offsets[number_of(source, c)], c.offsets[source], spread_of(R)
+    offset, first, stddev = state.offsets[number_of(source, c)], c.offsets[source], position_stddev(R)
     if is_open:
         offset.stddev = stddev
         return
     other = offset.stddev > 0.0 and not same_quality(stddev, offset.stddev, c)
-    wanted = offset.errors[quality_of(stddev, c)].g * stddev * stddev
-    if other or (wanted > 0.0) != (offset.variance > 0.0):
-        update.renewed |= 3 << own
-        begins = wanted > 0.0 and not other and offset.stddev > 0.0
-        _renew(state.mean, state.covariance, own, wanted)
-        _renew(prior.mean, prior.covariance, own, wanted)
+    target = offset.errors[quality_of(stddev, c)].g * stddev * stddev
+    if other or (target > 0.0) != (offset.variance > 0.0):
+        update.reset_states |= 3 << first
+        begins = target > 0.0 and not other and offset.stddev > 0.0
+        _reset_offset(state.mean, state.covariance, first, target)
+        _reset_offset(prior.mean, prior.covariance, first, target)
         if begins:  # until now it was in the place
-            to_offset(state.mean, state.covariance, source, -1.0, c)
-            to_offset(prior.mean, prior.covariance, source, -1.0, c)
-    elif wanted > 0.0:
-        for i in (own, own + 1):
-            exchange_prior(state.mean, state.covariance, i, offset.variance, wanted)
-    offset.variance, offset.stddev = wanted, stddev
+            to_measured_position(state.mean, state.covariance, source, -1.0, c)
+            to_measured_position(prior.mean, prior.covariance, source, -1.0, c)
+    elif target > 0.0:
+        for i in (first, first + 1):
+            exchange_prior(state.mean, state.covariance, i, offset.variance, target)
+    offset.variance, offset.stddev = target, stddev
 
 
 @compiled
-def spread_of(R: FloatArray) -> float:
+def position_stddev(R: FloatArray) -> float:
     """Standard deviation of a place of covariance R, by axis, m."""
     return math.sqrt((R[X, X] + R[Y, Y]) / 2.0)
 
 
 @compiled
-def _renew(x: FloatArray, P: FloatArray, own: int, variance: float) -> None:
-    for i in (own, own + 1):
+def _reset_offset(x: FloatArray, P: FloatArray, first: int, variance: float) -> None:
+    for i in (first, first + 1):
         replace_state(x, P, i, 0.0, variance)
 
 
 @compiled
-def offset_left(state: State, number: int, dt: float, c: Config) -> float:
+def offset_persistence(state: State, number: int, dt: float, c: Config) -> float:
     """Share of an offset that is left after dt."""
     offset = state.offsets[number]
     return math.exp(-dt / errors_of(offset, c).time) if offset.variance > 0.0 else 1.0
 
 
 @compiled
-def pass_offsets(state: State, dt: float, c: Config) -> None:
+def propagate_offsets(state: State, dt: float, c: Config) -> None:
     """Offsets of receivers dt later.
 
     One that an event opened for precise fixes stays, but for what their errors change by.
     """
     x, P = state.mean, state.covariance
     for number in range(c.poses):
-        offset, own = state.offsets[number], SENSOR_ERRORS + 2 * number
+        offset, first = state.offsets[number], SENSOR_ERRORS + 2 * number
         if offset.variance > 0.0:
-            left = offset_left(state, number, dt, c)
-            for k in (own, own + 1):
+            left = offset_persistence(state, number, dt, c)
+            for k in (first, first + 1):
                 decay_state(x, P, k, left, offset.variance)
         elif offset.errors[PRECISE].g > 0.0 and 0.0 < offset.stddev <= c.receivers.precise:
             found = offset.errors[PRECISE]
             left = math.exp(-dt / found.time)
-            for k in (own, own + 1):
+            for k in (first, first + 1):
                 P[k, k] += (1.0 - left * left) * found.g * offset.stddev**2
 
 
 @compiled
-def fade_offsets(F: FloatArray, state: State, dt: float, c: Config) -> None:
+def set_offset_transition(F: FloatArray, state: State, dt: float, c: Config) -> None:
     """The transition F (n, n) of a step, with what is left of offsets after it."""
     for number in range(c.poses):
         for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
-            F[k, k] *= offset_left(state, number, dt, c)
+            F[k, k] *= offset_persistence(state, number, dt, c)
 
 
 @compiled
 def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c: Config) -> None:
     """P, where the offset of a source is by ``more`` (2,), m², more uncertain."""
-    own, most = c.offsets[source], c.receivers.surprised * state.offsets[number_of(source, c)].variance
+    first, most = (
+        c.offsets[source],
+        c.receivers.largest_inflation * state.offsets[number_of(source, c)].variance,
+    )
     for axis in (X, Y):
-        k = own + axis
+        k = first + axis
         P[k, k] += max(min(more[axis], most - P[k, k]), 0.0)
 
 
 @compiled
-def to_shown_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
+def to_sensor_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
     """The state with the heading that a source with a yaw offset shows; or back (−1)."""
-    own = c.yaw_offsets[source]
-    if own >= 0:
-        x[YAW] = wrap(x[YAW] + sign * x[own])
-        add_state(P, YAW, own, sign)
+    first = c.yaw_offsets[source]
+    if first >= 0:
+        x[YAW] = wrap(x[YAW] + sign * x[first])
+        add_state(P, YAW, first, sign)
 
 
 @compiled
-def usual_variance(state: State, source: int, c: Config) -> float:
+def prior_offset_variance(state: State, source: int, c: Config) -> float:
     """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
     offset = state.offsets[number_of(source, c)]
     return float(errors_of(offset, c).g * offset.stddev**2)
@@ -210,21 +213,21 @@ def begin_offset(state: State, source: int, c: Config) -> None:
     """The state at the start, whose place is that of a fix with an error that lasts: it is in both."""
     x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
-    stddev = spread_of(R)
+    stddev = position_stddev(R)
     found = offset.errors[quality_of(stddev, c)]
     if found.g == 0.0:
         return
     offset.stddev = stddev
     offset.variance = found.g * stddev**2
-    _renew(x, P, c.offsets[source], offset.variance)
+    _reset_offset(x, P, c.offsets[source], offset.variance)
     P[: Y + 1, : Y + 1] = found.f * R
-    to_offset(x, P, source, -1.0, c)
+    to_measured_position(x, P, source, -1.0, c)
 
 
 @compiled
-def to_offset(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
+def to_measured_position(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
     """The state with the place that a source with an offset shows; or back (−1)."""
-    own = c.offsets[source]
+    first = c.offsets[source]
     for axis in (X, Y):
-        x[axis] += sign * x[own + axis]
-        add_state(P, axis, own + axis, sign)
+        x[axis] += sign * x[first + axis]
+        add_state(P, axis, first + axis, sign)

@@ -20,7 +20,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.own_errors import errs_by_place
+from trackslip_estimation.slip.source_offsets import errs_by_position
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -32,28 +32,28 @@ _SWUNG = 0.1  # rad, beyond which what sits above is seen from another side
 
 
 @compiled
-def stands_still(state: State, source: int, c: Config) -> bool:
+def is_at_same_standstill(state: State, source: int, c: Config) -> bool:
     """Whether a sensor, whose fixes from one place share a part, stands where it was at the last."""
-    stand, shares = state.stands[source], errs_by_place(source, c)
-    turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - stand.swing)) > _SWUNG
-    stands = shares and state.motion.motion == _STANDING and not state.coasting
-    return bool(stands and stand.count > 0 and not turned)
+    standstill, shares = state.standstills[source], errs_by_position(source, c)
+    turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _SWUNG
+    is_standing = shares and state.motion.motion == _STANDING and not state.coasting
+    return bool(is_standing and standstill.count > 0 and not turned)
 
 
 @compiled
-def repeats_stand(count: int, share: float) -> float:
+def standstill_inflation(count: int, share: float) -> float:
     """By how much R grows for the ``count``-th fix of a stand, of which all have ``share`` ρ in common."""
     before = share * (count - 1) + 1.0 - share
     return (before + share) * before / (1.0 - share)
 
 
 @compiled
-def count_fix(state: State, source: int, alone: bool, R: FloatArray, c: Config) -> None:
+def inflate_repeated_fix(state: State, source: int, alone: bool, R: FloatArray, c: Config) -> None:
     """R of a fix that is used, ``alone`` or as one more of its stand; in place."""
-    stand = state.stands[source]
+    standstill = state.standstills[source]
     if alone:
-        stand.count, stand.swing = 0, state.mean[SWING]
-    stand.count += 1
-    again = np.sqrt(repeats_stand(stand.count, c.standing_share[source]))
+        standstill.count, standstill.swing = 0, state.mean[SWING]
+    standstill.count += 1
+    again = np.sqrt(standstill_inflation(standstill.count, c.standing_share[source]))
     R[:YAW] *= again
     R[:, :YAW] *= again
