@@ -60,7 +60,7 @@ class _Map:
         self.truth = run.truth.columns("x", "y")
         both = np.concatenate((self.truth, run.encoders.poses[:, :2]))
         axes.plot(*self.truth.T, color="0.85", lw=1.0)
-        (self.ran,) = axes.plot([], [], color=ENCODERS, lw=1.2, ls="--", label="encoders alone")
+        (self.encoder_line,) = axes.plot([], [], color=ENCODERS, lw=1.2, ls="--", label="encoders alone")
         (self.true,) = axes.plot([], [], color=TRUTH, lw=2.5, label="truth")
         (self.found,) = axes.plot([], [], color=ESTIMATE, lw=1.2, label="estimate")
         self.tracks = [axes.add_patch(Polygon(np.zeros((4, 2)), ec=TRUTH, lw=0.8)) for _ in (0, 1)]
@@ -72,7 +72,7 @@ class _Map:
     def draw(self, now: int) -> None:
         estimates = self.run.estimates
         for line, stamps, points in (
-            (self.ran, self.run.encoders.stamps_ns, self.run.encoders.poses),
+            (self.encoder_line, self.run.encoders.stamps_ns, self.run.encoders.poses),
             (self.true, self.run.truth.stamps_ns, self.truth),
             (self.found, estimates.stamps_ns, estimates["pose"]),
         ):

@@ -65,13 +65,13 @@ def test_the_oldest_go_first_and_never_one_that_is_written() -> None:
         Recorded(busy / "busy_0.mcap", 100, 980.0),
     ]
 
-    def gone(most: int) -> list[str]:
+    def removed(most: int) -> list[str]:
         return [file.name for file in too_many(files, most, bag, writing, now_s=1000.0)]
 
-    assert gone(500) == []
-    assert gone(499) == ["other_0.mcap"]
-    assert gone(300) == ["other_0.mcap", "other_1.mcap"]
-    assert gone(0) == ["other_0.mcap", "other_1.mcap", "bag_0.mcap"]
+    assert removed(500) == []
+    assert removed(499) == ["other_0.mcap"]
+    assert removed(300) == ["other_0.mcap", "other_1.mcap"]
+    assert removed(0) == ["other_0.mcap", "other_1.mcap", "bag_0.mcap"]
 
 
 def test_what_is_left_of_a_bag_is_read(tmp_path: Path) -> None:

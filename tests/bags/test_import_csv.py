@@ -29,7 +29,7 @@ WHEELS = {
     "right_velocity": {"column": "r", "unit": "rad/s"},
 }
 XY = {"x": {"column": "x", "unit": "m"}, "y": {"column": "y", "unit": "m"}}
-SURE = {"x": 0.1, "y": 0.1}
+CERTAIN = {"x": 0.1, "y": 0.1}
 
 
 def imported(
@@ -58,7 +58,7 @@ def test_several_files_have_their_own_columns_times_and_rates(tmp_path: Path) ->
     topics = {
         "sprockets": {"file": "wheels.csv", **WHEELS},
         "imu/data_raw": {"file": "imu*", "time": {"column": "stamp", "unit": "ms"}, **gyro},
-        "gnss_pose": {"file": "gps*", **XY, "stddev": SURE},
+        "gnss_pose": {"file": "gps*", **XY, "stddev": CERTAIN},
     }
     found, messages = imported(tmp_path, files, topics)
     assert found.counts == {"/sprockets": 2, "/imu/data_raw": 3, "/gnss_pose": 1}
@@ -202,14 +202,14 @@ def test_a_latitude_in_another_unit_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("origin", "expected"), [(500_000.0, (3.0, 4.0)), ("first", (0.0, 1.0))])
 def test_an_origin_is_subtracted(tmp_path: Path, origin: Any, expected: tuple[float, float]) -> None:
-    easting = {"x": {"column": "x", "unit": "m", "origin": origin}, "y": XY["y"], "stddev": SURE}
+    easting = {"x": {"column": "x", "unit": "m", "origin": origin}, "y": XY["y"], "stddev": CERTAIN}
     _, messages = imported(tmp_path, "t,x,y\n1,500003,0\n2,500004,0\n", {"reference_pose": easting})
     assert tuple(m.pose.pose.position.x for m in messages["reference_pose"]) == expected
 
 
 def test_quaternions_give_the_yaw(tmp_path: Path) -> None:
     turn = {q: {"column": q} for q in ("qx", "qy", "qz", "qw")}
-    pose = {**XY, **turn, "stddev": {**SURE, "yaw": 0.1}}
+    pose = {**XY, **turn, "stddev": {**CERTAIN, "yaw": 0.1}}
     log = f"t,x,y,qx,qy,qz,qw\n1,0,0,0,0,{math.sin(0.4)},{math.cos(0.4)}\n2,0,0,0,0,0,0\n"
     _, messages = imported(tmp_path, log, {"reference_pose": pose})
     assert messages["reference_pose"][0].pose.pose.orientation.z == pytest.approx(math.sin(0.4))
@@ -218,7 +218,7 @@ def test_quaternions_give_the_yaw(tmp_path: Path) -> None:
 
 def test_when_a_row_was_received_is_kept(tmp_path: Path) -> None:
     """Stamps may then go back; the bag is in the order of arrival."""
-    pose = {**XY, "stddev": SURE, "received": {"column": "rx", "unit": "s"}}
+    pose = {**XY, "stddev": CERTAIN, "received": {"column": "rx", "unit": "s"}}
     log = "t,rx,x,y\n1,1.5,1,0\n3,3.1,2,0\n2,3.2,3,0\n"
     found, messages = imported(tmp_path, log, {"gnss_pose": pose})
     assert [m.pose.pose.position.x for m in messages["gnss_pose"]] == [1, 2, 3]

@@ -43,9 +43,9 @@ def test_a_bare_quaternion_has_the_variance_of_its_source_or_of_the_mapping(tmp_
     log = write_bag(tmp_path / "log", [("/gps/q", quaternion(0.0, NORTH))])
     _, messages = import_topics(tmp_path, log, {"compass": {"role": "heading", "from": "/gps/q"}})
     assert headings(messages) == [(pytest.approx(math.pi / 2.0), UNKNOWN)]
-    (sure := tmp_path / "sure").mkdir()
+    (certain := tmp_path / "sure").mkdir()
     stated = {"role": "heading", "from": "/gps/q", "stddev": {"yaw": 0.1}}
-    _, messages = import_topics(sure, log, {"compass": stated})
+    _, messages = import_topics(certain, log, {"compass": stated})
     assert headings(messages) == [(pytest.approx(math.pi / 2.0), pytest.approx(0.01))]
 
 

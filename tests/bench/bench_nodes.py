@@ -162,7 +162,7 @@ def graph(directory: Path, seconds: float) -> Graph:
         _receive(listener, ours)
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds / 2)
-        after, took = running.cpu_s(), time.monotonic() - began
+        after, elapsed = running.cpu_s(), time.monotonic() - began
         ends = bench_bare.ends_of(listener.node)
         odometry, floor = (Latency.of(listener.ages_ms[topic]) for topic in (ours, bare))
         running.stop(("record", "slip_estimator"))
@@ -171,7 +171,7 @@ def graph(directory: Path, seconds: float) -> Graph:
         _receive(listener, ours)
         listener.listen(seconds / 4)
         relayed = Latency.of(listener.ages_ms[ours])
-    loads = {name: 100.0 * (after[name] - before[name]) / took for name in before}
+    loads = {name: 100.0 * (after[name] - before[name]) / elapsed for name in before}
     return Graph(loads, odometry, floor, relayed, options.bag, ends)
 
 
@@ -185,8 +185,8 @@ def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float
         _receive(listener, "odometry")
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(seconds)
-        after, took = running.cpu_s(), time.monotonic() - began
-    return {name: 100.0 * (after[name] - before[name]) / took for name in before}
+        after, elapsed = running.cpu_s(), time.monotonic() - began
+    return {name: 100.0 * (after[name] - before[name]) / elapsed for name in before}
 
 
 def _receive(listener: Listener, topic: str) -> None:
@@ -204,9 +204,12 @@ def _measure(running: Children, listener: Listener, topics: dict[str, str]) -> d
         listener.forget()
         before, began = running.cpu_s(), time.monotonic()
         listener.listen(WINDOW)
-        after, took = running.cpu_s(), time.monotonic() - began
+        after, elapsed = running.cpu_s(), time.monotonic() - began
         windows.append(
-            [(100.0 * (after[n] - before[n]) / took, listener.received[t] / took) for n, t in topics.items()]
+            [
+                (100.0 * (after[n] - before[n]) / elapsed, listener.received[t] / elapsed)
+                for n, t in topics.items()
+            ]
         )
     return {name: Load(*pair) for name, pair in zip(topics, np.median(windows, axis=0).tolist(), strict=True)}
 

@@ -9,10 +9,10 @@ import pytest
 
 from trackslip_common.nodes.failures import (
     FEWEST,
-    LASTING_S,
     LOG_PERIOD_S,
     PAUSE_S,
     RECENT_S,
+    STREAK_S,
     CallbackFailures,
     cause,
 )
@@ -88,7 +88,7 @@ def repeat(guarded, clock, seconds, step=0.5):
 
 def test_failures_without_pause_are_hopeless_at_last(failures, clock):
     guarded = failures.guard(fail, "scan", handles_data=True)
-    repeat(guarded, clock, LASTING_S)
+    repeat(guarded, clock, STREAK_S)
     assert not failures.are_hopeless
     guarded()
     assert failures.are_hopeless
@@ -98,7 +98,7 @@ def test_a_message_handled_well_ends_the_streak(failures, clock):
     guarded = failures.guard(fail, "scan", handles_data=True)
     other = failures.guard(lambda: None, "imu/data_raw", handles_data=True)
     for _ in range(5):
-        repeat(guarded, clock, LASTING_S - 1.0)
+        repeat(guarded, clock, STREAK_S - 1.0)
         other()
     assert not failures.are_hopeless
 
@@ -113,7 +113,7 @@ def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
 
 
 @pytest.mark.parametrize(
-    ("duration", "step"), [(10.0 * LASTING_S, PAUSE_S + 0.1), (LASTING_S + PAUSE_S, PAUSE_S)]
+    ("duration", "step"), [(10.0 * STREAK_S, PAUSE_S + 0.1), (STREAK_S + PAUSE_S, PAUSE_S)]
 )
 def test_failures_now_and_then_or_few_are_not_hopeless(failures, clock, duration, step):
     guarded = failures.guard(fail, "timer")

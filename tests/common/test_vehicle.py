@@ -217,11 +217,11 @@ def test_each_number_of_a_vehicle_file_is_explained(name: str) -> None:
     for line in lines:
         value, _, comment = line.partition("#")
         indent = len(line) - len(line.lstrip())
-        says = len(comment.split()) > 1  # more than a unit
+        states = len(comment.split()) > 1  # more than a unit
         if not value.strip():
-            explained = explained or says
+            explained = explained or states
             continue
-        explained = explained or says or any(known for depth, known in above.items() if depth < indent)
+        explained = explained or states or any(known for depth, known in above.items() if depth < indent)
         if re.search(r": *(-?\d|\{.*\d)", value):
             bare += [] if explained else [line]
         else:

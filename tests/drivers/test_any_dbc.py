@@ -110,9 +110,9 @@ def test_another_source_address_is_named_and_j1939_accepts_it(tmp_path):
     assert not sprockets_of(driver, from_source(0x27))
     assert all(word in driver.decoder.hint() for word in ("TravelFlow", "0x27", "0xFE", "j1939: true"))
     roles = unseen_bus.ROLES + "frames: {TravelFlow: {j1939: true}}\n"
-    told = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
-    assert len(sprockets_of(told, from_source(0x27))) == 50
-    assert told.decoder.other_source() == ""
+    reported = machine(tmp_path, roles, of_j1939(unseen_bus.DBC))
+    assert len(sprockets_of(reported, from_source(0x27))) == 50
+    assert reported.decoder.other_source() == ""
 
 
 def test_ids_of_a_bus_without_roles_are_named(tmp_path):

@@ -105,10 +105,10 @@ def test_a_wrong_cycle_is_found_out():
     assert lost[TimingEvent.LOST] < 110 * 256
 
 
-def standing_still(count, seed, apart_ms, ran_ms, stood_ms):
+def standing_still(count, seed, apart_ms, elapsed_ms, stood_ms):
     """Arrivals of a cycle of 10 ms on a host that stands still for 100 to ``stood_ms``, again and again.
 
-    In between it runs for 20 to ``ran_ms``, and works off what has waited, ``apart_ms`` apart.
+    In between it runs for 20 to ``elapsed_ms``, and works off what has waited, ``apart_ms`` apart.
     """
     rng = np.random.default_rng(seed)
     arrivals, now, stops = [], 0.0, 1000.0
@@ -116,7 +116,7 @@ def standing_still(count, seed, apart_ms, ran_ms, stood_ms):
         now = max(10.0 * number, now + apart_ms * rng.uniform(0.5, 1.5))
         while now > stops:
             now = stops + rng.uniform(100.0, stood_ms)
-            stops = now + rng.uniform(20.0, ran_ms)
+            stops = now + rng.uniform(20.0, elapsed_ms)
         arrivals.append(round(now * MS))
     return arrivals
 

@@ -207,8 +207,8 @@ def test_accuracy_of_zero_is_unknown(fields):
 
 
 def test_time_is_unknown_where_it_is_empty_and_in_a_leap_second():
-    for told in ("", "235960.00"):
-        found = decode(line(GGA.format(4).replace("101530.20", told)))
+    for reported in ("", "235960.00"):
+        found = decode(line(GGA.format(4).replace("101530.20", reported)))
         assert isinstance(found, Gga)
         assert found.time_ns is None
 

@@ -125,21 +125,21 @@ def test_chunked_streams_are_read(casters: Callable[..., Caster]) -> None:
 
 
 def test_positions_go_back_to_the_caster(casters: Callable[..., Caster]) -> None:
-    heard: list[bytes] = []
+    received: list[bytes] = []
 
     def serve(connection: socket.socket, _: bytes) -> None:
         connection.sendall(OK)
-        while len(b"".join(heard)) < 3 * len(GGA):
+        while len(b"".join(received)) < 3 * len(GGA):
             connection.sendall(rtcm())
             connection.settimeout(0.05)
             try:
-                heard.append(connection.recv(4096))
+                received.append(connection.recv(4096))
             except TimeoutError:
                 continue
 
     with Receiver(casters(serve, streams(0)), gga_interval=0.1) as receiver:
-        receiver.wait(lambda: len(b"".join(heard)) >= 3 * len(GGA))
-    assert b"".join(heard).startswith(3 * GGA)
+        receiver.wait(lambda: len(b"".join(received)) >= 3 * len(GGA))
+    assert b"".join(received).startswith(3 * GGA)
 
 
 def test_caster_is_not_asked_before_there_is_a_position_for_it(casters: Callable[..., Caster]) -> None:

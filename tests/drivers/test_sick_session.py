@@ -153,8 +153,8 @@ def test_scans_that_waited_while_the_host_was_held_were_stamped_as_of_now(baud: 
 @pytest.mark.parametrize("boot_delay", [0.0, 15.0])
 def test_waits_for_a_scanner_that_boots(boot_delay: float) -> None:
     bench = Bench(boot_delay=boot_delay)
-    took = bench.run_until(Phase.STREAMING, within=boot_delay + 3.0)
-    assert took > boot_delay
+    elapsed = bench.run_until(Phase.STREAMING, within=boot_delay + 3.0)
+    assert elapsed > boot_delay
     assert (bench.count(SessionFault.NO_ANSWER) > 0) == (boot_delay > 0)
 
 

@@ -147,7 +147,7 @@ def _with_text(text: bytes, folder: Path) -> Path:
 
 def damages() -> Family:
     """The file cut, with bytes changed, holes, tails."""
-    ways: dict[str, Callable[[bytearray], bytes]] = {
+    variants: dict[str, Callable[[bytearray], bytes]] = {
         "twice": lambda b: bytes(b + b),
         "head twice": lambda b: bytes(b[: len(b) // 2] + b),
         "tail": lambda b: bytes(b) + bytes(100_000),
@@ -156,18 +156,18 @@ def damages() -> Family:
         "reversed": lambda b: bytes(b[::-1]),
     }
     for share in (0.0, 0.001, 0.02, 0.1, 0.3, 0.6, 0.95, 0.97, 0.99, 0.999):
-        ways[f"cut at {share:g}"] = partial(_cut, share)
-        ways[f"zeros at {share:g}"] = partial(_over, share, bytes(5000))
-        ways[f"ones at {share:g}"] = partial(_over, share, b"\xff" * 9)
-    for name, way in ways.items():
+        variants[f"cut at {share:g}"] = partial(_cut, share)
+        variants[f"zeros at {share:g}"] = partial(_over, share, bytes(5000))
+        variants[f"ones at {share:g}"] = partial(_over, share, b"\xff" * 9)
+    for name, variant in variants.items():
         for bare in (False, True):
-            yield f"damage={name}{' bare' * bare}", partial(_damaged, way, bare)
+            yield f"damage={name}{' bare' * bare}", partial(_damaged, variant, bare)
 
 
-def _damaged(way: Callable[[bytearray], bytes], bare: bool, folder: Path) -> Path:
+def _damaged(variant: Callable[[bytearray], bytes], bare: bool, folder: Path) -> Path:
     bag = write(good(), folder)
     (file,) = bag.glob("*.mcap")
-    file.write_bytes(way(bytearray(file.read_bytes())))
+    file.write_bytes(variant(bytearray(file.read_bytes())))
     return _without_metadata(bag) if bare else bag
 
 

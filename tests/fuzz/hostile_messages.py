@@ -255,7 +255,7 @@ def log_times() -> Family:
     """When messages were logged; their stamps stay."""
     lines = good()
     begin = lines[0].log_ns
-    ways: dict[str, Callable[[int, int], int]] = {
+    variants: dict[str, Callable[[int, int], int]] = {
         "zero": lambda _, __: 0,
         "one_for_all": lambda _, __: begin,
         "backwards": lambda t, _: 2 * begin + 20 * _S - t,
@@ -267,10 +267,12 @@ def log_times() -> Family:
         "last_in_2262": lambda t, k: 2**63 - 1 if k == len(lines) - 1 else t,
         "at_random": lambda t, k: begin + (t - begin) * 7919 * (k + 1) % (20 * _S),
     }
-    for name, way in ways.items():
+    for name, variant in variants.items():
 
-        def made(folder: Path, way: Callable[[int, int], int] = way) -> Path:
-            return write((line._replace(log_ns=way(line.log_ns, k)) for k, line in enumerate(lines)), folder)
+        def made(folder: Path, variant: Callable[[int, int], int] = variant) -> Path:
+            return write(
+                (line._replace(log_ns=variant(line.log_ns, k)) for k, line in enumerate(lines)), folder
+            )
 
         yield f"log_times={name}", made
 
@@ -341,7 +343,7 @@ def _lights(text: str, message: Any, _: int) -> None:
 
 def raw_bytes() -> Family:
     """Messages that are not of their type."""
-    ways: dict[str, Callable[[bytes], bytes]] = {
+    variants: dict[str, Callable[[bytes], bytes]] = {
         "empty": lambda _: b"",
         "header": lambda raw: raw[:4],
         "cut": lambda raw: raw[: len(raw) * 2 // 3],
@@ -353,15 +355,15 @@ def raw_bytes() -> Family:
         "not_utf8": lambda raw: raw[:12] + (5).to_bytes(4, "little") + b"\xff\xfe\x80\x81\0" + raw[24:],
     }
     for topic in topics():
-        for name, way in ways.items():
+        for name, variant in variants.items():
             for every in (1, 7):
-                yield f"bytes{topic}={name} each {every}", partial(_with_bytes, topic, way, every)
+                yield f"bytes{topic}={name} each {every}", partial(_with_bytes, topic, variant, every)
 
 
-def _with_bytes(topic: str, way: Callable[[bytes], bytes], every: int, folder: Path) -> Path:
+def _with_bytes(topic: str, variant: Callable[[bytes], bytes], every: int, folder: Path) -> Path:
     own = [line for line in good() if line.topic == topic][::every]
     chosen = set(map(id, own))
-    return write((m._replace(raw=way(m.raw)) if id(m) in chosen else m for m in good()), folder)
+    return write((m._replace(raw=variant(m.raw)) if id(m) in chosen else m for m in good()), folder)
 
 
 # --- topics and types

@@ -37,8 +37,8 @@ SWAPS: tuple[Any, ...] = (
 def hostile(seeds: Sequence[bytes], seed: int) -> bytes:
     """One file, the same for the same number; every third is still of a form that parsers get through."""
     draw = random.Random(seed)
-    ways: list[Callable[[random.Random, bytes, bytes], bytes]] = [_damaged, _joined, _swapped]
-    made = ways[seed % len(ways)](draw, draw.choice(seeds), draw.choice(seeds))
+    variants: list[Callable[[random.Random, bytes, bytes], bytes]] = [_damaged, _joined, _swapped]
+    made = variants[seed % len(variants)](draw, draw.choice(seeds), draw.choice(seeds))
     return _damaged(draw, made, made) if draw.random() < 0.1 else made
 
 

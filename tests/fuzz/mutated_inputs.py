@@ -83,8 +83,8 @@ class Receiver:
         self._now_ns += 5000 * _MS
         self._stream.flush()
         later = _AT._replace(time_ns=90_000_000_000 + self._now_ns % 10**12)
-        said = b"\n" + nmea_sentences.gga(later) + nmea_sentences.gst(later)
-        samples = self._stream.feed(said, self._now_ns) + self._stream.flush()
+        output = b"\n" + nmea_sentences.gga(later) + nmea_sentences.gst(later)
+        samples = self._stream.feed(output, self._now_ns) + self._stream.flush()
         assert any(abs(sample[1] + 33.9) < 1e-6 for sample in samples), samples
 
 

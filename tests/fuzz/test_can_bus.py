@@ -52,6 +52,6 @@ def test_good_frames_are_decoded_after_any_frames(conversation: list[Piece]) -> 
             if isinstance(sample, SprocketSample):
                 assert math.isfinite(sample.left_velocity), sample
                 assert math.isfinite(sample.right_velocity), sample
-    heard = [decoder.decode(*frame, now_ns + n * CYCLE_NS) for n, frame in enumerate(GOOD, 1)]
-    assert not any(isinstance(one, Rejection) for one in heard), heard
-    assert heard[2], "third frame held back"  # the second may be: a silence hides a turn of the counter
+    received = [decoder.decode(*frame, now_ns + n * CYCLE_NS) for n, frame in enumerate(GOOD, 1)]
+    assert not any(isinstance(one, Rejection) for one in received), received
+    assert received[2], "third frame held back"  # the second may be: a silence hides a turn of the counter

@@ -90,8 +90,8 @@ def test_session_streams_again_after_any_bytes(conversation: list[Piece]) -> Non
     session = SickSession(replace(PLS, serial_baud=9600), Tally())
     now_ns = start_streaming(session, 0)
     for kind, content in conversation:
-        sent, lasts_ns = on_line(kind, content, FROM_SENSOR)
-        now_ns += lasts_ns * (10 if kind == SILENCE else 1)
+        sent, duration_ns = on_line(kind, content, FROM_SENSOR)
+        now_ns += duration_ns * (10 if kind == SILENCE else 1)
         session.receive(sent, now_ns)
         session.step(now_ns)
     now_ns = start_streaming(session, now_ns) + SILENCE_NS
@@ -124,8 +124,8 @@ def test_emulated_scanner_answers_after_any_command(conversation: list[Piece]) -
     device = SickDevice(PLS, start, lambda _: ranges, 0)
     now_ns = 500 * MS  # power-on is reported
     for kind, content in conversation:
-        sent, lasts_ns = on_line(kind, content, TO_SENSOR)
-        now_ns += lasts_ns
+        sent, duration_ns = on_line(kind, content, TO_SENSOR)
+        now_ns += duration_ns
         device.receive(sent, now_ns, None)
         device.step(now_ns)
     for _ in range(2):  # silence: what was begun is given up, what that lays bare is done

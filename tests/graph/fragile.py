@@ -29,7 +29,7 @@ class Fragile(TrackslipNode[FragileParameters]):
 
     def __init__(self) -> None:
         super().__init__("fragile", FragileParameters)
-        failures.LASTING_S = self.settings.duration
+        failures.STREAK_S = self.settings.duration
 
     def configure(self) -> None:
         """One callback of each kind."""

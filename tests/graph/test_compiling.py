@@ -39,10 +39,10 @@ def node(domain: int) -> Any:
 
 def test_a_node_that_compiles_reports_it_until_it_is_done(node: Compiling) -> None:
     node.start()
-    told = [status for array in node.sent for status in array.status]
-    assert len(told) >= 2
-    assert {(status.name, status.level) for status in told} == {("compiling", WARN)}
-    assert all(re.match(r"compiling, about \d+ s left", status.message) for status in told)
+    reported = [status for array in node.sent for status in array.status]
+    assert len(reported) >= 2
+    assert {(status.name, status.level) for status in reported} == {("compiling", WARN)}
+    assert all(re.match(r"compiling, about \d+ s left", status.message) for status in reported)
     node.sent.clear()
     node.trigger_deactivate()
     node.trigger_cleanup()

@@ -43,20 +43,20 @@ class Machine:
         self.healths = observer.healths()
         self._recorder = programs.node("record", *of_recorder, output="bag")
         self._estimator = programs.node("slip_estimator", jump_confirmations=5)
-        heard = ("sprockets", "box_pose") if of_recorder else self._topics
+        received = ("sprockets", "box_pose") if of_recorder else self._topics
         for topic in self._topics:
-            observer.wait_for_ends(topic, "slip_estimator", *(["record"] if topic in heard else []))
+            observer.wait_for_ends(topic, "slip_estimator", *(["record"] if topic in received else []))
         observer.wait_for_ends("slip_estimator/parameters", "slip_estimator", "record")
         observer.wait_for_ends("measurement_reports", "slip_estimator", "record")
         observer.wait_until_active("record", "slip_estimator")
         outputs = ("odometry", "track_slip", "measurement_reports", "slip_estimator/pose_set")
-        observer.wait_for_recorder(self.healths, *outputs, *heard)
+        observer.wait_for_recorder(self.healths, *outputs, *received)
 
     def feed(self, topic, message):
         """One message, and the outcome reported on it."""
-        wanted = len(self.reports) + 1
+        requested = len(self.reports) + 1
         self._topics[topic].publish(message)
-        self._observer.wait(lambda: len(self.reports) >= wanted, f"a report on {topic}")
+        self._observer.wait(lambda: len(self.reports) >= requested, f"a report on {topic}")
         return self.reports[-1].outcome
 
     def drive(self, start_ms, stop_ms):
@@ -130,9 +130,9 @@ def test_every_command_of_a_user_is_done_reported_and_answered(programs, observe
     assert int(values["sprockets too_late"]) == 4
     assert "if consistent" in values["box_pose nis"]
 
-    told = [r.source for r in machine.reports if r.source.startswith("slip_estimator/")]
+    reported = [r.source for r in machine.reports if r.source.startswith("slip_estimator/")]
     names = ("freeze", "unfreeze", "set_pose", "parameters", "parameters", "reset")
-    assert told == [f"slip_estimator/{name}" for name in names]
+    assert reported == [f"slip_estimator/{name}" for name in names]
     stamps = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in machine.odometry])
     assert np.count_nonzero(np.diff(stamps) <= 0.0) == 1
     found = machine.end()

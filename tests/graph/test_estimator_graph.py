@@ -132,28 +132,28 @@ class Line:
         """Publish in bursts; each burst is reported on before the next one comes."""
         script = list(script)
         for k in range(0, len(script), BURST):
-            wanted = len(self.reports)
+            requested = len(self.reports)
             for topic, message in script[k : k + BURST]:
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
-                wanted += 1  # a scan's is that of its pose
-            self._observer.wait(lambda n=wanted: len(self.reports) >= n, f"{wanted} reports")
+                requested += 1  # a scan's is that of its pose
+            self._observer.wait(lambda n=requested: len(self.reports) >= n, f"{requested} reports")
 
     def first(self, topic, message):
         """A source's first message, again until all that it must pass have found each other."""
-        wanted = len(self.reports)
+        requested = len(self.reports)
         sent = -math.inf
         self.sent_again -= 1
 
         def reported():
             nonlocal sent
-            if len(self.reports) == wanted and time.monotonic() - sent >= AGAIN:
+            if len(self.reports) == requested and time.monotonic() - sent >= AGAIN:
                 self.sent_again += 1
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
                 message.header.stamp.nanosec += 1_000_000  # the next one is a later one
                 sent = time.monotonic()
-            return len(self.reports) > wanted
+            return len(self.reports) > requested
 
         self._observer.wait(reported, f"a report on {topic}")
 
@@ -173,8 +173,8 @@ class Line:
     def _is_recorded(self):
         """By the recorder's own count; what waits in its queues when it ends is not in the bag."""
         found = last_values(self._healths, "record")
-        wanted = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
-        return all(found.get(f"/{topic}") == str(n) for topic, n in wanted.items())
+        requested = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
+        return all(found.get(f"/{topic}") == str(n) for topic, n in requested.items())
 
 
 def drive(line):

@@ -63,7 +63,7 @@ class Graph:
             "soil_estimator": Node("soil_estimator", {}),
             "record": Node("record", {}),
         }
-        self._heard = {topic: observer.subscribe(topic) for topic in OUTPUTS}
+        self._received = {topic: observer.subscribe(topic) for topic in OUTPUTS}
         self._truth, self._healths = [], observer.healths()
         observer.node.create_subscription(
             topic_class("truth/odometry"),
@@ -71,7 +71,7 @@ class Graph:
             lambda message, about: self._truth.append((message, about["source_timestamp"])),
             subscriber_qos("truth/odometry"),
         )
-        self.estimates = self._heard["odometry"]
+        self.estimates = self._received["odometry"]
         self.counted = self.published = 0
         drive = programs.folder / "to_and_fro.yaml"
         drive.write_text(to_and_fro("sand"), encoding="utf-8")
@@ -117,7 +117,7 @@ class Graph:
 
     def _missing(self, began_ns):
         """Topics that are silent, and the recorder where it is; that it lost messages while held is true."""
-        silent = [topic for topic, heard in self._heard.items() if not _is_later(heard, began_ns)]
+        silent = [topic for topic, received in self._received.items() if not _is_later(received, began_ns)]
         return silent + ([] if any(health.name == "record" for health in self._healths) else ["record"])
 
     def worst(self):

@@ -48,8 +48,8 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     assert outcomes[:2] == [10, 0]  # begun, accepted
     assert set(outcomes[2:]) == {0}
     assert found[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # the tracks slip by 10 %
-    wanted = "camera/odom whose covariance says that it has no velocity"
-    observer.wait(lambda: any(wanted in {v.key for v in s.values} for s in healths), "its count")
+    requested = "camera/odom whose covariance says that it has no velocity"
+    observer.wait(lambda: any(requested in {v.key for v in s.values} for s in healths), "its count")
     assert recorder.end()[0] == 0
     summary = programs.replay("bag")
     assert summary["replay_matches"] is True

@@ -19,8 +19,8 @@ def test_one_is_used_and_one_without_a_covariance_is_counted(programs, observer)
     publishers = {t: observer.publisher(t) for t in ("sprockets", "box_pose", "imu/data_raw")}
     reports, attitudes = observer.subscribe("measurement_reports"), observer.subscribe("attitude")
     healths = observer.healths()
-    wanted = {"use_orientation": True, "use_acceleration": False}
-    programs.node("slip_estimator", **{f"sources__imu_data_raw__{name}": v for name, v in wanted.items()})
+    requested = {"use_orientation": True, "use_acceleration": False}
+    programs.node("slip_estimator", **{f"sources__imu_data_raw__{name}": v for name, v in requested.items()})
     for topic in publishers:
         observer.wait_for_ends(topic, "observer", "slip_estimator")
 

@@ -134,8 +134,8 @@ def is_strictly_readable(path):
     """By those who check everything; the numbers in it, in order."""
     numbers = []
     with AnyReader([path]) as reader:
-        wanted = [connection for connection in reader.connections if connection.topic == "/sprockets"]
-        for connection, _, raw in reader.messages(wanted):
+        requested = [connection for connection in reader.connections if connection.topic == "/sprockets"]
+        for connection, _, raw in reader.messages(requested):
             message: Any = reader.deserialize(raw, connection.msgtype)
             numbers.append(int(message.position[0]))
     count = 0
@@ -160,13 +160,13 @@ def test_killed_at_any_moment(programs, observer, number, moment):
     publisher = observer.publisher("sprockets")
     recorder.wait_for("sprockets")
     sent = []  # when, on a clock that stands still with the host
-    ran, before = 0.0, time.monotonic()
-    while ran < moment:
+    elapsed, before = 0.0, time.monotonic()
+    while elapsed < moment:
         now = time.monotonic()
-        ran, before = ran + min(now - before, LONGEST_STEP), now
-        if ran >= len(sent) * PERIOD:
+        elapsed, before = elapsed + min(now - before, LONGEST_STEP), now
+        if elapsed >= len(sent) * PERIOD:
             publisher.publish(numbered(len(sent)))
-            sent.append(ran)
+            sent.append(elapsed)
     recorder.program.end(signal.SIGKILL)
     program = programs.tool("trackslip", "recover", "bag")
     code = program.wait()
@@ -174,7 +174,7 @@ def test_killed_at_any_moment(programs, observer, number, moment):
     numbers = is_strictly_readable(programs.folder / "bag_recovered")
     assert numbers == list(range(len(numbers)))
     assert code == (ExitCode.DONE if numbers else ExitCode.FAILED)  # none was written before the kill
-    lost = ran - sent[len(numbers)] if len(numbers) < len(sent) else 0.0
+    lost = elapsed - sent[len(numbers)] if len(numbers) < len(sent) else 0.0
     print(f"\nkilled after {moment:.2f} s: {len(numbers)} of {len(sent)}, {lost:.3f} s lost")
     assert lost <= LONGEST_LOSS
 

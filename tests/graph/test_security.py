@@ -181,9 +181,9 @@ def test_the_script_for_keys_gives_sros2_the_policy_in_its_namespace(tmp_path: P
     (tmp_path / "ros2").chmod(0o755)
     environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
     command = [SECURITY / "make_keystore.sh", tmp_path / "keys", *filter(None, [namespace])]
-    said = subprocess.run(command, capture_output=True, text=True, env=environment, check=True).stdout
-    assert said.startswith(f"security create_keystore {tmp_path}/keys\nsecurity generate_artifacts -k ")
+    output = subprocess.run(command, capture_output=True, text=True, env=environment, check=True).stdout
+    assert output.startswith(f"security create_keystore {tmp_path}/keys\nsecurity generate_artifacts -k ")
     prefix = f"/{namespace}" if namespace else ""
-    assert f'<enclave path="{prefix}/slip_estimator">' in said
-    assert f'<profile ns="/{namespace}" node="slip_estimator">' in said
-    assert said.count("<profile ns") == len(read_policy())
+    assert f'<enclave path="{prefix}/slip_estimator">' in output
+    assert f'<profile ns="/{namespace}" node="slip_estimator">' in output
+    assert output.count("<profile ns") == len(read_policy())

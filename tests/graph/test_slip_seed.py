@@ -26,9 +26,9 @@ def test_the_node_takes_seeds_and_reports_on_them(programs, observer):
     observer.wait_until_active("slip_estimator")
 
     def send(topic, message):
-        wanted = len(reports) + 1
+        requested = len(reports) + 1
         topics[topic].publish(message)
-        observer.wait(lambda: len(reports) >= wanted, f"a report on {topic}")
+        observer.wait(lambda: len(reports) >= requested, f"a report on {topic}")
         return reports[-1]
 
     send("box_pose", pose(0))
@@ -39,8 +39,8 @@ def test_the_node_takes_seeds_and_reports_on_them(programs, observer):
     assert late.header.stamp.nanosec == 500_000_000
     bad = send("slip_seed", seed(600, float("nan")))
     assert (bad.source, bad.outcome) == ("slip_seed", MeasurementReport.INVALID)
-    told = len(slips)
+    reported = len(slips)
     send("sprockets", sprockets(1000, SPEED))
-    observer.wait(lambda: len(slips) > told, "slips")
+    observer.wait(lambda: len(slips) > reported, "slips")
     assert slips[-1].left_slip == pytest.approx(0.04, abs=0.02)
     assert slips[-1].right_slip == pytest.approx(slips[-1].left_slip, abs=1e-3)

@@ -71,8 +71,8 @@ class Machine:
             self.send(burst)
             made = [o for given in burst for o in estimator.advance(given) if hasattr(o, "thrust")]
             outputs |= {o.stamp_ns: o for o in made}
-            wanted = len(outputs)
-            self._observer.wait(lambda n=wanted: len(self.forces) >= n, "forces")
+            requested = len(outputs)
+            self._observer.wait(lambda n=requested: len(self.forces) >= n, "forces")
         return outputs
 
     def until_reported(self, level, *words):

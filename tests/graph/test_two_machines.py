@@ -63,8 +63,8 @@ def test_two_machines_side_by_side(programs, observer, steps):
         )
     chains = {(t.header.frame_id, t.child_frame_id) for message in transforms for t in message.transforms}
     assert chains in (set(), links("one") | links("two"))
-    wanted = {f"{name}/{node}" for name in MACHINES for node in NODES}
-    observer.wait(lambda: wanted <= {status.name for status in healths}, "diagnostics of all four")
+    requested = {f"{name}/{node}" for name in MACHINES for node in NODES}
+    observer.wait(lambda: requested <= {status.name for status in healths}, "diagnostics of all four")
     assert "slip_estimator" not in {status.name for status in healths}
     for name, recorder in running.items():
         assert recorder.end()[0] == 0

@@ -63,6 +63,6 @@ def test_a_circle_closes() -> None:
 
 def test_each_missed_bar_is_reported() -> None:
     bad = Score(0.1, 9.0, 6.0, np.array((3.5,)), np.array((20.0, 20.0)), np.array((1.0, 1.0)), 9)
-    told = missed_bars([bad])
-    assert len(told) == 4
-    assert all("accepted" in text for text in told)
+    reported = missed_bars([bad])
+    assert len(reported) == 4
+    assert all("accepted" in text for text in reported)

@@ -49,9 +49,9 @@ def bag(truth: Truth, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
     path = tmp_path_factory.mktemp("slope") / "bag"
     record_drive(PARAMETERS, truth, path)
     found: dict[str, list[tuple[float, Any]]] = {}
-    wanted = ["/imu/data_raw", "/truth/attitude", "/truth/odometry", "/gnss_pose", "/fix", "/heading"]
+    requested = ["/imu/data_raw", "/truth/attitude", "/truth/odometry", "/gnss_pose", "/fix", "/heading"]
     with open_bag(path) as reader:
-        for m in reader.messages(wanted):
+        for m in reader.messages(requested):
             message = reader.deserialize(m.raw, m.type_name)
             stamp = message.header.stamp
             found.setdefault(m.topic, []).append((stamp.sec - 7.0 + stamp.nanosec * 1e-9, message))

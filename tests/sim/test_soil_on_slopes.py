@@ -12,7 +12,7 @@ from trackslip_sim.study.soil.trial import Trial, load_setting
 
 
 def trial(terrain: str) -> Trial:
-    return Trial("sand", 0.01, 1, scenario="field_trial", duration=80.0, stand=5.0, terrain=terrain)
+    return Trial("sand", 0.01, 1, scenario="field_trial", duration=80.0, standstill=5.0, terrain=terrain)
 
 
 @pytest.mark.parametrize("terrain", ["slope_15", "side_slope_15"])

@@ -19,7 +19,7 @@ from trackslip_sim.study.soil.trial import START_NS, Setting, Trial, drive, esti
 from trackslip_sim.truth.ground import Patch
 from trackslip_sim.truth.record import Truth
 
-TRIAL = Trial("sand", 0.02, seed=3, scenario="slalom", duration=10.0, stand=4.0)
+TRIAL = Trial("sand", 0.02, seed=3, scenario="slalom", duration=10.0, standstill=4.0)
 ENDLESS = {"to_x": 100.0, "from_y": -100.0, "to_y": 100.0}
 CELL = SoilCell("field_trial", "sand", drawn=False, sigma_xy=0.05)
 RESULT = Result(

@@ -143,7 +143,7 @@ def test_processes_give_what_one_process_gives(
     monkeypatch.setattr(
         soil_study,
         "load_soil_study_parameters",
-        lambda given: load_soil_study_parameters(given | {"stand": 1.0}),
+        lambda given: load_soil_study_parameters(given | {"standstill": 1.0}),
     )
     rows = []
     for jobs in ("1", "2"):

@@ -29,9 +29,9 @@ P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")
 RADIUS, TREAD = P.vehicle.kinematics.rolling_radius, P.vehicle.kinematics.tread
 COUNT = 5.1133e-4  # rad, of an encoder
-STAND, STRAIGHT = (5.0, 0.0, 0.0), (8.0, 2.2, 2.2)
+STANDSTILL, STRAIGHT = (5.0, 0.0, 0.0), (8.0, 2.2, 2.2)
 LEFT, RIGHT = (6.0, 1.2, 2.2), (6.0, 2.2, 1.2)
-DRIVE = (STAND, STRAIGHT, LEFT, STRAIGHT, RIGHT, STRAIGHT, LEFT, STRAIGHT, RIGHT, STAND)
+DRIVE = (STANDSTILL, STRAIGHT, LEFT, STRAIGHT, RIGHT, STRAIGHT, LEFT, STRAIGHT, RIGHT, STANDSTILL)
 RUNS = 40
 LEAST_HITS = 34  # of 40: fewer have a probability of 0.3 % where 95 % are right
 
@@ -166,18 +166,18 @@ def test_a_gyro_upside_down_is_shown_by_headings_and_by_the_tracks(scale: float)
     ("legs", "names", "word"),
     [
         (
-            (STAND, STRAIGHT, STRAIGHT),
+            (STANDSTILL, STRAIGHT, STRAIGHT),
             ("gyro_scale", "pose_delay", "imu_roll", "imu_pitch"),
             "rad in all; needed",
         ),
-        ((STAND, STRAIGHT, STRAIGHT), ("turning_efficiency", "effective_tread", "gyro_delay"), "turns"),
+        ((STANDSTILL, STRAIGHT, STRAIGHT), ("turning_efficiency", "effective_tread", "gyro_delay"), "turns"),
         (
             (LEFT, RIGHT, LEFT, RIGHT),
             ("effective_rolling_radius", "rolling_radius", "common_slip"),
             "straights",
         ),
         ((STRAIGHT, LEFT, RIGHT), ("gyro_bias", "left_pressure_offset"), "does not stand"),
-        ((STAND, STAND), ("gyro_sign", "gyro_scale", "effective_tread", "rolling_radius"), ""),
+        ((STANDSTILL, STANDSTILL), ("gyro_sign", "gyro_scale", "effective_tread", "rolling_radius"), ""),
         (DRIVE, ("tread",), "tape"),
     ],
 )

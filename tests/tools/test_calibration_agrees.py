@@ -131,8 +131,8 @@ def both(machine: Machine, name: str) -> tuple[tuple[float, float], tuple[float,
 @pytest.mark.parametrize("name", STATES)
 def test_calibration_and_learned_states_agree_within_their_intervals(machine: Machine, name: str) -> None:
     """Both intervals are of 95 %: their difference lies within √(a² + b²) as often."""
-    (value, half), (state, doubt) = both(machine, name)
-    assert abs(value - state) <= math.hypot(half, doubt)
+    (value, half), (state, state_half) = both(machine, name)
+    assert abs(value - state) <= math.hypot(half, state_half)
 
 
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.soil)

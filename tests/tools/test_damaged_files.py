@@ -95,7 +95,7 @@ def test_a_damaged_file_is_refused_in_one_line_and_nothing_is_written(
 ) -> None:
     file = Path(shutil.copy(FOLDER / name, place))
     before = sorted(place.rglob("*"))
-    said = []
+    output = []
     for command in commands_of(file):
         code = main(command)
         error = capsys.readouterr().err
@@ -105,8 +105,8 @@ def test_a_damaged_file_is_refused_in_one_line_and_nothing_is_written(
         assert name in error, (command, error)
         assert sorted(place.rglob("*")) == before, command
         assert file.read_bytes() == (FOLDER / name).read_bytes(), command
-        said.append(error)
-    assert any(lines_of_the_list()[name] in error for error in said), said
+        output.append(error)
+    assert any(lines_of_the_list()[name] in error for error in output), output
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -36,7 +36,7 @@ from trackslip_tools.workers import workers
 ROOT = Path(__file__).parents[2]
 BAGS = ROOT / "bags"
 SHORT = ("--stop", "8")
-_NOBODY = 65534
+_UNPRIVILEGED = 65534
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def locked() -> Iterator[Path]:
         folder.mkdir()
         for path, mode in ((folder.parent, 0o755), (folder, 0)):
             path.chmod(mode)
-        os.seteuid(_NOBODY if me == 0 else me)
+        os.seteuid(_UNPRIVILEGED if me == 0 else me)
         yield folder
         os.seteuid(me)
         folder.chmod(0o700)

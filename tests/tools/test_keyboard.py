@@ -30,19 +30,19 @@ print("typed", repr(text), termios.tcgetattr(0) == before, flush=True)
 
 def read_until(terminal: int, word: bytes) -> bytes:
     """What the child writes, up to this or its end."""
-    heard = b""
+    received = b""
     with suppress(OSError):  # nobody is at the other end any more
-        while word not in heard:
-            heard += os.read(terminal, 1000)
-    return heard
+        while word not in received:
+            received += os.read(terminal, 1000)
+    return received
 
 
 def test_keys_act_without_enter_and_the_terminal_is_left_as_it_was() -> None:
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", CHILD.format(path=sys.path)])
-    heard = read_until(terminal, b"ready")
-    assert heard.strip() == b"ready"  # the end of the line comes with it, or later
+    received = read_until(terminal, b"ready")
+    assert received.strip() == b"ready"  # the end of the line comes with it, or later
     os.write(terminal, b"  x")
     os.write(terminal, b"q")
     assert b"typed '  xq' True" in read_until(terminal, b"True")

@@ -107,11 +107,11 @@ def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:
     with open_bag(BAG.with_name("outage_sandy_loam")) as bag, with_estimates(bag) as whole:
         state = LiveState("a test", load_vehicle())
         feed = BagFeed(whole, state, 1.0, InputFilters())
-        wall_s, told = 100.0, []
+        wall_s, reported = 100.0, []
         while not feed.finished:
-            told += [(wall_s - 100.0, text) for *_, text in feed.advance(wall_s)["events"]]
+            reported += [(wall_s - 100.0, text) for *_, text in feed.advance(wall_s)["events"]]
             wall_s += 0.25
-    fixes = [(at_s, text) for at_s, text in told if text.startswith("fix")]
+    fixes = [(at_s, text) for at_s, text in reported if text.startswith("fix")]
     assert [text for _, text in fixes] == ["fix lost: box_pose", "fix back: box_pose"]
     assert fixes[1][0] - fixes[0][0] == pytest.approx(8.0, abs=1.0)
 

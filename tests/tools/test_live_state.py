@@ -141,23 +141,25 @@ def test_fixes_of_any_source_are_drawn(state: LiveState, source: str) -> None:
 
 def test_a_source_that_falls_silent_is_a_lost_fix_and_then_one_that_is_back(state: LiveState) -> None:
     state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
-    told = []
+    reported = []
     for now_s in (-0.5, 0.0, 1.9, 2.1, 9.0, 12.0):
         if now_s in (-0.5, 0.0, 12.0):
             state.process("rtk", messages.fix(0.0, 0.0), now_s)
-        told += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
-    assert told == [(2.1, "fix lost: rtk"), (12.0, "fix back: rtk")]
+        reported += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
+    assert reported == [(2.1, "fix lost: rtk"), (12.0, "fix back: rtk")]
 
 
 def test_a_source_slower_than_its_timeout_is_lost_after_three_periods(state: LiveState) -> None:
     state.process("slip_estimator/parameters", parameters(rtk=1.0), 0.0)
-    told = []
+    reported = []
     for now_s in (0.0, 1.05, 2.1, 3.15, 4.2, 5.2, 7.2, 7.4):
         if now_s <= 4.2:
-            told += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]  # just before it
+            reported += [
+                (now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]
+            ]  # just before it
             state.process("rtk", messages.fix(0.0, 0.0), now_s)
-        told += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
-    assert told == [(7.4, "fix lost: rtk")]
+        reported += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
+    assert reported == [(7.4, "fix lost: rtk")]
 
 
 def test_a_lost_fix_is_left_to_the_estimator_where_it_speaks(state: LiveState) -> None:

@@ -62,11 +62,11 @@ def test_the_largest_slip_is_one_that_is_known(emulated_run: Run) -> None:
     assert emulated_run.states is not None
     states = emulated_run.states
     k = len(states.slips) // 2
-    lasting = slice(k, k + 200)  # 2 s
+    held = slice(k, k + 200)  # 2 s
     wild = states.slips.copy()
-    wild[lasting, 0] = -3.0
+    wild[held, 0] = -3.0
     unsure = states.slip_covariances.copy()
-    unsure[lasting, 0, 0] = 1.0
+    unsure[held, 0, 0] = 1.0
     changed = dataclasses.replace(emulated_run)
     spike = states.slips.copy()
     spike[k, 0] = -3.0
@@ -91,9 +91,9 @@ def test_stalled_and_stuck_tracks_are_named_in_headline_events_and_strip(stalled
     found = facts(stalled_run)["Stalled or stuck"]
     assert found.state is State.ATTENTION
     assert found.note == "stalled: left track 10.0 s; getting stuck: right track 5.0 s"
-    told = [(round(1e-3 * event.time_ms), event.text) for event in events_of(stalled_run)]
-    assert (10, "left track stalled for 10.0 s") in told
-    assert (30, "right track getting stuck for 5.0 s") in told
+    reported = [(round(1e-3 * event.time_ms), event.text) for event in events_of(stalled_run)]
+    assert (10, "left track stalled for 10.0 s") in reported
+    assert (30, "right track getting stuck for 5.0 s") in reported
     (strip,) = strips([stalled_run])
     (left,), (right,) = strip.rows["left track"], strip.rows["right track"]
     assert (left.look.word, right.look.word) == ("stalled", "getting stuck")
@@ -113,14 +113,14 @@ def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> No
     reports["outcome"][of_fixes & (reports_s > 20.0) & (reports_s < 26.0)] = Outcome.GATED
     details._reports.add(reports)
     changed = dataclasses.replace(emulated_run, details=details)
-    told = [event.text for event in events_of(changed)]
-    assert len(told) == 2
+    reported = [event.text for event in events_of(changed)]
+    assert len(reported) == 2
     (strip,) = strips([changed])
     ((start, stop, *_), _) = strip.rows["box_pose"][0]
     assert (start, stop) == pytest.approx((20.0, 26.0), abs=0.5)
     words = f"for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
-    assert f"fix lost: nothing accepted of box_pose {words}" in told
-    assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in told)
+    assert f"fix lost: nothing accepted of box_pose {words}" in reported
+    assert any(text.startswith(f"gate refuses {lost.sum()} of box_pose within") for text in reported)
 
 
 def test_fixes_are_not_lost_after_the_last_measurement(emulated_run: Run) -> None:
@@ -167,12 +167,12 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     ]
     replayed = dataclasses.replace(emulated_run.replay, happened=happened)
     run = dataclasses.replace(emulated_run, details=details, replay=replayed)
-    told = [(event.level, 1e-3 * event.time_ms, event.text) for event in events_of(run)]
+    reported = [(event.level, 1e-3 * event.time_ms, event.text) for event in events_of(run)]
     both = "two explanations for 10.0 s: box_pose is 1.0 m off (90 %), the machine was moved (10 %)"
-    assert (Level.WARN, pytest.approx(10.0), both) in told
-    assert (Level.WARN, pytest.approx(10.0), "box_pose is off") in told
-    assert (Level.OK, pytest.approx(24.0), "box_pose is sound again") in told
-    assert not any("outlier" in text for *_, text in told)
+    assert (Level.WARN, pytest.approx(10.0), both) in reported
+    assert (Level.WARN, pytest.approx(10.0), "box_pose is off") in reported
+    assert (Level.OK, pytest.approx(24.0), "box_pose is sound again") in reported
+    assert not any("outlier" in text for *_, text in reported)
     (strip,) = (strip for strip in strips([run]) if "explanations" in strip.rows)
     (competing, one) = strip.rows["explanations"]
     assert (competing.look.word, competing.spell.text) == ("explanations compete", both)

@@ -188,8 +188,8 @@ def test_every_measurement_was_used_is_stated_only_where_it_is_so(run: Run) -> N
     assert "Share not used" in words(changed(run, rejected=Tally(), soil=soil))
     filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
     withheld = changed(run, rejected=Tally(), withheld=[Withheld(filters.withhold[0], 5, None, None)])
-    said = words(dataclasses.replace(withheld, filters=filters))
-    assert said == "Every measurement that the replay was given was used. 5 were withheld."
+    output = words(dataclasses.replace(withheld, filters=filters))
+    assert output == "Every measurement that the replay was given was used. 5 were withheld."
 
 
 def test_a_stalled_track_is_named(stalled_run: Run) -> None:

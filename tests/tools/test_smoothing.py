@@ -109,11 +109,11 @@ def test_a_users_word_is_no_news_of_what_was_before(log: Any) -> None:
     moved = log.true_pose(at_ns) + np.array((3.0, 0.0, 0.0))
     word = PoseFix(SET_POSE, at_ns, moved, np.diag((1e-4, 1e-4, 1e-4)))
     fixes = without(log.measurements, PoseFix, at_ns, 2**62)
-    told = smoothed_of([*fixes, word]).smoothed
+    reported = smoothed_of([*fixes, word]).smoothed
     plain = smoothed_of([m for m in fixes if m.stamp_ns < at_ns]).smoothed
-    before = told["pose"][told["stamp_ns"] < at_ns]
+    before = reported["pose"][reported["stamp_ns"] < at_ns]
     assert np.abs(before - plain["pose"][: len(before)]).max() < 1e-6
-    assert abs(told["pose"][-1, 0] - log.true_pose(told["stamp_ns"][-1])[0]) > 1.0
+    assert abs(reported["pose"][-1, 0] - log.true_pose(reported["stamp_ns"][-1])[0]) > 1.0
 
 
 def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:

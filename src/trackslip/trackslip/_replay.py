@@ -103,11 +103,11 @@ def replayed(
     of_soil = replay_options.soil_parameters_of(bag, p, *given)
     rows = GrowingRows(ESTIMATE)
     found = run.replay(bag, p, filters, reference, of_soil, lambda part: rows.add(part.estimates))
-    said = (*([bag.damage] if bag.damage else []), *notes)
+    remarks = (*([bag.damage] if bag.damage else []), *notes)
     return Result(
         of_rows(in_order(rows.rows()), datum),
         summary(found, found.elapsed_s),
         of_result(found.setup),
-        said,
+        remarks,
         text(found, found.elapsed_s),
     )

@@ -142,12 +142,12 @@ def _stretches(parts: deque[Part], start_ns: int, stop_ns: int) -> Iterator[Stre
         until_ns = min(parts[0].chunk.message_start_time, stop_ns) if parts else stop_ns
         whole = np.concatenate(pieces)
         rows = joined([waiting, messages_in(whole, indexed)])
-        wanted = rows.log_times_ns >= start_ns
-        now = chosen(rows, wanted & (rows.log_times_ns < until_ns))
+        requested = rows.log_times_ns >= start_ns
+        now = chosen(rows, requested & (rows.log_times_ns < until_ns))
         ready = chosen(now, np.lexsort((now.written[:, 1], now.written[:, 0], now.log_times_ns)))
         if until_ns > start_ns:
             yield Stretch(until_ns, whole, ready.topics, ready.log_times_ns, ready.starts, ready.lengths)
-        buffer, waiting = _carried(whole, chosen(rows, wanted & (rows.log_times_ns >= until_ns)))
+        buffer, waiting = _carried(whole, chosen(rows, requested & (rows.log_times_ns >= until_ns)))
 
 
 def _carried(buffer: Bytes, rows: Located) -> tuple[Bytes, Located]:

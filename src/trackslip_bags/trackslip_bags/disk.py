@@ -70,13 +70,13 @@ def too_many(files: list[Recorded], most: int, bag: Path, writing: Path, now_s: 
     Never ``writing``; nor one of another bag than ``bag`` that somebody may be writing yet.
     """
     surplus = sum(file.size for file in files) - most
-    gone: list[Path] = []
+    removed: list[Path] = []
     for file in sorted(files, key=lambda file: (file.changed_s, file.path)):
         rests = file.path.parent == bag or now_s - file.changed_s > _RESTING
         if surplus > 0 and file.path != writing and rests:
-            gone.append(file.path)
+            removed.append(file.path)
             surplus -= file.size
-    return gone
+    return removed
 
 
 def remove_recorded(file: Path) -> None:

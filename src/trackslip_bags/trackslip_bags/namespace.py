@@ -23,11 +23,11 @@ class InNamespace:
         """Name within the namespace → what there is of it."""
         return {name: self._topics[topic] for name, topic in self._outside.items()}
 
-    def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
+    def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         """As those of the whole part."""
-        names = {topic: name for name, topic in self._outside.items() if wanted is None or name in wanted}
-        for message in self._source.messages(names.keys(), start_ns, stop_ns):
-            yield message._replace(topic=names[message.topic])
+        outside = {topic: name for name, topic in self._outside.items() if names is None or name in names}
+        for message in self._source.messages(outside.keys(), start_ns, stop_ns):
+            yield message._replace(topic=outside[message.topic])
 
     def close(self) -> None:
         """Close the part."""

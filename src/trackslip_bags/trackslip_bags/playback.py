@@ -58,10 +58,10 @@ def played_topics(bag: Bag, filters: InputFilters, also: Collection[str]) -> dic
 def played(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator[Played]:
     """The messages to publish under these names, in log order, less what is withheld."""
     names = {topic: _published(name, filters) for topic, name in input_names(bag).items()}
-    wanted = [topic for topic, name in names.items() if name in topics]
+    requested = [topic for topic, name in names.items() if name in topics]
     start_ns = bag.start_ns + round(filters.start_s * 1e9)
     stop_ns = bag.start_ns + round(filters.stop_s * 1e9) if math.isfinite(filters.stop_s) else None
-    for message in bag.messages(wanted, start_ns, stop_ns):
+    for message in bag.messages(requested, start_ns, stop_ns):
         name = names[message.topic]
         if not filters.hides(relative(name), (message.log_time_ns - bag.start_ns) * 1e-9):
             yield Played(name, message.log_time_ns, message.raw)

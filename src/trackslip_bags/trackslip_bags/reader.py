@@ -82,10 +82,10 @@ class Bag:
             InputError: the bag turns out to be damaged inside.
         """
         names = None if topics is None else {absolute(topic) for topic in topics}
-        wanted = None if names is None else {topic for topic in self.topics if absolute(topic) in names}
+        requested = None if names is None else {topic for topic in self.topics if absolute(topic) in names}
         first = self.start_ns if start_ns is None else start_ns
         stop = self.end_ns + 1 if stop_ns is None else stop_ns
-        parts = [source.messages(wanted, first, stop) for source in self.sources]
+        parts = [source.messages(requested, first, stop) for source in self.sources]
         try:
             yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=attrgetter("log_time_ns"))
         except Exception as error:

@@ -53,7 +53,7 @@ class Source(Protocol):
     def topics(self) -> dict[str, TopicInfo]: ...
 
     def messages(
-        self, wanted: Collection[str] | None, start_ns: int, stop_ns: int
+        self, names: Collection[str] | None, start_ns: int, stop_ns: int
     ) -> Iterator[BagMessage]: ...
 
     def close(self) -> None: ...
@@ -89,9 +89,9 @@ class WholeBag:
         stated = merged({c.topic: TopicInfo(c.msgtype, 0, c.msgdef)} for c in self._reader.connections)
         return merged((held, stated))
 
-    def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
+    def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         for storage in _storages(self._reader):
-            connections = [c for c in storage.connections if wanted is None or c.topic in wanted]
+            connections = [c for c in storage.connections if names is None or c.topic in names]
             if not connections:
                 continue
             for connection, time_ns, raw in storage.messages(connections, start_ns, stop_ns):
@@ -138,10 +138,10 @@ class SalvagedFile:
             for channel, topic in self._content.topics.items()
         )
 
-    def messages(self, wanted: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
+    def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
         for time_ns, channel, raw in self._content.messages:
             topic = self._content.topics[channel]
-            if start_ns <= time_ns < stop_ns and (wanted is None or topic.topic in wanted):
+            if start_ns <= time_ns < stop_ns and (names is None or topic.topic in names):
                 yield BagMessage(topic.topic, topic.type_name, time_ns, raw)
 
     def close(self) -> None:

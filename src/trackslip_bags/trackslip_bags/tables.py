@@ -115,15 +115,15 @@ class TopicTable:
     def _fill(self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray) -> BoolArray:
         """Fill the rows of the messages ``left`` that have this layout; (m,) which they are."""
         starts = self._starts[left]
-        alike = layout.matches(self._buffer, starts)
-        members, starts = left[alike], starts[alike]
+        matching = layout.matches(self._buffer, starts)
+        members, starts = left[matching], starts[matching]
         if members.size:
             for name, (_, place) in places_of(kind).items():
                 try:
                     rows[name][members] = layout.column(place, self._buffer, starts, self._topic.number_of)
                 except KeyError:
                     raise self._topic.lacks(place.path) from None
-        return alike
+        return matching
 
     def _fill_one(self, rows: NDArray[np.void], kind: RecordClass, k: int) -> None:
         message = self.message(k)

@@ -13,7 +13,7 @@ TEXT = "compiling, about a minute: once after an installation"
 DESK_TEXT = "compiling for this processor, once after an installation: about two minutes"
 NODE_S, DESK_S = 60.0, 120.0  # of a processor, that what a node or a replay needs is in compiling
 _PERIOD, _STEP = 1.0, 5.0  # s
-_SURE = 10.0  # s, of a free processor, before what others take of it counts
+_LEAST_USED_S = 10.0  # s, of a free processor, before what others take of it counts
 _CLEAR = "\r\x1b[2K"  # the line of a terminal
 
 
@@ -105,7 +105,7 @@ class _Countdown:
 
     def _text(self) -> str:
         elapsed, used = time.monotonic() - self._begun[0], time.process_time() - self._begun[1]
-        left = (self._expected_s - used) * max((elapsed + _SURE) / (used + _SURE), 1.0)
+        left = (self._expected_s - used) * max((elapsed + _LEAST_USED_S) / (used + _LEAST_USED_S), 1.0)
         if left < _STEP:
             return "compiling, almost done"
         return f"compiling, about {_STEP * round(left / _STEP):.0f} s left"

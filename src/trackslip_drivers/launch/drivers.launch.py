@@ -13,5 +13,5 @@ EXECUTABLES = ("can_driver", "watson_imu", "sick_pls", "nmea_gnss")
 
 def generate_launch_description() -> LaunchDescription:
     """Defaults are the nodes' own; ``params_file`` goes over them."""
-    wanted = [Launched(PACKAGE, name) for name in EXECUTABLES]
-    return LaunchDescription([*declared(EXECUTABLES), OpaqueFunction(function=nodes, args=[wanted])])
+    requested = [Launched(PACKAGE, name) for name in EXECUTABLES]
+    return LaunchDescription([*declared(EXECUTABLES), OpaqueFunction(function=nodes, args=[requested])])

@@ -36,8 +36,8 @@ def _nodes(context: LaunchContext) -> list[Node]:
     state_file = _state_file(context)
     track_file = str(Path(state_file).with_name("box_localizer.json")) if state_file else ""
     own = {"slip_estimator": {"state_file": state_file}, "box_localizer": {"track_file": track_file}}
-    wanted = EXECUTABLES if switch(context, "record") else EXECUTABLES[:-1]
-    launched = [Launched(PACKAGE, name, own.get(name, {})) for name in wanted]
+    requested = EXECUTABLES if switch(context, "record") else EXECUTABLES[:-1]
+    launched = [Launched(PACKAGE, name, own.get(name, {})) for name in requested]
     return nodes(context, [*launched, LIVE])
 
 

@@ -219,9 +219,9 @@ def test_what_was_there_before_is_not_the_box():
     localizer = BoxLocalizer(PARAMETERS, BOX)
     scanner = SiteScanner(twin, BOX, seed=15)
     drive(localizer, scanner, turning, 10)
-    gone = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 60, first=10)
-    assert all(isinstance(outcome, Rejection) for outcome in gone)
-    assert gone[-1] == Rejection(Reason.BACKGROUND)
+    outcomes = drive(localizer, scanner, standing(100.0, 100.0, 0.0), 60, first=10)
+    assert all(isinstance(outcome, Rejection) for outcome in outcomes)
+    assert outcomes[-1] == Rejection(Reason.BACKGROUND)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 0.01])

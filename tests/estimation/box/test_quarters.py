@@ -36,10 +36,10 @@ def listened(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
         given_modes = modes(log_odds)
         for mode in given_modes:
             mode.pose[0] += k * moved
-        heard, weights, headings = headings.after(given_modes, 0.0, stddev**2, step=0.1)
-        if abs(heard[0].pose[2]) > 0.1:
-            return heard, weights, headings
-    return heard, weights, headings
+        received, weights, headings = headings.after(given_modes, 0.0, stddev**2, step=0.1)
+        if abs(received[0].pose[2]) > 0.1:
+            return received, weights, headings
+    return received, weights, headings
 
 
 def test_heading_predicted_well_leaves_no_ambiguity():
@@ -80,8 +80,8 @@ def test_many_scans_settle_the_sides_and_leave_half_a_turn_open():
 
 
 def test_sides_expected_wrongly_are_turned_over():
-    heard, _, headings = listened(OPEN, 3.0, 15, moved=0.2)
-    assert abs(np.sin(heard[0].pose[2])) == pytest.approx(1.0)
+    received, _, headings = listened(OPEN, 3.0, 15, moved=0.2)
+    assert abs(np.sin(received[0].pose[2])) == pytest.approx(1.0)
     assert headings.evidence.log_odds < 0.0
 
 
@@ -92,8 +92,8 @@ def test_scans_from_one_place_were_counted_as_new_evidence_each():
 
 
 def test_absence_forgets_the_evidence():
-    heard = listened(OPEN, -0.7, 5, moved=0.2)[2]
-    _, _, lost = heard.after(modes(), 0.0, 1.0, step=0.1)
+    received = listened(OPEN, -0.7, 5, moved=0.2)[2]
+    _, _, lost = received.after(modes(), 0.0, 1.0, step=0.1)
     assert lost.evidence.log_odds == 0.0
 
 

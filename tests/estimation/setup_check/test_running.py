@@ -15,7 +15,7 @@ from trackslip_estimation.setup_check.running import Background, RunningCheck
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 
-NAMED_S, GONE_S = 100.0, 60.0
+NAMED_S, END_S = 100.0, 60.0
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
     check, drive = RunningCheck(parameters), make_drive()
     assert causes_after(check, measurements(drive, 0.0, signs, gyro), NAMED_S) == {cause}
     mended = measurements(drive, NAMED_S + 0.5, (1.0, 1.0), 1.0)
-    assert causes_after(check, mended, NAMED_S + GONE_S) == set()
+    assert causes_after(check, mended, NAMED_S + END_S) == set()
 
 
 def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> None:

@@ -97,8 +97,8 @@ def test_gaussian_fixes_as_good_as_they_state_are_not_found_better() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
 def test_fixes_at_standstill_together_observe_what_the_common_part_leaves(share: float) -> None:
     for count in (1, 2, 10, 500):
-        told = sum(1.0 / standstill_inflation(k, share) for k in range(1, count + 1))
-        assert 1.0 / told == pytest.approx(share + (1.0 - share) / count)
+        reported = sum(1.0 / standstill_inflation(k, share) for k in range(1, count + 1))
+        assert 1.0 / reported == pytest.approx(share + (1.0 - share) / count)
 
 
 def test_a_turn_by_a_side_slope_was_learned_as_the_machines_own() -> None:

@@ -35,7 +35,7 @@ BIAS = 0.1  # m/s² of the accelerometer along x: 0.6°, which over 40 m are 0.4
 BEGIN = 12.0  # m, height of C at the start
 STDDEV = 0.02  # m, of altitudes
 ANTENNA = (1.2, -0.4, 2.5)
-WANTED: dict[str, Any] = {
+REQUESTED: dict[str, Any] = {
     "sources.box_pose.use_altitude": True,
     **{f"sources.box_pose.lever_arm_{axis}": at for axis, at in zip("xyz", ANTENNA, strict=True)},
 }
@@ -95,8 +95,8 @@ def with_time_correlated_errors(rate: int, seed: int) -> list[Measurement]:
 def run(
     measurements: list[Measurement], source: str = FIX, **changed: Any
 ) -> tuple[list[Estimate], list[Report]]:
-    wanted = {key.replace(FIX, source): value for key, value in WANTED.items()}
-    p = load_slip_parameters({"pose_sources": (source,), **wanted, **changed})
+    requested = {key.replace(FIX, source): value for key, value in REQUESTED.items()}
+    p = load_slip_parameters({"pose_sources": (source,), **requested, **changed})
     steps = SlipEstimator(p).process_all(measurements)
     return [estimate for _, estimate in steps if estimate is not None], [report for report, _ in steps]
 
@@ -210,10 +210,10 @@ def test_altitudes_without_a_variance_are_counted(variance: float) -> None:
 
 
 def test_an_unknown_height_is_reported_as_unknown() -> None:
-    own = SlipEstimator(load_slip_parameters(WANTED))
+    own = SlipEstimator(load_slip_parameters(REQUESTED))
     own.process_all(drive(lambda *_: (0.0, UNOBSERVED), seconds=10.0))
     assert "height unknown until a fix has an altitude" in own.attitude
-    own = SlipEstimator(load_slip_parameters(WANTED))
+    own = SlipEstimator(load_slip_parameters(REQUESTED))
     own.process_all(drive(seconds=10.0))
     assert "height 12." in own.attitude
 

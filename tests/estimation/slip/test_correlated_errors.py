@@ -161,13 +161,13 @@ def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
 def test_another_quality_has_another_error(stddev: float, variance: float) -> None:
     """What is known of the error of one solution tells nothing of that of another; a precise one has none."""
     state = given_offset(made_up(), 4.0)
-    update, prior, wanted = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
+    update, prior, requested = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
     prepare_offset(state, update, prior, SOURCE, stddev**2 * np.eye(2), False, C)
     assert state["offsets"]["variance"][0] == pytest.approx(variance)
     assert update["renewed"] == 3 << SENSOR_ERRORS
-    wanted[OFFSET], wanted[:, OFFSET], wanted[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
-    np.testing.assert_allclose(state["covariance"], wanted)
-    np.testing.assert_allclose(prior["covariance"], wanted)
+    requested[OFFSET], requested[:, OFFSET], requested[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
+    np.testing.assert_allclose(state["covariance"], requested)
+    np.testing.assert_allclose(prior["covariance"], requested)
 
 
 @given(st.floats(0.01, 200.0), st.floats(1.0, 30.0))
@@ -250,9 +250,9 @@ def test_errors_of_precise_fixes_are_white_until_they_show_otherwise(period: flo
     white = found(0.02 * noise.normal(size=(t.size, 2)), 0.02, period)
     assert white["white"] > 0.9
     assert white["g"] == 0.0
-    lasting = found(gauss_markov(t, 0.04, 10.0, noise), 0.02, period)
-    assert lasting["white"] < 0.1
-    assert 0.2 < lasting["g"] * 0.02**2 / 0.04**2 < 5.0
+    correlated = found(gauss_markov(t, 0.04, 10.0, noise), 0.02, period)
+    assert correlated["white"] < 0.1
+    assert 0.2 < correlated["g"] * 0.02**2 / 0.04**2 < 5.0
 
 
 @pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])

@@ -75,7 +75,7 @@ def log_of(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Log:
     return make_log(to_records(found, SlipEstimator(p).sources), p)
 
 
-class Ran(NamedTuple):
+class RunResult(NamedTuple):
     """All of a run."""
 
     measurements: Records
@@ -84,12 +84,12 @@ class Ran(NamedTuple):
     priors: Records  # () without a script
 
 
-def ran(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> Ran:
+def run_of(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> RunResult:
     parts = [
         [part.copy() for part in (b.measurements, b.states, b.updates, b.priors)]
         for b in run_log(log, p, script)
     ]
-    return Ran(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+    return RunResult(*(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
 def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any, list[Outcome]]:
@@ -111,7 +111,7 @@ def test_it_ends_as_the_estimator_does(
     p = parameters(model=model, filter=filter_, **changes)
     found = with_faults(measurements(drive))
     state, outcomes = ended(found, p)
-    run = ran(log_of(found, p), p)
+    run = run_of(log_of(found, p), p)
     assert_same_bits(run.states[-1], state)
     assert 5 < outcomes.count(Outcome.GATED) == np.count_nonzero(run.updates["outcome"] == Outcome.GATED)
     assert {Outcome.AHEAD, Outcome.INVALID, Outcome.DUPLICATE} <= set(outcomes)
@@ -135,7 +135,7 @@ def test_an_outage_leaves_the_gate_as_it_does_live(drive: Callable[..., Any]) ->
     )
     p = parameters()
     state, outcomes = ended(found, p)
-    run = ran(log_of(found, p), p)
+    run = run_of(log_of(found, p), p)
     assert_same_bits(run.states[-1], state)
     assert np.count_nonzero(run.updates["outcome"] == Outcome.GATED) == outcomes.count(Outcome.GATED)
     assert outcomes.count(Outcome.GATED) >= 2
@@ -152,7 +152,7 @@ def test_blocks_of_any_size_give_the_same_bits(
     estimator.process_records(log.begin)
     whole = run_whole(log.rest, estimator.window, estimator.config)
     monkeypatch.setattr(logs, "_BLOCK", size)
-    run = ran(log, p)
+    run = run_of(log, p)
     assert len(list(run_log(log, p))) >= len(log.rest) / size
     assert_same_bits(run.measurements, log.rest)
     assert_same_bits(run.states, whole.best[1 : whole.count])
@@ -162,7 +162,7 @@ def test_blocks_of_any_size_give_the_same_bits(
 def test_a_sprocket_sample_only_propagates(drive: Callable[..., Any]) -> None:
     p = parameters()
     log = log_of(measurements(drive), p)
-    run = ran(log, p, script_of(log, p))
+    run = run_of(log, p, script_of(log, p))
     samples = run.measurements["kind"] == SPROCKETS
     for name in ("mean", "covariance"):
         np.testing.assert_array_equal(run.states[name][samples], run.priors[name][samples])
@@ -177,7 +177,7 @@ def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[.
     for filter_ in ("ekf", "daf"):
         p = parameters(filter=filter_, **{"sources.box_pose.lever_arm_x": 0.4})
         log = log_of(with_faults(measurements(drive)), p)
-        run = ran(log, p, script_of(log, p))
+        run = run_of(log, p, script_of(log, p))
         gated = (run.updates["outcome"] == Outcome.GATED) & (run.states["fault"][:, 0] != SourceFault.OFFSET)
         assert set(run.measurements["kind"][gated]) >= {POSE}
         assert np.count_nonzero(gated) > 10
@@ -188,7 +188,7 @@ def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[.
 def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[..., Any]) -> None:
     """|S| = |H P Hᵀ + R|: of a fix at the stamp of the entry before it, by the noise factor before it."""
     p = parameters(**{"sources.box_pose.standing_share": 0.0, "sources.box_pose.stamp_error": 0.0})
-    run = ran(log_of(drive(SEGMENTS, gyro_every=1000).measurements, p), p)
+    run = run_of(log_of(drive(SEGMENTS, gyro_every=1000).measurements, p), p)
     fixes = np.flatnonzero((run.measurements["kind"] == POSE) & (run.updates["outcome"] == Outcome.ACCEPTED))
     assert len(fixes) > 20
     for k in fixes:
@@ -203,10 +203,10 @@ def test_many_runs_are_each_that_one_run(drive: Callable[..., Any]) -> None:
     sets = [parameters(model=m, gate_probability=g) for m in ("turning", "icr") for g in (0.5, 0.9999)]
     jobs = [(log_of(measurements(drive, seed), p), p) for p in sets for seed in range(3)]
     with ThreadPoolExecutor(2) as pool:
-        together = list(pool.map(lambda job: ran(*job), jobs))
+        together = list(pool.map(lambda job: run_of(*job), jobs))
     assert len(together) == 12
     for one, job in zip(together, jobs, strict=True):
-        for mine, its in zip(one, ran(*job), strict=True):
+        for mine, its in zip(one, run_of(*job), strict=True):
             assert_same_bits(mine, its)
     assert len({one.states["mean"].tobytes() for one in together}) == 12
 

@@ -33,7 +33,7 @@ from trackslip_estimation.slip.sources import Refusal
 
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
-STANDS = np.array(quaternion_of(0.2, -0.4, 1.0))  # of its odom frame
+STANDSTILL = np.array(quaternion_of(0.2, -0.4, 1.0))  # of its odom frame
 ALONE = 40.0  # s, after which there are no fixes
 
 
@@ -48,8 +48,8 @@ def with_odometry(**changed: object) -> SlipEstimatorParameters:
 def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
     """What the source says where base_link is at (3,) x, y, heading of its odom frame, if that lay level."""
     base, camera = np.array(quaternion_of(0.0, 0.0, pose[2])), np.array(quaternion_of(*MOUNTING))
-    at = turned_by(STANDS, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
-    turn = product(product(STANDS, base), camera)
+    at = turned_by(STANDSTILL, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
+    turn = product(product(STANDSTILL, base), camera)
     return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
 
 

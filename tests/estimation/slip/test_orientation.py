@@ -33,7 +33,7 @@ from trackslip_tools.cli.main import main
 
 MS, R, IMU = 1_000_000, 0.159, "imu/data_raw"
 GROUP = "sources.imu_data_raw."
-WANTED = {f"{GROUP}use_orientation": True}
+REQUESTED = {f"{GROUP}use_orientation": True}
 ROLL, PITCH = -0.12, -0.2  # rad, of the slope that is driven
 BIAS = 0.15  # m/s² of both horizontal accelerometers: 0.9°, three times what is assumed
 STDDEV = 0.003  # rad, of the orientation
@@ -64,7 +64,7 @@ def machine(roll: float = ROLL, pitch: float = PITCH, yaw: float = 0.4) -> Any:
 
 
 def imu_of(**changed: Any) -> YawRateSource:
-    p = load_slip_parameters({**WANTED, **{GROUP + name: value for name, value in changed.items()}})
+    p = load_slip_parameters({**REQUESTED, **{GROUP + name: value for name, value in changed.items()}})
     return p.gyros()[IMU]
 
 
@@ -109,7 +109,7 @@ def refused(reports: list[Report]) -> list[AttitudeRefusal]:
 
 def test_a_good_orientation_holds_against_biased_accelerometers() -> None:
     measurements = drive()
-    with_it, _, reports = run(measurements, **WANTED)
+    with_it, _, reports = run(measurements, **REQUESTED)
     without, _, _ = run(measurements)
     assert refused(reports) == []
     assert off(with_it) < 0.4
@@ -119,14 +119,14 @@ def test_a_good_orientation_holds_against_biased_accelerometers() -> None:
 
 
 def test_orientation_alone_gives_the_attitude() -> None:
-    alone, own, _ = run(drive(), **WANTED, **{f"{GROUP}use_acceleration": False})
+    alone, own, _ = run(drive(), **REQUESTED, **{f"{GROUP}use_acceleration": False})
     assert off(alone) < 0.3
     assert "roll -6." in own.attitude
 
 
 def test_its_errors_do_not_average_away_within_their_time() -> None:
     """As many samples in less time say no more."""
-    brief, _, _ = run(drive(seconds=3.0), **WANTED)
+    brief, _, _ = run(drive(seconds=3.0), **REQUESTED)
     assert brief.outputs.tilt.covariance[1, 1] > 0.5 * STDDEV**2
 
 
@@ -145,7 +145,7 @@ def test_what_is_no_orientation_is_refused_by_name(
 ) -> None:
     """And the rest of the message counts as if none were wanted, to the last bit."""
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
-    found, own, reports = run(measurements, **WANTED)
+    found, own, reports = run(measurements, **REQUESTED)
     expected, _, plain = run(measurements)
     imus = [report for report in reports if report.source == IMU and not report.outcome.refused]
     assert len(imus) > 100
@@ -163,7 +163,7 @@ def test_one_that_contradicts_gyro_and_gravity_is_gated() -> None:
         if isinstance(m, YawRate) and m.stamp_ns > 10_000 * MS:
             up = Rotation.from_rotvec((0.0, 0.4, 0.0)).apply(m.up)
             measurements[k] = YawRate(**{**vars(m), "up": tuple(up.tolist())})
-    found, own, reports = run(measurements, **WANTED)
+    found, own, reports = run(measurements, **REQUESTED)
     gated = [r for r in reports if r.attitude is AttitudeRefusal.ORIENTATION_GATED]
     assert {r.stamp_ns > 10_000 * MS for r in gated} == {True}
     assert len(gated) == 200
@@ -176,8 +176,8 @@ def test_the_order_of_arrival_does_not_matter() -> None:
     begin, rest = measurements[:3], measurements[3:]
     shuffler = random.Random(5)
     late = sorted(rest, key=lambda m: m.stamp_ns + shuffler.randrange(800) * MS)
-    found, _, _ = run([*begin, *late], **WANTED)
-    expected, _, _ = run(measurements, **WANTED)
+    found, _, _ = run([*begin, *late], **REQUESTED)
+    expected, _, _ = run(measurements, **REQUESTED)
     np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
     np.testing.assert_array_equal(found.outputs.tilt.covariance, expected.outputs.tilt.covariance)
 
@@ -207,7 +207,7 @@ def test_a_cab_that_looks_aside_turns_it_back() -> None:
             up, lean = unit.inv().apply((0.0, 0.0, 1.0)), (STDDEV**2, STDDEV**2)
             m = YawRate(**{**vars(m), "up": tuple(up.tolist()), "up_variances": lean})
         measurements.append(m)
-    given_ = {**WANTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
+    given_ = {**REQUESTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
     found, _, reports = run(measurements, **given_)
     assert refused(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first reading of the encoder
     assert found.outputs.swing.angle == pytest.approx(1.2, abs=0.02)

@@ -259,11 +259,11 @@ def test_an_uncertain_heading_is_not_a_measurement() -> None:
 
 
 def test_settings_of_a_source_that_another_layer_removes_are_accepted() -> None:
-    told = {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}
-    p = load_slip_parameters(told)
+    reported = {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}
+    p = load_slip_parameters(reported)
     assert list(p.sources) == ["rtk", "imu_data_raw"]
     assert (p.poses()["rtk"].lever, p.poses()["rtk"].stamp_error) == ((0.3, 0.0, 0.0), 0.03)
-    assert list(load_slip_parameters(told, {"pose_sources": [""]}).sources) == ["imu_data_raw"]
+    assert list(load_slip_parameters(reported, {"pose_sources": [""]}).sources) == ["imu_data_raw"]
     assert list(p.changed({"pose_sources": ["box_pose"]}).sources) == ["box_pose", "imu_data_raw"]
 
 

@@ -168,9 +168,9 @@ def test_the_turning_equations_hold_where_stated(
     x = np.zeros(SIZE)
     V, D = RADIUS * (left + right) / 2.0, RADIUS * (right - left)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = kappa, eta, common
-    one_way = left * right >= 0.0
+    one_direction = left * right >= 0.0
     c, half = RECORDS["turning"], abs(D) / 2.0
-    lost = math.copysign(half, V) if one_way else V * abs(V / half) ** 2
+    lost = math.copysign(half, V) if one_direction else V * abs(V / half) ** 2
     sharp = half / (half + float(c["turning"]["gentle_turn"]) * abs(V)) if half > 0.0 else 0.0
     expected = np.array(((1.0 - common) * V - eta * lost * sharp, 0.0, kappa * D / TREAD))
     np.testing.assert_allclose(dispatch.twist(x, -left, -right, c), -expected, atol=1e-12)

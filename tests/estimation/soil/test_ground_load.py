@@ -89,12 +89,12 @@ def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
 
 def test_a_bucket_may_be_filled_where_the_tracks_stand() -> None:
     """Not before the first drive, whose weight is the file's, nor at a halt, nor without a bucket."""
-    stand, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
+    standstill, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
     assert VEHICLE.bucket is not None
-    assert load_stddev(VEHICLE, [stand, drive]) == 0.0
-    assert load_stddev(VEHICLE, [stand, drive, halt, drive, halt]) == 0.0
-    assert load_stddev(VEHICLE, [stand, drive, stand, drive]) == pytest.approx(P.load.bucket_share)
-    assert load_stddev(replace(VEHICLE, bucket=None), [stand, drive, stand, drive]) == 0.0
+    assert load_stddev(VEHICLE, [standstill, drive]) == 0.0
+    assert load_stddev(VEHICLE, [standstill, drive, halt, drive, halt]) == 0.0
+    assert load_stddev(VEHICLE, [standstill, drive, standstill, drive]) == pytest.approx(P.load.bucket_share)
+    assert load_stddev(replace(VEHICLE, bucket=None), [standstill, drive, standstill, drive]) == 0.0
 
 
 def test_a_downhill_nose_is_pulled_forward_and_presses_in_front() -> None:

@@ -86,9 +86,9 @@ def test_pressures_that_stop_coming_are_named_until_they_have_come_back(bench: B
     assert bench.faults == ()
     bench.silence(P.watch.naming_time)
     assert bench.faults == (PressureFault.DROPPED,)
-    said = bench.drive(STRAIGHT, 2.0 * P.watch.naming_time)
-    assert said[0] is PressureFault.DROPPED
-    assert said[-1] is None
+    output = bench.drive(STRAIGHT, 2.0 * P.watch.naming_time)
+    assert output[0] is PressureFault.DROPPED
+    assert output[-1] is None
     assert bench.faults == ()
 
 
@@ -103,9 +103,9 @@ def test_a_stuck_pressure_is_named_while_moving_and_cleared_by_its_first_change(
         return p
 
     assert set(bench.drive(STANDING, 5.0, stuck)) == {None}  # a transducer at rest may be still
-    said = bench.drive(STRAIGHT, 2.0, stuck)
-    assert said[:5] == [None] * 5
-    assert set(said[10:]) == {fault}
+    output = bench.drive(STRAIGHT, 2.0, stuck)
+    assert output[:5] == [None] * 5
+    assert set(output[10:]) == {fault}
     assert bench.faults == (fault,)
     bench.drive(STRAIGHT, 0.1)
     assert bench.faults == ()

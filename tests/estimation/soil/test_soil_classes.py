@@ -77,11 +77,11 @@ def test_every_soil_on_the_line_has_the_strength() -> None:
 
 def test_errors_that_never_average_come_in_as_if_the_cells_were_spread() -> None:
     grid = StrengthGrid(P.strength, VEHICLE)
-    sure = posterior_about(0.01, 3600.0)
-    spread = SoilClasses(P.classes, SOILS.values(), VEHICLE, grid).probabilities(sure)
-    assert spread == pytest.approx(CLASSES.probabilities(grid.spread(sure)), rel=1e-9)
-    assert grid.of_moduli(sure) == pytest.approx(grid.spread(sure).sum(axis=1), abs=1e-12)
-    assert grid.of_limits(sure) == pytest.approx(grid.spread(sure).sum(axis=0), abs=1e-12)
+    certain = posterior_about(0.01, 3600.0)
+    spread = SoilClasses(P.classes, SOILS.values(), VEHICLE, grid).probabilities(certain)
+    assert spread == pytest.approx(CLASSES.probabilities(grid.spread(certain)), rel=1e-9)
+    assert grid.of_moduli(certain) == pytest.approx(grid.spread(certain).sum(axis=1), abs=1e-12)
+    assert grid.of_limits(certain) == pytest.approx(grid.spread(certain).sum(axis=0), abs=1e-12)
 
 
 def test_the_reserve_falls_to_nothing_at_the_limit() -> None:

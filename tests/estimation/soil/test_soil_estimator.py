@@ -168,9 +168,9 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
         keys.append(delay[topic])
     shuffled = [inputs[k] for k in np.argsort(keys, kind="stable")]
     assert [one.source for one in shuffled] != [one.source for one in inputs]
-    wanted, found = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
-    assert len(wanted) - len(found) in (0, 1, 2, 3)  # the end may still wait
-    assert [repr(o) for o in found] == [repr(o) for o in wanted[: len(found)]]
+    requested, found = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
+    assert len(requested) - len(found) in (0, 1, 2, 3)  # the end may still wait
+    assert [repr(o) for o in found] == [repr(o) for o in requested[: len(found)]]
 
 
 @pytest.mark.parametrize(
@@ -204,10 +204,10 @@ def test_many_inputs_at_once_give_what_they_give_one_by_one(chunk: int) -> None:
     parts = [p for k in range(0, len(records), chunk) for p in replayed.advance_all(records[k : k + chunk])]
     forces = np.concatenate([part.forces for part in parts])
     states = [state for part in parts for state in part.states]
-    wanted = run(inputs, live)
-    assert repr(states) == repr([o for o in wanted if isinstance(o, SoilState)])
+    requested = run(inputs, live)
+    assert repr(states) == repr([o for o in requested if isinstance(o, SoilState)])
     for name in ("stamp_ns", "thrust", "thrust_variance", "resistance", "resistance_variance", "reserve"):
-        own = [getattr(o, name) for o in wanted if isinstance(o, TrackForces)]
+        own = [getattr(o, name) for o in requested if isinstance(o, TrackForces)]
         np.testing.assert_array_equal(forces[name], own)
     assert replayed.tally.total == live.tally.total
     assert replayed.struggling == live.struggling

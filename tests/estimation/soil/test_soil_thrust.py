@@ -34,9 +34,9 @@ class Meter:
 
     def learn(self, pressures: np.ndarray | None) -> bool:
         """STEP later, standing where there are pressures; whether one of them was refused."""
-        stands = pressures is not None
-        shown = pressures if stands else np.zeros(2)
-        return update_offsets(self.offsets, shown, stands, STEP, self._numbers)
+        is_standing = pressures is not None
+        shown = pressures if is_standing else np.zeros(2)
+        return update_offsets(self.offsets, shown, is_standing, STEP, self._numbers)
 
     def measure(self, pressures: np.ndarray, speeds: np.ndarray) -> np.void:
         thrust = np.zeros(1, THRUST)

@@ -23,7 +23,7 @@ from trackslip_estimation.terramechanics.traction import thrust
 
 P = load_soil_parameters()
 VEHICLE, LENGTH = P.vehicle.whole(), P.vehicle.whole().contact_length
-SURE = replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0, change_distance=1e6)
+CERTAIN = replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0, change_distance=1e6)
 MODULI, LIMITS = np.geomspace(0.002, 0.06, 24), np.geomspace(2000.0, 8000.0, 16)
 CONTACT = Contact(element_places(LENGTH, 16), 0.5 * VEHICLE.tread)
 SOILS = Hypotheses(CONTACT, MODULI, LIMITS)
@@ -43,9 +43,9 @@ def slip_of(modulus: float, limit: float, force: float = FORCE) -> float:
     return float(brentq(lambda slip: thrust(slip, limit, modulus, LENGTH) - force, 1e-6, 0.99))
 
 
-def rolled(straight: StraightSegment, distance: float, sign: float = 1.0) -> FloatArray:
+def track_distance(straight: StraightSegment, distance: float, sign: float = 1.0) -> FloatArray:
     """What ``distance`` costs on each soil."""
-    before = straight.slip_distance().expected if straight.rolled else 0.0
+    before = straight.slip_distance().expected if straight.track_distance else 0.0
     twist = np.array((sign * SPEED, 0.0, 0.0))  # its v_x does not count
     for _ in range(round(distance / (SPEED * STEP))):
         straight.add(STEP, Rolling(twist, np.full(2, sign * SPEED)), sign * 2.0 * FORCE)
@@ -55,8 +55,8 @@ def rolled(straight: StraightSegment, distance: float, sign: float = 1.0) -> Flo
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_on_fresh_soil_a_straight_costs_as_in_3_3(sign: float) -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
-    rolled(straight, 2.0 * LENGTH, sign)
-    slips = rolled(straight, 7.0, sign) / 7.0
+    track_distance(straight, 2.0 * LENGTH, sign)
+    slips = track_distance(straight, 7.0, sign) / 7.0
     for a in range(0, len(MODULI), 5):
         for b in range(3, len(LIMITS), 4):
             assert slips[a, b] == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
@@ -67,19 +67,19 @@ def test_soil_that_a_turn_has_sheared_pulls_without_slip() -> None:
     sheared[:, :, 0] = -0.3  # as tracks leave it that slip while they drive forward
     straight = StraightSegment(SOILS, sheared, pose_at(0.0))
     enough = LIMITS > 3.0 * FORCE
-    assert np.abs(rolled(straight, 0.5 * LENGTH)[:, enough]).max() < 1e-3
-    rolled(straight, 3.0 * LENGTH)
+    assert np.abs(track_distance(straight, 0.5 * LENGTH)[:, enough]).max() < 1e-3
+    track_distance(straight, 3.0 * LENGTH)
     a, b = 8, -4
-    assert rolled(straight, 3.5)[a, b] / 3.5 == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
+    assert track_distance(straight, 3.5)[a, b] / 3.5 == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
 
 
 def test_a_soil_that_cannot_give_the_thrust_lets_the_tracks_spin() -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
-    expected = rolled(straight, 3.5)
+    expected = track_distance(straight, 3.5)
     weak, strong = np.searchsorted(LIMITS, (1.02 * FORCE, 4.0 * FORCE))
     assert LIMITS[weak] > FORCE
     strongly = Hypotheses(CONTACT, MODULI, 0.5 * LIMITS)
-    spinning = rolled(StraightSegment(strongly, FRESH, pose_at(0.0)), 3.5)
+    spinning = track_distance(StraightSegment(strongly, FRESH, pose_at(0.0)), 3.5)
     assert spinning[8, 0] == pytest.approx(0.4 * 3.5, rel=0.02)
     assert expected[8, strong] < 0.02 * 3.5
 
@@ -93,7 +93,7 @@ def test_a_load_that_leans_costs_as_much_more_or_less_as_is_stated() -> None:
         for _ in range(200):
             rolling = Rolling(np.array((SPEED, 0.0, 0.0)), np.full(2, SPEED), sign * lean)
             straight.add(STEP, rolling, 2.0 * FORCE, lean)
-        straight.set_end(pose_at(0.99 * straight.rolled))
+        straight.set_end(pose_at(0.99 * straight.track_distance))
         costs.append(straight.slip_distance())
     a, b = 10, -1
     change = costs[1].expected[a, b] / costs[0].expected[a, b] - 1.0
@@ -141,7 +141,7 @@ def sample(
 
 def new_strength(**changes: float) -> Strength:
     """That knows F_max already, from spinning tracks."""
-    strength = Strength(replace(SURE, modulus_cells=48, limit_cells=96, **changes), VEHICLE)
+    strength = Strength(replace(CERTAIN, modulus_cells=48, limit_cells=96, **changes), VEHICLE)
     for _ in range(100):
         strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))
     return strength
@@ -170,7 +170,7 @@ def go_straight(
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_slip_distance_gives_the_modulus(sign: float) -> None:
-    strength = new_strength(way_stddev=0.0005)
+    strength = new_strength(distance_stddev=0.0005)
     for _ in range(6):
         go_straight(strength, stddev=0.0005, sign=sign)
     strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))  # ends the last one
@@ -185,7 +185,7 @@ def test_intervals_from_slip_distances_cover_as_often_as_stated() -> None:
     random = np.random.default_rng(7)
     runs, stddev, covered = 60, 0.006, 0
     for _ in range(runs):
-        strength = new_strength(way_stddev=0.0)
+        strength = new_strength(distance_stddev=0.0)
         for _ in range(3):
             go_straight(strength, tuple(stddev * random.standard_normal(2)), stddev)
         strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))
@@ -205,7 +205,7 @@ def test_a_straight_counts_once_it_is_over() -> None:
 
 def test_a_machine_that_stands_is_seen_better() -> None:
     """The straight ends where it is known to be by the end of the stop, not where it was thought to be."""
-    strengths = [new_strength(way_stddev=0.0005) for _ in range(2)]
+    strengths = [new_strength(distance_stddev=0.0005) for _ in range(2)]
     distance = 50 * STEP * SPEED * (1.0 - slip_of(MODULUS, LIMIT))
     for strength, off in zip(strengths, (0.0, 0.05), strict=True):
         go_straight(strength, (0.0, off), 0.0005)
@@ -245,8 +245,8 @@ def test_spinning_tracks_do_not_observe_k() -> None:
 
 def test_a_way_along_a_slope_is_longer_than_it_is_horizontally() -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
-    rolled(straight, 4.0)
+    track_distance(straight, 4.0)
     straight.set_end(pose_at(4.0 * math.cos(0.25)), 1.0 / math.cos(0.25), 0.001)
     lost = straight.slip_distance()
-    assert lost.measured == pytest.approx(straight.rolled - 4.0, abs=1e-9)
+    assert lost.measured == pytest.approx(straight.track_distance - 4.0, abs=1e-9)
     assert lost.variance == pytest.approx((0.001 * 4.0) ** 2)

@@ -124,8 +124,8 @@ def test_many_short_steps_carry_as_one_long_one() -> None:
 
 
 def test_exact_data_give_both_parameters_back() -> None:
-    sure = replace(STRENGTH, slip_bias_stddev=0.0, thrust_share_stddev=0.002, thrust_scale_stddev=0.0)
-    found = fed(Strength(sure, VEHICLE), np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
+    certain = replace(STRENGTH, slip_bias_stddev=0.0, thrust_share_stddev=0.002, thrust_scale_stddev=0.0)
+    found = fed(Strength(certain, VEHICLE), np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
     assert found.shear_modulus == pytest.approx(MODULUS, rel=0.05)
     assert found.thrust_limit == pytest.approx(LIMIT, rel=0.01)
     assert found.identifiable
@@ -169,7 +169,7 @@ def test_intervals_cover_as_often_as_stated() -> None:
     """Errors of slip and thrust that last for seconds, in 80 runs: nine of ten intervals hold the truth."""
     random = np.random.default_rng(5)
     runs, stddev, scatter, covered = 80, 0.003, 0.01, np.zeros(2)
-    lasting = dict.fromkeys(("slip_bias_stddev", "thrust_scale_stddev", "thrust_share_stddev"), 0.0)
+    correlated = dict.fromkeys(("slip_bias_stddev", "thrust_scale_stddev", "thrust_share_stddev"), 0.0)
     small = {
         "lowest_limit": 0.2,
         "highest_limit": 0.4,
@@ -178,7 +178,7 @@ def test_intervals_cover_as_often_as_stated() -> None:
         "change_distance": 1e6,
     }
     for _ in range(runs):
-        strength = new_strength(**lasting, **small, thrust_stddev=scatter * LIMIT)
+        strength = new_strength(**correlated, **small, thrust_stddev=scatter * LIMIT)
         for slip in np.tile((0.0072, 0.03, 0.15), 4):
             error, off = random.standard_normal(2) * (stddev, scatter * LIMIT)
             sample = straight(slip + error, force_of(slip) + off, stddev=stddev, dt=1.0)
@@ -229,15 +229,15 @@ def test_more_samples_of_one_moment_add_no_information() -> None:
 def test_an_error_that_lasts_bounds_what_is_learned() -> None:
     """With an uncertain rolling radius the interval of K stops shrinking."""
     widths = []
-    for lasting in (0.0, 0.002):
-        strength = new_strength(slip_bias_stddev=lasting, change_distance=1e6)
+    for correlated in (0.0, 0.002):
+        strength = new_strength(slip_bias_stddev=correlated, change_distance=1e6)
         for _ in range(2):
             low, high = fed(strength, np.array((0.0072, 0.2)), 30.0).summary().shear_modulus_interval
             widths.append(np.log(high / low))
-    sure_before, sure_after, before, after = widths
-    assert sure_after < 0.92 * sure_before
+    certain_before, certain_after, before, after = widths
+    assert certain_after < 0.92 * certain_before
     assert after > 0.8 * before
-    assert after > 1.5 * sure_after
+    assert after > 1.5 * certain_after
 
 
 def test_either_track_alone_will_do() -> None:

@@ -58,7 +58,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.inputs = Inputs(self)
         self._status = self.tolerate_failures(self.create_publisher(DiagnosticArray, "/diagnostics", 10))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._lasting_timers.append(self.create_timer(1.0, self.publish_health, clock=steady))
+        self._permanent_timers.append(self.create_timer(1.0, self.publish_health, clock=steady))
 
     def reload(self, values: dict[str, Any]) -> None:
         """Hand changed parameters, by dotted name, to the core.

@@ -24,7 +24,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 
 FEWEST = 10  # failures of a streak that ends the node
-LASTING_S = 10.0  # s, how long such a streak lasts
+STREAK_S = 10.0  # s, how long such a streak lasts
 PAUSE_S = 3.0  # s without a failure, which ends a streak
 RECENT_S = 10.0  # s for which a failure shows as an error
 LOG_PERIOD_S = 30.0  # s between lines in the log about the same cause
@@ -102,7 +102,7 @@ class CallbackFailures:
     def are_hopeless(self) -> bool:
         """Whether a streak has lasted so long that the node should end."""
         with self._lock:
-            return self._streak >= FEWEST and self._last_s - self._began_s >= LASTING_S
+            return self._streak >= FEWEST and self._last_s - self._began_s >= STREAK_S
 
     def health(self) -> list[Health]:
         """What failed, and how long ago; nothing where that never happened."""

@@ -108,13 +108,13 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
     ]
 
 
-def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
-    """Those of ``wanted`` that are switched on.
+def nodes(context: LaunchContext, requested: Iterable[Launched]) -> list[Node]:
+    """Those of ``requested`` that are switched on.
 
     Raises:
         InputError: the value of an argument is refused.
     """
-    chosen = switched_on(context, wanted)
+    chosen = switched_on(context, requested)
     names = _used_by(one.executable for one in chosen)
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
     given["params_file"] = _parameter_file(given["params_file"])
@@ -122,15 +122,15 @@ def nodes(context: LaunchContext, wanted: Iterable[Launched]) -> list[Node]:
     return [_node(one, given, switches) for one in chosen]
 
 
-def switched_on(context: LaunchContext, wanted: Iterable[Launched]) -> list[Launched]:
-    """Those of ``wanted`` whose switch is on, and those that have none.
+def switched_on(context: LaunchContext, requested: Iterable[Launched]) -> list[Launched]:
+    """Those of ``requested`` whose switch is on, and those that have none.
 
     Raises:
         InputError: a switch is neither on nor off.
     """
     return [
         one
-        for one in wanted
+        for one in requested
         if one.executable not in _OF_SWITCH or switch(context, _OF_SWITCH[one.executable])
     ]
 
@@ -157,8 +157,8 @@ def number(context: LaunchContext, name: str, kind: type[int] | type[float]) -> 
     try:
         return kind(text)
     except ValueError:
-        wanted = "a whole number" if kind is int else "a number"
-        raise InputError(f"{name}: '{text}' is refused; accepted: {wanted}") from None
+        requested = "a whole number" if kind is int else "a number"
+        raise InputError(f"{name}: '{text}' is refused; accepted: {requested}") from None
 
 
 def _is_switch(name: str) -> bool:

@@ -19,7 +19,7 @@ class SelfStartingNode(LifecycleNode):
         self.active = False
         self._starting = False
         self._failure: Exception | None = None
-        self._lasting_timers: list[Any] = []  # that outlive a clean-up
+        self._permanent_timers: list[Any] = []  # that outlive a clean-up
         self._advertised: list[Any] = []
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
 
@@ -134,7 +134,7 @@ class SelfStartingNode(LifecycleNode):
         """Undo ``configure``, as far as it came."""
         self.drop_subscriptions()
         for timer in list(self.timers):
-            if timer not in self._lasting_timers:
+            if timer not in self._permanent_timers:
                 self.destroy_timer(timer)
         while self._advertised:
             self.destroy_lifecycle_publisher(self._advertised.pop())

@@ -199,7 +199,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         talk = f" ({self.talk()})" if self.talk() else ""
         if state.silent_s < _PAUSE and (lack := self.lack()):
             return ERROR, f"{where}: {lack}"
-        if state.silent_s > 0.5 * limit_s or not state.has_heard:
+        if state.silent_s > 0.5 * limit_s or not state.has_received:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
         reason = self._rejected[0] or "nothing whole yet"
         if reason in self.passing:

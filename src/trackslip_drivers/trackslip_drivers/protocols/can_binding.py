@@ -206,10 +206,10 @@ class Binder:
     def _unit(where: str, name: str, role: Role, of_dbc: str | None) -> Unit:
         """The DBC's unit, or the one of the roles file where the DBC's is empty or unknown."""
         text = (of_dbc or "").strip()
-        wanted = accepted(ROLES[name])
+        requested = accepted(ROLES[name])
         found, stated = UNITS.get(text), UNITS.get(role.unit.strip())
         if role.unit and stated is None:
-            raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {wanted}")
+            raise InputError(f"{where}: unit: '{role.unit}' is unknown; accepted: {requested}")
         if found and stated and found != stated:
             raise InputError(
                 f"{where}: unit: '{role.unit}', but the DBC has '{text}'; accepted: one unit, there or here"
@@ -217,10 +217,10 @@ class Binder:
         unit = found or stated
         if unit is None:
             what = f"unit '{text}' of the DBC is unknown" if text else "the DBC has no unit"
-            raise InputError(f"{where}: {what}; accepted: unit: one of {wanted}")
+            raise InputError(f"{where}: {what}; accepted: unit: one of {requested}")
         if unit.quantity not in ROLES[name]:
             raise InputError(
-                f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {wanted}"
+                f"{where}: '{text or role.unit}' is a unit of {unit.quantity.value}; accepted: {requested}"
             )
         return unit
 

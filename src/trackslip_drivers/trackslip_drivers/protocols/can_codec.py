@@ -139,7 +139,7 @@ class Codec:
         self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # of the DBC; 0 where it has none
         self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
         whole = frozenset(name for name in raw if not self.fields[name].floating)
-        self._wanted = [(name, field, name in whole) for name, field in self.fields.items()]
+        self._requested = [(name, field, name in whole) for name, field in self.fields.items()]
         self.is_exact = protection.unused_bits_zero  # no byte may follow those of the DBC
         self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
         self._counter = field_of(message, protection.counter) if protection.counter else None
@@ -180,7 +180,7 @@ class Codec:
     def unpack(self, little: int, big: int) -> dict[str, Value] | None:
         """The values of the signals that are in the payload; None where one lies outside its range."""
         values: dict[str, Value] = {}
-        for name, field, is_whole in self._wanted:
+        for name, field, is_whole in self._requested:
             if field.selector is not None and not field.is_in(little, big):
                 continue
             raw = (big if field.big else little) >> field.shift & field.mask
@@ -197,7 +197,7 @@ class Codec:
             EncodeError: a value lies outside the range that the DBC gives.
         """
         little = 0
-        for name, field, _ in self._wanted:
+        for name, field, _ in self._requested:
             value = values[name]
             if not field.low <= value <= field.high:
                 raise EncodeError(f"{name}: {value!r}; accepted: {field.low:g} to {field.high:g}")

@@ -17,7 +17,7 @@ _RECENT_NS = 4_000_000_000  # a longer time counts half
 _SILENCE_NS = 2_000_000_000  # a longer interval is no host's that stands still
 _FILLED = 0.7  # of the time must be that of the frames that came
 _WORSE = 0.05  # of the time, less of it explained than by the cycle before
-_LASTING_NS = 1_000_000_000  # frames that come otherwise for so long have another cycle
+_PERSISTENT_NS = 1_000_000_000  # frames that come otherwise for so long have another cycle
 _STALLING_NS = 10_000_000_000  # unless the host stands still again and again: so long shows whether it does
 _ROUGHLY = 0.25  # so near that of the DBC one interval must be to confirm it
 _AS_STATED = 0.05  # a measured cycle so near that of the DBC is that of the DBC
@@ -115,7 +115,7 @@ class CycleMeter:
         early, late = self._early, self._late
         unfit = _Intervals(early.count + late.count, early.cycles + late.cycles, early.time_ns + late.time_ns)
         stalls = early.count > late.count and late.time_ns > early.time_ns
-        if unfit.time_ns <= (_STALLING_NS if stalls else _LASTING_NS) or unfit.count < _FEW:
+        if unfit.time_ns <= (_STALLING_NS if stalls else _PERSISTENT_NS) or unfit.count < _FEW:
             return False
         if stalls and unfit.filled_by(self.cycle_ns or 0.0) >= _FILLED:
             self._early, self._late = _Intervals(), _Intervals()

@@ -108,8 +108,8 @@ class SprocketEncoder:
 
     def _begin_again(self, raw: float, moved: float) -> EncoderEvent:
         """After a long silence: what was turned in it shows with the next reading."""
-        sure = self._velocity is not None and self._silence is None and not self._jumped
-        if sure and self._velocity is not None:
+        is_certain = self._velocity is not None and self._silence is None and not self._jumped
+        if is_certain and self._velocity is not None:
             self._silence = _Silence(self._silent, self._velocity, moved)
         else:
             self._silence, self._broken = None, True
@@ -123,8 +123,8 @@ class SprocketEncoder:
         expected = 0.5 * (silence.velocity + self._velocity) * silence.elapsed_ns
         turns = round((expected - silence.turned) / self._wrap)
         residual = abs(silence.turned + turns * self._wrap - expected)
-        doubt = 0.5 * self._steps_per_ns * silence.elapsed_ns  # mean speeds further off are no machine's
-        if residual > self._wrap / 4 or doubt > 0.75 * self._wrap:
+        tolerance = 0.5 * self._steps_per_ns * silence.elapsed_ns  # mean speeds further off are no machine's
+        if residual > self._wrap / 4 or tolerance > 0.75 * self._wrap:
             self._broken = True
             return
         self._unwrapped += turns * self._wrap

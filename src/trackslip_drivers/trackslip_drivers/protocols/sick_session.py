@@ -115,7 +115,7 @@ class SickSession:
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
         self._backlog = Backlog()
         self._starts: PeriodicStamps | None = None
-        self._wanted_baud = parameters.serial_baud  # or less, where the scanner refuses that
+        self._requested_baud = parameters.serial_baud  # or less, where the scanner refuses that
         self._refusals = 0  # of it, in a row
         self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX)
         self._now_ns = 0
@@ -172,7 +172,7 @@ class SickSession:
             fault = yield from self._start_up()
             if fault is None:
                 fault = yield from self._stream()
-                self._wanted_baud, self._refusals = self._parameters.serial_baud, 0
+                self._requested_baud, self._refusals = self._parameters.serial_baud, 0
             self.tally.add(_SOURCE, fault)
             if fault is SessionFault.PASSWORD:
                 self.phase = Phase.FAILED
@@ -183,7 +183,7 @@ class SickSession:
         self.phase = Phase.PROBING
         if not (yield from self._find_baud()):
             return SessionFault.NO_ANSWER
-        if self.baud != self._wanted_baud:
+        if self.baud != self._requested_baud:
             found = self.baud
             fault = yield from self._change_baud()
             if fault is SessionFault.BAUD:
@@ -227,12 +227,12 @@ class SickSession:
             if answer != _OK:
                 return SessionFault.REFUSED
         self.phase = Phase.CHANGING_RATE
-        command = commands.set_baud(self._wanted_baud)
+        command = commands.set_baud(self._requested_baud)
         # Whether its reply, too, comes at the old rate is not certain: wait for it no longer than the pause.
         answer = yield from self._request(command, self._parameters.baud_pause)
         if answer not in (_OK, Control.ACK):
             return SessionFault.BAUD
-        self._switch_host(self._wanted_baud)
+        self._switch_host(self._requested_baud)
         yield from self._pause(self._parameters.baud_pause)
         return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.BAUD
 
@@ -240,8 +240,8 @@ class SickSession:
         """The scanner, or the line, cannot do the rate wanted; the next lower, or that ``found``, it may."""
         self._refusals += 1
         if self._refusals >= _REFUSALS:
-            lower = [baud for baud in commands.BAUD_CODES if baud < self._wanted_baud]
-            self._wanted_baud, self._refusals = max(lower, default=found), 0
+            lower = [baud for baud in commands.BAUD_CODES if baud < self._requested_baud]
+            self._requested_baud, self._refusals = max(lower, default=found), 0
 
     def _steady_starts(self) -> PeriodicStamps | None:
         """Where the line keeps up with the mirror, telegrams start a turn apart.

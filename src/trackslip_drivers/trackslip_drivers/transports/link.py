@@ -55,7 +55,7 @@ class LinkState:
     last_error_s: float  # system time of it, s since 1970; 0 where there was none
     note: str
     silent_s: float  # s since something was received, or the port was opened
-    has_heard: bool  # something has come since the driver was started
+    has_received: bool  # something has come since the driver was started
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class Link(Generic[T]):
         self._last_error = ""
         self._was_silent = False
         self._last_error_s = 0.0
-        self._heard_s = time.monotonic()
-        self._has_heard = False
+        self._received_s = time.monotonic()
+        self._has_received = False
         self._note = ""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -153,8 +153,8 @@ class Link(Generic[T]):
                 was_silent=self._was_silent,
                 last_error_s=self._last_error_s,
                 note=self._note,
-                silent_s=time.monotonic() - self._heard_s,
-                has_heard=self._has_heard,
+                silent_s=time.monotonic() - self._received_s,
+                has_received=self._has_received,
             )
 
     def _run(self) -> None:
@@ -169,8 +169,8 @@ class Link(Generic[T]):
                     self._set_port(port)
                     self._handlers.on_open()
                     for data, arrival_ns in self._arrivals(port):
-                        received = self._has_heard = True
-                        self._heard_s = time.monotonic()
+                        received = self._has_received = True
+                        self._received_s = time.monotonic()
                         self._handlers.on_data(data, arrival_ns)
                 finally:
                     self._set_port(None)

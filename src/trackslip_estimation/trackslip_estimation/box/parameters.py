@@ -36,7 +36,7 @@ class BoxLocalizerParameters(Parameters):
     yaw_spreads: float = parameter(
         "standard deviations of the heading predicted by which gate_yaw is widened", gt=0.0
     )
-    surprise: float = parameter(
+    ambiguity_gate: float = parameter(
         "standard deviations between prediction and fix, beyond which its heading is uncertain", gt=0.0
     )
     top_speed: float = parameter("widens gate_distance while no fix comes", unit="m/s", gt=0.0)

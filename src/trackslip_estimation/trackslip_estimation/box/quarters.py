@@ -30,7 +30,7 @@ NEGLIGIBLE = 1e-4  # probability of another heading beside which one is claimed
 REFUTED = 1e-6  # odds below which the other sides are not fitted
 LARGEST_STEP = 1.0  # of Λ in one scan
 LOST = 0.5 * np.pi / 4.0  # rad: a heading predicted no better has lost which sides were which
-DOUBT = 10.0  # s, for which a hypothesis goes on to be wrong
+ERROR_TIME = 10.0  # s, for which a hypothesis goes on to be wrong
 SHORTEST = 0.01  # s between fixes
 _TURNS = QUARTER_TURN * np.arange(4.0)
 _WRAPS = 2.0 * np.pi * np.arange(-2.0, 3.0)[:, np.newaxis, np.newaxis]
@@ -141,16 +141,16 @@ class Headings:
 def mixed(modes: list[Mode], weights: FloatArray, elapsed: float) -> tuple[FloatArray, FloatArray]:
     """Pose (3,) and covariance (3, 3) of the modes together; the heading is that of the first.
 
-    ``elapsed``: since the fix before, s. What is wrong in one fix is as wrong in the next: the spread of the
-    places counts once in ``DOUBT``. Headings in doubt are not averaged, for two that are a quarter turn apart
-    have no mean; their variance is such that each of them lies within two standard deviations.
+    ``elapsed``: since the fix before, s. Errors of consecutive fixes are correlated: the spread of the
+    positions counts once in ``ERROR_TIME``. Ambiguous headings are not averaged: two that are a quarter turn
+    apart have no mean. Their variance puts each of them within two standard deviations.
     """
     away = np.array([mode.pose - modes[0].pose for mode in modes])
     away[:, 2] -= 2.0 * np.pi * np.round(away[:, 2] / (2.0 * np.pi))
     mean = weights @ away
     mean[2] = 0.0
     spread = away - mean
-    spread[:, :2] *= np.sqrt(max(DOUBT / max(elapsed, SHORTEST), 1.0))
+    spread[:, :2] *= np.sqrt(max(ERROR_TIME / max(elapsed, SHORTEST), 1.0))
     covariance = sum(w * m.covariance for w, m in zip(weights, modes, strict=True))
     covariance = covariance + (weights[:, np.newaxis] * spread).T @ spread
     farthest = np.abs(away[weights > NEGLIGIBLE, 2]).max(initial=0.0)

@@ -49,8 +49,8 @@ class Expectation:
         """
         turned = float(fix.pose[2] - self.pose[2])
         squared = (turned - QUARTER_TURN * round(turned / QUARTER_TURN)) ** 2
-        contradicts = squared > p.surprise**2 * (self.yaw_variance + fix.covariance[2, 2])
-        return squared / p.surprise**2 if contradicts else 0.0
+        contradicts = squared > p.ambiguity_gate**2 * (self.yaw_variance + fix.covariance[2, 2])
+        return squared / p.ambiguity_gate**2 if contradicts else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,13 +126,13 @@ def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
             share = row[pivots[j]] / rows[j, pivots[j]]
             for k in range(n):
                 row[k] -= rows[j, k] * share
-        lasts = row[a] > _NOTHING * P[a, a]
+        is_nonzero = row[a] > _NOTHING * P[a, a]
         for i in range(B.shape[0]):
-            share = B[i, a] / row[a] if lasts else 0.0
+            share = B[i, a] / row[a] if is_nonzero else 0.0
             for k in range(n):
                 B[i, k] -= row[k] * share
             B[i, a] = 0.0
-        if lasts:
+        if is_nonzero:
             pivots[used] = a
             used += 1
 

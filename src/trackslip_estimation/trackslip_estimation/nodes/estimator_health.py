@@ -29,8 +29,8 @@ def estimator_health(
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:
-        wanted = "sprockets" if silent is None else "a fix on " + ", ".join(named(p.pose_sources))
-        return Health(WARN, f"{_diverged(watch, now_ns)}waiting for {wanted}", values)
+        requested = "sprockets" if silent is None else "a fix on " + ", ".join(named(p.pose_sources))
+        return Health(WARN, f"{_diverged(watch, now_ns)}waiting for {requested}", values)
     if estimator.frozen:
         return Health(WARN, "frozen: poses are ignored", values)
     if watch.has_diverged(now_ns):

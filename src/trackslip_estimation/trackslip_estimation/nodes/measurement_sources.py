@@ -85,7 +85,7 @@ class MeasurementSources:
     ) -> None:
         p = node.settings
         self._node, self._process = node, process
-        self._heard_s: float | None = None  # steady: when the last sprocket sample came
+        self._received_s: float | None = None  # steady: when the last sprocket sample came
         self._frames = p.frames_of_sources()
         node.subscribe_packed(topic_class("sprockets"), "sprockets", self._on_sprockets)
         self._pose_set = node.advertise(topic_class(POSE_SET), POSE_SET)
@@ -113,7 +113,7 @@ class MeasurementSources:
     @property
     def sprocket_silence_s(self) -> float | None:
         """Since the last sprocket sample; None before the first one."""
-        return None if self._heard_s is None else time.monotonic() - self._heard_s
+        return None if self._received_s is None else time.monotonic() - self._received_s
 
     def _listen(
         self, kind: type, source: str, callback: Callable[[Any], None], *, packed: bool = True
@@ -130,7 +130,7 @@ class MeasurementSources:
         subscribe(kind, source, when_in_frame)
 
     def _on_sprockets(self, message: Any) -> None:
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str) -> None:

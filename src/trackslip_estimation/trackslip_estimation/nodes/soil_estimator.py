@@ -75,7 +75,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         """Make the estimator, its outputs and its inputs."""
         self._estimator = None if self.settings.vehicle.lacks else SoilEstimator(self.settings)
         self._inputs = self._published = 0
-        self._heard: float | None = None  # s, steady: when the slip estimator was last heard
+        self._received: float | None = None  # s, steady: when the slip estimator was last heard
         self._reported: Any = None
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
@@ -97,14 +97,14 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         total = self._estimator.tally.total
         rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
         counts = {"inputs": self._inputs, "messages": self._published, **rejected}
-        silent = None if self._heard is None else time.monotonic() - self._heard
+        silent = None if self._received is None else time.monotonic() - self._received
         return [soil_health(self._estimator, silent, counts)]
 
     def _on_hydraulics(self, message: Any) -> None:
         self._process(conversions.hydraulics(message))
 
     def _on_machine_state(self, message: Any) -> None:
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         self._process(conversions.machine_state(message))
 
     def _process(self, given: SoilInput) -> None:

@@ -241,8 +241,8 @@ def _unit_of(scale: float, by_heading: float | None = None) -> tuple[str, float]
     fitting = {name: one for name, one in units.items() if _is_usual(scale / one)}
     if by_heading is None and "" in fitting:
         return "", 1.0
-    wanted = scale / _CENTRE if by_heading is None else by_heading
-    name, factor = min(fitting.items(), key=lambda item: abs(np.log(wanted / item[1])), default=("", 1.0))
+    requested = scale / _CENTRE if by_heading is None else by_heading
+    name, factor = min(fitting.items(), key=lambda item: abs(np.log(requested / item[1])), default=("", 1.0))
     is_none = by_heading is not None and abs(np.log(by_heading / factor)) > _UNIT_ERROR
     if by_heading is not None and is_none and _is_usual(scale / by_heading):
         return f"a scale of {by_heading:.3g}", by_heading

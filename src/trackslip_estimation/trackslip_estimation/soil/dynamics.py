@@ -127,10 +127,10 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
             dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves and not held else 0.0
     _follow(dynamics, first_followed, measured, noise)
     if is_modelled:
-        lasting = max(p.dynamics.twist_error_time / dt, 1.0)
+        correlated = max(p.dynamics.twist_error_time / dt, 1.0)
         for i in range(_SEEN):
             for j in range(_SEEN):
-                noise[i, j] *= lasting
+                noise[i, j] *= correlated
         _correct(dynamics, measured, noise)
     _bound(dynamics, p.dynamics)
 
@@ -169,14 +169,14 @@ def _predict(
     L = thrust.variance[0] + (before[MU_R] * N_left) ** 2 * open_left
     R = thrust.variance[1] + (before[MU_R] * N_right) ** 2 * open_right
     by_speed, by_rate = 1.0 / vehicle.mass, half_tread / vehicle.yaw_inertia
-    lasting = n.error_time * dt
+    correlated = n.error_time * dt
     Q = np.zeros((_SIZE, _SIZE))
-    Q[SPEED, SPEED] = (by_speed**2 * (L + R) + n.acceleration_stddev**2) * lasting
+    Q[SPEED, SPEED] = (by_speed**2 * (L + R) + n.acceleration_stddev**2) * correlated
     Q[MU_R, MU_R] = n.mu_r_walk**2 * dt
     if sense != 0.0:
         inertia = (n.yaw_inertia_stddev * (after[RATE] - before[RATE]) / dt) ** 2
-        Q[RATE, RATE] = (by_rate**2 * (L + R) + inertia + n.yaw_acceleration_stddev**2) * lasting
-        Q[SPEED, RATE] = Q[RATE, SPEED] = by_speed * by_rate * (R - L) * lasting
+        Q[RATE, RATE] = (by_rate**2 * (L + R) + inertia + n.yaw_acceleration_stddev**2) * correlated
+        Q[SPEED, RATE] = Q[RATE, SPEED] = by_speed * by_rate * (R - L) * correlated
         Q[MU_L, MU_L] = n.mu_l_walk**2 * dt
     _set(dynamics, after, sandwich(F, dynamics.covariance.copy()), Q)
 

@@ -129,8 +129,8 @@ def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameter
     if evidence != _OPEN:
         seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
         watch.seconds[fault] = min(max(seconds, 0.0), p.naming_time)
-    lasts = watch.is_named[fault] or watch.seconds[fault] >= p.naming_time
-    watch.is_named[fault] = watch.seconds[fault] > 0.0 and lasts
+    persists = watch.is_named[fault] or watch.seconds[fault] >= p.naming_time
+    watch.is_named[fault] = watch.seconds[fault] > 0.0 and persists
     grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
     return bool(watch.is_named[fault] or (evidence == _FOR and watch.seconds[fault] > grace))
 

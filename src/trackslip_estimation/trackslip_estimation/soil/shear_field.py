@@ -113,8 +113,8 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
         for i in range(n):  # from the leading edge
             e = i if u >= 0.0 else n - 1 - i
             xi = (i + 0.5) * dx
-            way = min(abs(u) * dt, xi)
-            place = (xi - way) / dx - 0.5  # in elements behind the first centre
+            distance = min(abs(u) * dt, xi)
+            place = (xi - distance) / dx - 0.5  # in elements behind the first centre
             first = max(math.floor(place), 0)
             part = max(place - first, 0.0)
             at = first if u >= 0.0 else n - 1 - first
@@ -122,8 +122,8 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
             path.following[k, e] = at if part == 0.0 else (at + 1 if u >= 0.0 else at - 1)
             path.part[k, e] = part
             path.scale[k, e] = min(1.0, 2.0 * (place + 0.5))
-            path.time[k, e] = way / abs(u) if way == xi else dt
-            path.middle[k, e] = x_e[e] + math.copysign(0.5 * way, u)
+            path.time[k, e] = distance / abs(u) if distance == xi else dt
+            path.middle[k, e] = x_e[e] + math.copysign(0.5 * distance, u)
     return path
 
 

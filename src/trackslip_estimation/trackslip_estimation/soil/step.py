@@ -181,8 +181,8 @@ def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
     is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
     set_load(known.load, known.centre, sample, p)
     is_level = abs(known.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
-    stands = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
-    if update_offsets(known.offsets, sample.pressures, stands, sample.dt, p.thrust):
+    is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
+    if update_offsets(known.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
         faults[_AT_REST] += 1
     follow_burden(known.burden, sample, p.load)
     if fault == NO_FAULT:

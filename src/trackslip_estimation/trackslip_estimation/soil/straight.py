@@ -82,12 +82,12 @@ class StraightSegment:
         shape = tuple(map(len, hypotheses.soils))
         self._j = np.tile(displacement, (*shape, 1, 1, 1))
         self._expected = np.zeros(shape)
-        self._rolled = self._travelled = self._doubt = self._leaning = 0.0
+        self._track_distance = self._travelled = self._distance_stddev = self._leaning = 0.0
 
     @property
-    def rolled(self) -> float:
+    def track_distance(self) -> float:
         """Distance of the tracks, m."""
-        return abs(self._rolled)
+        return abs(self._track_distance)
 
     def add(self, dt: float, rolling: Rolling, thrust: float, lean_stddev: float = 0.0) -> None:
         """``dt`` s on, with ``thrust`` of both tracks together. Of the twist, v_x is each hypothesis' own.
@@ -96,7 +96,7 @@ class StraightSegment:
         """
         s, distance = self._hypotheses, float(rolling.tracks.mean()) * dt
         self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
-        self._rolled += distance
+        self._track_distance += distance
         self._leaning += abs(distance) * lean_stddev
 
     def set_end(self, pose: PoseWithCovariance, stretch: float = 1.0, stretch_stddev: float = 0.0) -> None:
@@ -104,19 +104,20 @@ class StraightSegment:
 
         ``stretch``: way along the ground over the horizontal one; ``stretch_stddev``: its relative error.
         """
-        way = stretch * self._end.distance_to(pose)
-        self._travelled += way
-        self._doubt += abs(way) * stretch_stddev
+        distance = stretch * self._end.distance_to(pose)
+        self._travelled += distance
+        self._distance_stddev += abs(distance) * stretch_stddev
         self._end = pose
 
     def slip_distance(self) -> SlipDistance:
         """λ until now."""
-        forward = math.copysign(1.0, self._rolled)
+        forward = math.copysign(1.0, self._track_distance)
         expected = self._hypotheses.on_grid(forward * self._expected)
-        variance = self._start.variance_along() + self._end.variance_along() + self._doubt**2
-        measured = forward * (self._rolled - self._travelled)
+        variance = self._start.variance_along() + self._end.variance_along() + self._distance_stddev**2
+        measured = forward * (self._track_distance - self._travelled)
         x_e = self._hypotheses.contact.x_e
-        of_lean = measured * self._leaning / max(self.rolled, STILL) * len(x_e) * (x_e[0] - x_e[1]) / 6.0
+        length = len(x_e) * (x_e[0] - x_e[1])
+        of_lean = measured * self._leaning / max(self.track_distance, STILL) * length / 6.0
         return SlipDistance(measured, expected, variance, abs(float(of_lean)))
 
 
@@ -150,13 +151,13 @@ def drive(
     forward = math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1])
     for a in range(slips.shape[0]):
         for b in range(slips.shape[1]):
-            own, wanted = j[a, b], forward * thrust / soils.limits[b]
+            own, requested = j[a, b], forward * thrust / soils.limits[b]
             for k in range(2):
                 for e in range(n):
                     s_y = rolling.twist[1] + rolling.twist[2] * path.middle[k, e]
                     pulling.before[k, e] = carried(own, path, k, e, 0)
                     pulling.across[k, e] = carried(own, path, k, e, 1) + s_y * path.time[k, e]
-            slip = _needed_slip(wanted, pulling, rolling, half_tread, soils.moduli[a])
+            slip = _needed_slip(requested, pulling, rolling, half_tread, soils.moduli[a])
             _leave(own, slip, pulling, rolling, half_tread)
             slips[a, b] = slip
     return slips
@@ -192,24 +193,24 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
 
 @compiled
 def _needed_slip(
-    wanted: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float
+    requested: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float
 ) -> float:
-    """Mean slip that pulls ``wanted``.
+    """Mean slip that pulls ``requested``.
 
     More slip pulls more, so false position (Illinois) closes in on it, or on the step of the pull at slip 0
     where the soil is sheared already.
     """
     low, high = -_MOST_SLIP, _MOST_SLIP
-    f_low = _pull(low, pulling, rolling, half_tread, modulus) - wanted
+    f_low = _pull(low, pulling, rolling, half_tread, modulus) - requested
     if f_low >= 0.0:
         return low
-    f_high = _pull(high, pulling, rolling, half_tread, modulus) - wanted
+    f_high = _pull(high, pulling, rolling, half_tread, modulus) - requested
     if f_high <= 0.0:
         return high
     slip, was_low, was_high = high, False, False
     for _ in range(_TRIALS):
         slip = (low * f_high - high * f_low) / (f_high - f_low)
-        f = _pull(slip, pulling, rolling, half_tread, modulus) - wanted
+        f = _pull(slip, pulling, rolling, half_tread, modulus) - requested
         if abs(f) < _CLOSE_PULL or high - low < _CLOSE_SLIP:
             break
         if f < 0.0:

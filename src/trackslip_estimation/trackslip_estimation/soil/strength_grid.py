@@ -25,8 +25,8 @@ class StrengthGrid:
         self.limit_edges = _edges(lowest, highest, p.limit_cells)
         self.log_moduli, self.log_limits = _centres(self.modulus_edges), _centres(self.limit_edges)
         self.moduli, self.limits = np.exp(self.log_moduli), np.exp(self.log_limits)  # m, N; both rise
-        lasting = p.slip_bias_stddev * vehicle.contact_length / self.moduli
-        self._spread_moduli = _spread(self.log_moduli, lasting)
+        correlated = p.slip_bias_stddev * vehicle.contact_length / self.moduli
+        self._spread_moduli = _spread(self.log_moduli, correlated)
         self._spread_limits = _spread(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
 
     @property

@@ -28,7 +28,7 @@ class StrengthParameters(Parameters):
         "time after which slip errors in turns are new ones", unit="s", gt=0.0
     )
     slip_bias_stddev: float = parameter("slip error that never averages: rolling radius", ge=0.0)
-    lasting_samples: float = parameter("independent samples that share the errors that last", ge=0.0)
+    correlated_samples: float = parameter("independent samples that share the errors that last", ge=0.0)
     speed_stddev: float = parameter("least standard deviation of v_x and v_y", unit="m/s", gt=0.0)
     yaw_rate_stddev: float = parameter("least standard deviation of the yaw rate", unit="rad/s", gt=0.0)
     thrust_stddev: float = parameter("what the shear model leaves out of a thrust", unit="N", gt=0.0)
@@ -39,7 +39,7 @@ class StrengthParameters(Parameters):
     )
     longest_straight: float = parameter("straight that is evaluated at once", unit="m", gt=0.0)
     most_straight_slip: float = parameter("mean slip up to which a straight is used", gt=0.0, le=1.0)
-    way_stddev: float = parameter(
+    distance_stddev: float = parameter(
         "what the shear model leaves out of a straight's slip distance", unit="m", ge=0.0
     )
     degrees_of_freedom: float = parameter("of the Student-t errors; few forgive outliers", ge=1.0)

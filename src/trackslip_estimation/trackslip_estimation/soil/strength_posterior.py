@@ -102,7 +102,7 @@ class StrengthPosterior:
             self._segment = self._segment or StraightSegment(self._hypotheses, before, start)
             self._segment.add(dt, rolling, thrust, float(now["lean_stddev"]))
             self._segment.set_end(pose, stretch, stretch_stddev)
-            is_long = self._segment.rolled >= self.parameters.longest_straight
+            is_long = self._segment.track_distance >= self.parameters.longest_straight
             return self._evaluate_segment() if is_long else outcome
         return self._evaluate_turn(now, rolling) if now["motion"] == Motion.TURNING else outcome
 
@@ -129,14 +129,14 @@ class StrengthPosterior:
     def _evaluate_segment(self) -> SampleOutcome:
         """What the straight that has ended says of each soil."""
         p, segment, self._segment = self.parameters, self._segment, None
-        if segment is None or segment.rolled < p.shortest_straight:
+        if segment is None or segment.track_distance < p.shortest_straight:
             return SampleOutcome.GATHERED
         lost = segment.slip_distance()
-        if abs(lost.measured) > p.most_straight_slip * segment.rolled:
+        if abs(lost.measured) > p.most_straight_slip * segment.track_distance:
             return SampleOutcome.GATHERED  # tracks that spin are at the limit of the soil: not K's doing
-        bias = p.slip_bias_stddev * segment.rolled
-        lasting = bias**2 + lost.of_lean**2
-        variance = lost.variance + p.way_stddev**2 + self._shared() * lasting
+        bias = p.slip_bias_stddev * segment.track_distance
+        correlated = bias**2 + lost.of_lean**2
+        variance = lost.variance + p.distance_stddev**2 + self._shared() * correlated
         self._learn((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)
         return SampleOutcome.USED
 
@@ -145,17 +145,17 @@ class StrengthPosterior:
         p = self.parameters
         own = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
         slip = p.slip_bias_stddev * float(np.abs(tracks).mean())
-        lasting = np.square((slip, 0.0, slip / self._contact.half_tread))
-        whole = covariance + np.diag(own + self._shared() * lasting)
+        correlated = np.square((slip, 0.0, slip / self._contact.half_tread))
+        whole = covariance + np.diag(own + self._shared() * correlated)
         return np.ascontiguousarray(np.linalg.cholesky(whole[::-1, ::-1])[::-1, ::-1])
 
     def _shared(self) -> float:
         """How many samples share an error that lasts: it enters each of them as often.
 
         Together they then are worth hardly more than one sample with this error alone. No more than
-        ``lasting_samples``, lest after a long drive another soil be taken for such an error.
+        ``correlated_samples``, lest after a long drive another soil be taken for such an error.
         """
-        return 1.0 + min(self.effective_samples, self.parameters.lasting_samples)
+        return 1.0 + min(self.effective_samples, self.parameters.correlated_samples)
 
     def _learn(self, squares: FloatArray, known: int, weight: float) -> None:
         """Student-t likelihood of ``squares`` (moduli, limits), of so many known numbers."""
@@ -177,11 +177,11 @@ def _bayes_update(
     cells: FloatArray, age: FloatArray, likelihood: FloatArray, weight: float, change: float
 ) -> float:
     """p and the age of each cell (moduli, limits), in place; their mean age, which is n."""
-    anew, total, aged = change / cells.size, 0.0, 0.0
+    replaced, total, aged = change / cells.size, 0.0, 0.0
     for a in range(cells.shape[0]):
         for b in range(cells.shape[1]):
             kept = (1.0 - change) * cells[a, b] * likelihood[a, b]
-            cells[a, b] = kept + anew * likelihood[a, b]
+            cells[a, b] = kept + replaced * likelihood[a, b]
             age[a, b] = age[a, b] * np.divide(kept, max(cells[a, b], _LEAST)) + weight
             total += cells[a, b]
     for a in range(cells.shape[0]):

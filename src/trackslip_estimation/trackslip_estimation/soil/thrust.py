@@ -77,7 +77,7 @@ class ThrustParameters(Parameters):
 
 def motor_of(vehicle: Vehicle) -> Table[Motor]:
     """(1,) of a vehicle."""
-    driving, driven = (float(thrust_of_pressure(1.0, way, vehicle)) for way in (1.0, -1.0))
+    driving, driven = (float(thrust_of_pressure(1.0, sign, vehicle)) for sign in (1.0, -1.0))
     largest = float(thrust_of_pressure(vehicle.relief_pressure, 1.0, vehicle))
     full_flow = float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle)) / vehicle.volumetric_efficiency
     motor = make_table(Motor, MOTOR, 1)
@@ -102,18 +102,18 @@ def unknown_thrust(motor: Motor) -> Table[ThrustRecord]:
 
 @compiled
 def update_offsets(
-    offsets: Offsets, pressures: FloatArray, stands: bool, dt: float, p: ThrustParameters
+    offsets: Offsets, pressures: FloatArray, is_standing: bool, dt: float, p: ThrustParameters
 ) -> bool:
     """``dt`` s later: a random walk that is seen while the machine stands with closed spools.
 
     Returns whether a pressure was refused that should show an offset: one that is too large for any, or far
     from what is known of it, is oil that something presses on.
     """
-    offsets.stood = offsets.stood + dt if stands else 0.0
+    offsets.stood = offsets.stood + dt if is_standing else 0.0
     refused = False
     for k in range(2):
         variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
-        if stands and offsets.stood >= p.settling_time:
+        if is_standing and offsets.stood >= p.settling_time:
             spread = variance + p.pressure_stddev**2
             far = (pressures[k] - offsets.mean[k]) ** 2 / p.far_offset**2
             if abs(pressures[k]) > p.offset_limit:

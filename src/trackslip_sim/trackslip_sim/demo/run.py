@@ -152,10 +152,10 @@ def _conclude(output: Path, session: Session, path: Path, console: Console) -> i
 def _free_tcp_port() -> int:
     """That of ``config/live.yaml``; another where it is taken."""
     usual = load_parameters(LiveParameters, LIVE.executable, DEFAULT_FILES).port
-    for wanted in (usual, 0):
+    for requested in (usual, 0):
         with socket.socket() as probe, suppress(OSError):
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(("127.0.0.1", wanted))
+            probe.bind(("127.0.0.1", requested))
             return int(probe.getsockname()[1])
     return usual
 

@@ -108,7 +108,9 @@ class _BadBytes:
         if not data:
             return data
         if lost := self._faults.at(self._sensor, f.LOST_BYTES, now_ns):
-            data = bytes(byte for byte, gone in zip(data, self._chosen(data, lost), strict=True) if not gone)
+            data = bytes(
+                byte for byte, is_lost in zip(data, self._chosen(data, lost), strict=True) if not is_lost
+            )
         if doubled := self._faults.at(self._sensor, f.DOUBLED_BYTES, now_ns):
             chosen = self._chosen(data, doubled)
             data = b"".join(bytes((byte,)) * (1 + twice) for byte, twice in zip(data, chosen, strict=True))

@@ -58,7 +58,7 @@ def soil_inputs(
     deviations = np.array((sensing.speed_stddev, sensing.speed_stddev, sensing.yaw_rate_stddev))
     kept, state = math.exp(-step / sensing.error_time), MotionState()
     error, astray = deviations * rng.standard_normal(3), sensing.position_stddev * rng.standard_normal(2)
-    doubt = np.diag((sensing.position_stddev**2, sensing.position_stddev**2, 0.0))
+    covariance = np.diag((sensing.position_stddev**2, sensing.position_stddev**2, 0.0))
     for k in range(len(at)):
         stamp_ns = START_NS + k * _PERIOD_NS
         error = kept * error + math.sqrt(1.0 - kept**2) * deviations * rng.standard_normal(3)
@@ -66,7 +66,7 @@ def soil_inputs(
         speeds = Speeds(float(at.left_speed[k]), float(at.right_speed[k]))
         state = classify(state, speeds, step, limits)
         twist = twists[k] + (error if np.abs(tracks[k]).max() > _SLOWEST else 0.0)
-        pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), doubt)
+        pose = PoseWithCovariance(poses[k] + np.append(astray, 0.0), covariance)
         yield MachineState(
             stamp_ns,
             twist,

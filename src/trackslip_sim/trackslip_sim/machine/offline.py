@@ -149,8 +149,8 @@ class _Host:
 
     def _next_look_ns(self, sensor: str, now_ns: int) -> int:
         """The next tick at which a sensor may be received."""
-        wanted_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _LOOK_NS)
-        return now_ns + max(1, -((now_ns - wanted_ns) // TICK_NS)) * TICK_NS
+        requested_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _LOOK_NS)
+        return now_ns + max(1, -((now_ns - requested_ns) // TICK_NS)) * TICK_NS
 
     def _next_talk_ns(self, now_ns: int) -> int:
         """The same of the scanner, which waits for answers until it streams."""

@@ -27,7 +27,7 @@ class RemoteLifecycle:
         self._states = node.create_client(GetState, f"{name}/get_state")
         self._asked: Any = None
         self._asked_s = 0.0
-        self._is_in_doubt = False  # whether the last transition was made
+        self._is_uncertain = False  # whether the last transition was made
 
     def bring(self, transition: int, state: int, timeout: float) -> bool:
         """Make the transition, which leads to ``state`` (their ids); False if that is not (yet) so.
@@ -39,20 +39,20 @@ class RemoteLifecycle:
         self._executor.spin_until_future_complete(self._asked, timeout_sec=timeout)
         if not self._asked.done():
             if time.monotonic() - self._asked_s > _LOST:
-                self._asked, self._is_in_doubt = None, True
+                self._asked, self._is_uncertain = None, True
             return False
-        answer, self._asked, self._is_in_doubt = self._asked.result(), None, False
+        answer, self._asked, self._is_uncertain = self._asked.result(), None, False
         if isinstance(answer, GetState.Response):
             return bool(answer.current_state.id == state)
         return bool(answer.success)
 
     def _ask(self, transition: int, timeout: float) -> bool:
         """Whether there was somebody to ask."""
-        client = self._states if self._is_in_doubt else self._changes
+        client = self._states if self._is_uncertain else self._changes
         if not client.wait_for_service(timeout_sec=timeout):
             return False
         request = ChangeState.Request(transition=Transition(id=transition))
-        self._asked = client.call_async(GetState.Request() if self._is_in_doubt else request)
+        self._asked = client.call_async(GetState.Request() if self._is_uncertain else request)
         self._asked_s = time.monotonic()
         return True
 

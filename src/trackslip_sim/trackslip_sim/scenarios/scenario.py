@@ -144,8 +144,8 @@ class Scenario:
         values = [0.0]
         for value in given:
             values.append(values[-1] if value is None else value)
-        lasting: FloatArray = np.array(values[1:])[self._segment_at(step, begin, end)]
-        return lasting
+        held: FloatArray = np.array(values[1:])[self._segment_at(step, begin, end)]
+        return held
 
     def _segment_at(self, step: float, begin: int, end: int) -> IntArray:
         """(n,) number of the segment of each step."""

@@ -38,6 +38,6 @@ def spools(commands: FloatArray, valves: Valves, start: FloatArray) -> FloatArra
     for k in range(2):
         positions[0, k] = start[k]
         for i in range(len(commands)):
-            wanted = min(max(commands[i, k] / valves.top_speed, -1.0), 1.0)
-            positions[i + 1, k] = wanted + (positions[i, k] - wanted) * valves.kept
+            requested = min(max(commands[i, k] / valves.top_speed, -1.0), 1.0)
+            positions[i + 1, k] = requested + (positions[i, k] - requested) * valves.kept
     return positions

@@ -228,8 +228,8 @@ class ShearDrive:
         """
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         spool = spools(commands, self._model.valves, self._state.spool)
-        lasting = self._state.load.burden[None].copy() if burden is None else self._burden(burden)
-        rows: FloatArray = integrate(spool, lasting, self._model, self._state)
+        held = self._state.load.burden[None].copy() if burden is None else self._burden(burden)
+        rows: FloatArray = integrate(spool, held, self._model, self._state)
         refuse_unsolved(rows, MAX_ITERATIONS)
         self._check_upright()
         return rows

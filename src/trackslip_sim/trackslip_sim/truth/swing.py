@@ -66,8 +66,8 @@ def swing_to(
     for k in range(targets.size):
         before = rate
         left = targets[k] - motor - rate * step
-        wanted = math.copysign(min(fastest, math.sqrt(2.0 * acceleration * abs(left))), left)
-        rate += min(max(wanted - rate, -change), change)
+        requested = math.copysign(min(fastest, math.sqrt(2.0 * acceleration * abs(left))), left)
+        rate += min(max(requested - rate, -change), change)
         motor += (before + rate) / 2.0 * step
         if abs(targets[k] - motor) <= 2.0 * change * step and abs(rate) <= 2.0 * change:
             motor, rate = targets[k], 0.0

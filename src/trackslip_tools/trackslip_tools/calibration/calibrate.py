@@ -55,7 +55,7 @@ def calibrate(
         **standing.pressure_offsets(recordings),
     }
     unit = _gyro_of(findings)
-    findings["effective_rolling_radius"] = tracks.way_per_radian(recordings, unit)
+    findings["effective_rolling_radius"] = tracks.distance_per_radian(recordings, unit)
     findings["rolling_radius"] = _rolling_radius(
         findings["effective_rolling_radius"], hard_ground=hard_ground
     )
@@ -105,21 +105,21 @@ def _sign(scale: Finding, sense: Finding) -> Finding:
     return refused(sense.reason or "too uncertain", "1")
 
 
-def _rolling_radius(way: Finding, *, hard_ground: bool) -> Finding:
-    if way.interval is None:
-        return refused(way.reason, "m")
+def _rolling_radius(distance: Finding, *, hard_ground: bool) -> Finding:
+    if distance.interval is None:
+        return refused(distance.reason, "m")
     if hard_ground:
-        return Finding("m", way.value, way.interval, f"{way.basis}, no slip")
-    least = f"at least {way.interval[0]:.4f} m where the machine drives itself"
+        return Finding("m", distance.value, distance.interval, f"{distance.basis}, no slip")
+    least = f"at least {distance.interval[0]:.4f} m where the machine drives itself"
     return refused(f"shows only as r (1 − i₀), {least}; --hard-ground states that nothing slipped", "m")
 
 
-def _common_slip(way: Finding, radius: float) -> Finding:
+def _common_slip(distance: Finding, radius: float) -> Finding:
     """i₀, if the radius that the parameters give is right."""
-    if way.value is None or way.interval is None:
-        return refused(way.reason, "1")
-    spread = (way.interval[1] - way.value) / radius
-    return found(1.0 - way.value / radius, spread, "1", f"if r is {radius:g} m")
+    if distance.value is None or distance.interval is None:
+        return refused(distance.reason, "1")
+    spread = (distance.interval[1] - distance.value) / radius
+    return found(1.0 - distance.value / radius, spread, "1", f"if r is {radius:g} m")
 
 
 def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict[str, Finding]:

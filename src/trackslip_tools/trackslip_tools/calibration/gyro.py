@@ -161,8 +161,8 @@ def _pair(recording: Recording) -> _Pair | None:
     if len(gyro.t) < 4:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
-    sure = inside & (shown[:, 1] <= _DOUBTFUL**2)
-    t, headings, variances = t[sure], shown[sure, 0], np.maximum(shown[sure, 1], _FLOOR**2)
+    certain = inside & (shown[:, 1] <= _DOUBTFUL**2)
+    t, headings, variances = t[certain], shown[certain, 0], np.maximum(shown[certain, 1], _FLOOR**2)
     if len(t) < 4:
         return None
     angle = CubicHermiteSpline(gyro.t, recording.turned, gyro.values[:, 2])

@@ -52,7 +52,7 @@ HYDRAULICS = "hydraulics"
 _Readings = tuple[NDArray[np.int64], FloatArray]  # (n,) stamps, (n, k)
 
 
-class _Wanted(NamedTuple):
+class _Request(NamedTuple):
     """What is read of a topic, and what is kept of it."""
 
     topic: str  # "" for none
@@ -142,14 +142,14 @@ def read_recording(
     """
     require_topics(bag, [SPROCKETS])
     of_poses = (_FARTHEST, _FARTHEST, _FARTHEST, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
-    wanted = (
-        _Wanted(SPROCKETS, SprocketFields, _sprockets, (_FASTEST,) * 2),
-        _Wanted(gyro, ImuFields, _rates, (_FASTEST_TURN,) * 3),
-        _Wanted(poses, PoseFields, _poses, of_poses),
-        _Wanted(HYDRAULICS, HydraulicsFields, _hydraulics, (_HIGHEST,) * 2),
-        _compass(bag, *compass) if compass else _Wanted("", PoseFields, _poses, of_poses),
+    requested = (
+        _Request(SPROCKETS, SprocketFields, _sprockets, (_FASTEST,) * 2),
+        _Request(gyro, ImuFields, _rates, (_FASTEST_TURN,) * 3),
+        _Request(poses, PoseFields, _poses, of_poses),
+        _Request(HYDRAULICS, HydraulicsFields, _hydraulics, (_HIGHEST,) * 2),
+        _compass(bag, *compass) if compass else _Request("", PoseFields, _poses, of_poses),
     )
-    (driven, turns, fixes, oil, turned), left_out = _series(bag, advance, wanted)
+    (driven, turns, fixes, oil, turned), left_out = _series(bag, advance, requested)
     driven = _integrated(driven)
     fixes.values[:, 2] = np.unwrap(fixes.values[:, 2])
     turned.values[:, 0] = np.unwrap(turned.values[:, 0])
@@ -158,7 +158,7 @@ def read_recording(
     return Recording(bag.path.name, driven, turns, fixes, oil, found, seen, left_out)
 
 
-def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
+def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
     """(n, 2) heading and its variance, by the type that the bag has."""
     types = {relative(name): info.type_name for name, info in bag.topics.items()}
     is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
@@ -171,7 +171,7 @@ def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Wanted:
         there = rows["absent"] != ABSENT
         return np.column_stack((np.where(there, stated.from_east(headings_of(rows)), np.nan), variances))
 
-    return _Wanted(topic, OrientationFields if is_imu else QuaternionFields, values, (_FARTHEST,) * 2)
+    return _Request(topic, OrientationFields if is_imu else QuaternionFields, values, (_FARTHEST,) * 2)
 
 
 def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
@@ -201,26 +201,26 @@ def _motions(
 
 
 def _series(
-    bag: Bag, advance: Callable[[float], None], wanted: Sequence[_Wanted]
+    bag: Bag, advance: Callable[[float], None], requested: Sequence[_Request]
 ) -> tuple[list[Series], dict[str, int]]:
     """Topics by stamp, the first of each stamp; and by topic, how many readings are none and left out.
 
     None are those that no machine has, and those of another clock than most of the first topic.
     """
-    parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in wanted]
+    parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in requested]
     counts: Counter[str] = Counter()
     reached_ns = bag.start_ns
-    for stretch in read_tables(bag, [one.topic for one in wanted if one.topic]):
+    for stretch in read_tables(bag, [one.topic for one in requested if one.topic]):
         newest_ns = max((int(table.log_times_ns.max()) for table in stretch.values()), default=reached_ns)
         advance(max(newest_ns - reached_ns, 0) * 1e-9)
         reached_ns = max(newest_ns, reached_ns)
         tables = {relative(name): table for name, table in stretch.items()}
-        for one, own in zip(wanted, parts, strict=True):
+        for one, own in zip(requested, parts, strict=True):
             if one.topic in tables:
                 own.append(one.readings(_rows(bag, one, tables[one.topic])))
                 counts[one.topic] += len(tables[one.topic]) - len(own[-1][0])
     series, usual_ns = [], None
-    for one in wanted:
+    for one in requested:
         stamps_ns, values = (np.concatenate(columns) for columns in zip(*parts.pop(0), strict=True))
         if usual_ns is None and len(stamps_ns):
             usual_ns = int(np.median(stamps_ns))
@@ -230,11 +230,11 @@ def _series(
     return series, {topic: count for topic, count in counts.items() if count}
 
 
-def _rows(bag: Bag, wanted: _Wanted, table: TopicTable) -> Rows:
-    if RECORDS.get(table.type_name) not in _ACCEPTED[wanted.kind]:
-        accepted = " or ".join(name for name, known in RECORDS.items() if known in _ACCEPTED[wanted.kind])
-        raise InputError(f"bag '{bag.path}': {wanted.topic} is a {table.type_name}; accepted: {accepted}")
-    return table.rows(wanted.kind)
+def _rows(bag: Bag, requested: _Request, table: TopicTable) -> Rows:
+    if RECORDS.get(table.type_name) not in _ACCEPTED[requested.kind]:
+        accepted = " or ".join(name for name, known in RECORDS.items() if known in _ACCEPTED[requested.kind])
+        raise InputError(f"bag '{bag.path}': {requested.topic} is a {table.type_name}; accepted: {accepted}")
+    return table.rows(requested.kind)
 
 
 def _in_order(stamps_ns: NDArray[np.int64], values: FloatArray, start_ns: int) -> Series:

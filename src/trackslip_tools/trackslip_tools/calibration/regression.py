@@ -27,7 +27,7 @@ from scipy.special import stdtrit
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 
 CONFIDENCE = 0.95
-_GONE = 12.0  # of −2 log likelihood above the lowest
+_NEGLIGIBLE = 12.0  # of −2 log likelihood above the lowest
 _GRID = 24  # sizes of the walk
 
 
@@ -99,7 +99,7 @@ def _averaged(X: FloatArray, data: Increments, size: float, rho: float) -> Fit |
     lowest = _weighed(X, data, size**2, rho)
     if lowest is None:
         return None
-    while (farther := _weighed(X, data, size**2, rho)) is not None and farther[0] - lowest[0] <= _GONE:
+    while (farther := _weighed(X, data, size**2, rho)) is not None and farther[0] - lowest[0] <= _NEGLIGIBLE:
         size *= 2.0
     found = [_weighed(X, data, root**2, rho) for root in np.linspace(0.0, size, _GRID)]
     solved = [each for each in found if each is not None]

@@ -9,9 +9,9 @@ from trackslip_estimation.setup_check.finding import Measured, Result
 from trackslip_tools.calibration.finding import Finding, found, refused
 
 _TURNS = ("turning_efficiency", "effective_tread", "asymmetry")
-_WAYS = ("effective_rolling_radius", "rolling_radius", "common_slip")
+_DISTANCES = ("effective_rolling_radius", "rolling_radius", "common_slip")
 _GYRO = ("gyro_sign", "gyro_scale")
-_TRACKS = (*_GYRO, *_TURNS, *_WAYS, "gyro_delay")
+_TRACKS = (*_GYRO, *_TURNS, *_DISTANCES, "gyro_delay")
 _CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that rest on what is wrong
     "tracks_swapped": _TRACKS,
     "left_track_sign": _TRACKS,
@@ -24,10 +24,10 @@ _CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that rest o
     "imu_mounting": (*_GYRO, *_TURNS, "gyro_bias"),
     "gyro_frozen": (*_GYRO, *_TURNS, "gyro_bias", "gyro_delay", "pose_delay"),
     "gyro_unit": (*_GYRO, *_TURNS),
-    "speed_unit": (*_TURNS, *_WAYS),
-    "travel_gear": (*_TURNS, *_WAYS),
+    "speed_unit": (*_TURNS, *_DISTANCES),
+    "travel_gear": (*_TURNS, *_DISTANCES),
     "time_unit": (*_TRACKS, "gyro_bias", "pose_delay"),
-    "missing_value": (*_TURNS, *_WAYS),
+    "missing_value": (*_TURNS, *_DISTANCES),
 }
 
 

@@ -27,7 +27,7 @@ from trackslip_tools.calibration.recording import Recording
 from trackslip_tools.calibration.regression import Increments, clustered, of_increments
 from trackslip_tools.calibration.spans import Span, spans, unbroken
 
-LEAST_WAY = 3.0  # m of straights in all
+LEAST_DISTANCE = 3.0  # m of straights in all
 LEAST_TURNS = 3
 _SHORTEST_STRAIGHT, _SHORTEST_TURN = 2.0, 1.5  # s
 _LEAST_FIXES = 4  # in a straight
@@ -54,7 +54,7 @@ class Turns(NamedTuple):
     spread: float  # standard deviation of r κ/B from turn to turn
 
 
-def way_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
+def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
     """r (1 − i₀) from the straights."""
     parts = []
     for recording in recordings:
@@ -62,16 +62,16 @@ def way_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
         for span, known in zip(straights, _with_gyro(recording, straights), strict=True):
             part = _straight(recording, span, gyro if known else None)
             parts += [] if part is None else [part]
-    way = sum(float(np.abs(data.z.sum())) for data, _ in parts)
-    if way < LEAST_WAY:
-        return refused(f"straights with fixes of {way:.1f} m in all; needed: {LEAST_WAY:g} m", "m")
+    distance = sum(float(np.abs(data.z.sum())) for data, _ in parts)
+    if distance < LEAST_DISTANCE:
+        return refused(f"straights with fixes of {distance:.1f} m in all; needed: {LEAST_DISTANCE:g} m", "m")
     data = Increments(
         *(np.concatenate(columns) for columns in zip(*(part for part, _ in parts), strict=True))
     )
     fit = of_increments(np.concatenate([turned for _, turned in parts])[:, np.newaxis], data)
     if fit is None:
         return refused("too few fixes on the straights", "m")
-    return found(fit.values[0], fit.spread(), "m", f"{len(parts)} straights, {way:.1f} m")
+    return found(fit.values[0], fit.spread(), "m", f"{len(parts)} straights, {distance:.1f} m")
 
 
 def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
@@ -98,20 +98,21 @@ def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, r
     """ε, from the straights; ``gain`` is r κ/B."""
     if gain is None:
         return refused("the turns do not show r κ/B", "rad/m")
-    turned, ways = np.empty(0), np.empty(0)
+    turned, distances = np.empty(0), np.empty(0)
     for recording in recordings:
         straights = spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
         edges = np.array(straights).reshape(-1, 2)[_with_gyro(recording, straights)]
         if len(edges):
             known = recording.sprockets.t
-            ways = np.append(ways, radius * np.diff(np.interp(edges, known, recording.mean_angle)))
+            distances = np.append(distances, radius * np.diff(np.interp(edges, known, recording.mean_angle)))
             steered = gain * np.diff(np.interp(edges, known, recording.difference))
             turned = np.append(turned, np.diff(gyro.headings(recording, edges)) - steered)
-    way = float(np.abs(ways).sum())
-    fit = clustered(ways[:, np.newaxis], turned, np.arange(len(turned))) if way >= LEAST_WAY else None
+    distance = float(np.abs(distances).sum())
+    is_enough, numbers = distance >= LEAST_DISTANCE, np.arange(len(turned))
+    fit = clustered(distances[:, np.newaxis], turned, numbers) if is_enough else None
     if fit is None:
-        return refused(f"straights with the gyro of {way:.1f} m; needed: {LEAST_WAY:g} m", "rad/m")
-    return found(fit.values[0], fit.spread(), "rad/m", f"{len(ways)} straights, {way:.1f} m")
+        return refused(f"straights with the gyro of {distance:.1f} m; needed: {LEAST_DISTANCE:g} m", "rad/m")
+    return found(fit.values[0], fit.spread(), "rad/m", f"{len(distances)} straights, {distance:.1f} m")
 
 
 def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> BoolArray:

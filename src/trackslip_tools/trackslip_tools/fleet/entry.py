@@ -68,10 +68,10 @@ def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, for
 
     ``force``: a setup that is wrong is accepted.
     """
-    way = Distance()
+    distance = Distance()
     with collected() as lines:
         try:
-            result, page = replayed(way.add)
+            result, page = replayed(distance.add)
         except (InputError, OSError) as error:
             text = str(error) if isinstance(error, InputError) else f"bag '{path}': {error.strerror}"
             return Entry(str(path), ExitCode.BAD_INPUT, text, tuple(lines))
@@ -79,7 +79,7 @@ def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, for
     del found[_TIMING]
     code = ExitCode.FAILED if result.has_failed(force=force) else ExitCode.DONE
     wrong = "" if result.setup.is_plausible else f"setup: {result.setup.headline}"
-    return Entry(str(path), code, result.no_estimate or wrong, tuple(lines), way.metres, found, page)
+    return Entry(str(path), code, result.no_estimate or wrong, tuple(lines), distance.metres, found, page)
 
 
 def exit_code(entries: Iterable[Entry]) -> int:

@@ -25,7 +25,7 @@ from trackslip_tools.live.fixes import Fixes, timeouts_of_text
 from trackslip_tools.live.outlines import outlines_of
 from trackslip_tools.live.snapshot import Snapshot
 from trackslip_tools.live.strips import Strips, row_of
-from trackslip_tools.report.events import SURE, Event, Events
+from trackslip_tools.report.events import CERTAIN, Event, Events
 from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
@@ -84,7 +84,7 @@ class LiveState:
         self._now, self._lights, self._events = Snapshot(), Lights(), Events()
         self._strips, self._trail = Strips(), Trail()
         self._fixes = Fixes()
-        self._number, self._told = 0, 0  # frames, events
+        self._number, self._reported = 0, 0  # frames, events
         self._views: list[tuple[float, float]] = []
         self._viewed_s = -_VIEW_PERIOD_S
         self._frame: dict[str, Any] = {}
@@ -132,8 +132,8 @@ class LiveState:
             frame = self._momentary(lights, now_s, time_ms)
             frame["row"] = finite(self._strips.add(time_ms, self._now.columns(now_s)))
             frame |= self._places(now_s)
-            frame["events"] = [_line(event) for event in self._events.kept if event.number > self._told]
-            self._told = self._events.count
+            frame["events"] = [_line(event) for event in self._events.kept if event.number > self._reported]
+            self._reported = self._events.count
             if now_s - self._viewed_s >= _VIEW_PERIOD_S:
                 self._viewed_s = now_s
                 self._views = [visible(panel) for panel in self._strips.panels()]
@@ -208,7 +208,7 @@ class LiveState:
             ],
             "setup": self._setup or _setup_of(lights),
             "left_out": self._lights.left_out,
-            "classes": [[printable(name), *finite((p,)), p >= SURE] for name, p in likely]
+            "classes": [[printable(name), *finite((p,)), p >= CERTAIN] for name, p in likely]
             if has_soil
             else [],
         }

@@ -83,16 +83,16 @@ class Draft:
             "# first; config/vehicles/excavator_20t.yaml says how, and which groups may be added.",
             f"name: {self.vehicle.name}",
         ]
-        said: list[str] = []
+        shown: list[str] = []
         for name, spec in _specs():
             if name in self.values:
                 *groups, last = name.split(".")
                 depth = next(
-                    (k for k, (a, b) in enumerate(zip(groups, said, strict=False)) if a != b),
-                    min(len(groups), len(said)),
+                    (k for k, (a, b) in enumerate(zip(groups, shown, strict=False)) if a != b),
+                    min(len(groups), len(shown)),
                 )
                 lines += [f"{'  ' * k}{groups[k]}:" for k in range(depth, len(groups))]
-                said = groups
+                shown = groups
                 value = f"{'  ' * len(groups)}{last}: {self.values[name]:.6g}"
                 lines.append(f"{value:<30} # {self._comment(name, spec)}")
         return "\n".join(lines) + "\n"

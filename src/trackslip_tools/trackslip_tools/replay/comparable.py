@@ -101,7 +101,10 @@ class JournalRuns:
         self._found, self._sources, self._sprockets = found, sources, sprockets
         self._part: ComparablePart | None = None  # that the next line belongs to
         self._waits = False  # for the first estimate of the run
-        self._samples, self._wanted = 0, 0  # sprocket samples since something was missing; how many it takes
+        self._samples, self._requested = (
+            0,
+            0,
+        )  # sprocket samples since something was missing; how many it takes
         self._why = ""  # what was missing
 
     def follow(self, lines: Rows, missing: BoolArray, lost: IntArray, starts: Mapping[int, str]) -> IntArray:
@@ -145,7 +148,7 @@ class JournalRuns:
     def _begin(self, line: np.void, lost: int, unknown: str) -> None:
         """A run of the estimator."""
         self._part, self._waits = None, not unknown
-        self._samples, self._wanted = 0, _KEPT_SAMPLES if lost else 0
+        self._samples, self._requested = 0, _KEPT_SAMPLES if lost else 0
         self._why = f"the bag lacks the first {lost} measurements of the estimator's run" if lost else ""
         if unknown:
             self._break(line, unknown)
@@ -153,7 +156,7 @@ class JournalRuns:
     def _start(self, line: np.void) -> None:
         """The first estimate of a run."""
         self._waits, log_time_ns = False, int(line["log_time_ns"])
-        if self._samples >= self._wanted:
+        if self._samples >= self._requested:
             self._part = ComparablePart(log_time_ns, log_time_ns)
             self._found.parts.append(self._part)
         else:
@@ -171,7 +174,7 @@ class JournalRuns:
         if self._part is not None:
             self._break(line, why)
         self._part, self._why = None, self._why or why
-        self._samples, self._wanted = 0, _KEPT_SAMPLES
+        self._samples, self._requested = 0, _KEPT_SAMPLES
 
     def _break(self, line: np.void, why: str) -> None:
         self._found.breaks.append(Break(int(line["log_time_ns"]), why))

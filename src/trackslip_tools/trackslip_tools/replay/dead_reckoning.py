@@ -32,8 +32,8 @@ class Path:
     def at(self, stamps_ns: IntArray) -> FloatArray:
         """(k, 3) poses at other stamps, linear between samples; nan outside the path."""
         origin = self.stamps_ns[0]
-        t, wanted = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
-        columns = [np.interp(wanted, t, column, left=np.nan, right=np.nan) for column in self.poses.T]
+        t, requested = (self.stamps_ns - origin) * 1e-9, (stamps_ns - origin) * 1e-9
+        columns = [np.interp(requested, t, column, left=np.nan, right=np.nan) for column in self.poses.T]
         return np.stack(columns, axis=-1)
 
 

@@ -100,8 +100,8 @@ class InputStream:
         names = {topic: filters.remap.get(name, name) for topic, name in input_names(bag).items()}
         self._readers = _readers(p, {name: bag.topics[topic].type_name for topic, name in names.items()})
         self.sources = (*self._readers, RELOAD, *_COMMANDS)
-        wanted = {*self._readers, REPORTS, RELOAD, *tables}
-        self._names = {topic: name for topic, name in names.items() if name in wanted}
+        requested = {*self._readers, REPORTS, RELOAD, *tables}
+        self._names = {topic: name for topic, name in names.items() if name in requested}
         _require_types(bag, self._names, p, tables)
         self._span = tuple(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s))
         self.reloads: list[Reload] = []
@@ -200,11 +200,11 @@ class InputStream:
 
     def _in_frame(self, name: str, table: TopicTable) -> BoolArray:
         """(n,) which messages are in the frame that a source may send, as the live node has it."""
-        wanted = self._frames.get(name)
-        if wanted is None:
+        requested = self._frames.get(name)
+        if requested is None:
             return np.ones(len(table), np.bool_)
         numbers = table.rows(FrameFields)["frame"]
-        usable = np.array([text == wanted for text in table.texts])[numbers]
+        usable = np.array([text == requested for text in table.texts])[numbers]
         self.refused.add(name, Refusal.OTHER_FRAME, int((~usable).sum()))
         return np.asarray(usable)
 

@@ -125,9 +125,12 @@ def slip_errors(estimated: Series, true: Series) -> FloatArray:
     """(k,) of left and right slip, at the samples that the estimate covers; none where the truth is nan."""
     own = estimated.stamps_ns
     inside = (true.stamps_ns >= own[0]) & (true.stamps_ns <= own[-1])
-    t, wanted = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
+    t, requested = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
     errors = np.concatenate(
-        [np.interp(wanted, t, estimated[side]) - true[side][inside] for side in ("left_slip", "right_slip")]
+        [
+            np.interp(requested, t, estimated[side]) - true[side][inside]
+            for side in ("left_slip", "right_slip")
+        ]
     )
     known: FloatArray = errors[np.isfinite(errors)]
     return known

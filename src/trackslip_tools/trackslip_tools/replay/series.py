@@ -88,11 +88,11 @@ def reduced(rows: Rows, *, detailed: bool = False) -> Rows:
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:
         return rows
-    wanted = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
-    wanted += [name for name in _COVARIANCES if detailed and name in names]
+    requested = [name for name in ("stamp_ns", "x", "y", *_MOTION, *_SLIPS) if name in names]
+    requested += [name for name in _COVARIANCES if detailed and name in names]
     heading = [("heading", np.float64)] if "qx" in names else []
-    found = np.empty(len(rows), [(name, rows.dtype[name]) for name in wanted] + heading)
-    for name in wanted:
+    found = np.empty(len(rows), [(name, rows.dtype[name]) for name in requested] + heading)
+    for name in requested:
         found[name] = rows[name]
     if heading:
         found["heading"] = headings_of(rows)

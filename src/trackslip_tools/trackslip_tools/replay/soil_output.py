@@ -11,7 +11,7 @@ from trackslip_common.parameters import to_flat
 from trackslip_estimation.soil import conversions
 from trackslip_estimation.soil.soil_parameters import NODE, PARAMETERS
 from trackslip_tools.replay.soil import SoilReplay
-from trackslip_tools.report.events import SURE
+from trackslip_tools.report.events import CERTAIN
 
 
 def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
@@ -50,7 +50,7 @@ def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
 
 def is_certain(probability: float, is_identifiable: bool) -> bool:
     """Whether the likeliest class may be called the soil."""
-    return is_identifiable and probability >= SURE
+    return is_identifiable and probability >= CERTAIN
 
 
 def soil_lines(result: SoilReplay) -> list[str]:

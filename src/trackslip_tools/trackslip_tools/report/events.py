@@ -16,7 +16,7 @@ MOST = 200  # events that are kept
 _MOST_VALUES = 500  # of one light, and of what is remembered of them
 _REPEAT_S = 10.0  # s in which the same is not said again
 _CLEAR_S = 5.0  # s without a refusal, after which the gate has calmed down
-SURE = 0.6  # probability from which on a soil counts as found
+CERTAIN = 0.6  # probability from which on a soil counts as found
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _LESS_PROBABLE = re.compile(r"\b\w+ explanations for [\d.]+ s: ([^(]*) \(.*")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
@@ -84,7 +84,7 @@ class Events:
     def see_soil(self, classes: Mapping[str, float], now_s: float, time_ms: float) -> None:
         """The likeliest soil, where it is likely enough to be called one."""
         name, chance = max(classes.items(), key=lambda item: item[1], default=("", 0.0))
-        if chance >= SURE and name != self._soil:
+        if chance >= CERTAIN and name != self._soil:
             what = "soil changed to" if self._soil else "soil found:"
             self._soil = name
             self.add(Level.OK, f"{what} {name}, {100 * chance:.0f} %", now_s, time_ms)
@@ -151,15 +151,16 @@ class LightLog:
 
     def _see(self, now_s: float) -> None:
         lights = self._lights.at(now_s)
-        told = (light for light in lights if light.name.partition(": ")[0] not in _REPLAYED)
-        self._events.see_lights(told, now_s, 1e3 * now_s)
+        others = (light for light in lights if light.name.partition(": ")[0] not in _REPLAYED)
+        self._events.see_lights(others, now_s, 1e3 * now_s)
         for light in lights:
             self._see_light(self._spells.setdefault(light.name, []), light, now_s)
 
     def _see_light(self, known: list[Spell], light: Light, now_s: float) -> None:
-        lasts = bool(known) and known[-1].stop >= self._last_s  # else it was gone meanwhile
-        if lasts:
-            known[-1] = known[-1]._replace(stop=now_s)
-        last = known[-1] if known else None
-        if not lasts or last is None or last.state != light.level or not same_text(last.text, light.message):
+        if known and known[-1].stop >= self._last_s:  # else it was absent meanwhile
+            last = known[-1] = known[-1]._replace(stop=now_s)
+            is_same = last.state == light.level and same_text(last.text, light.message)
+        else:
+            is_same = False
+        if not is_same:
             known.append(Spell(now_s, now_s, int(light.level), light.message))

@@ -11,7 +11,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.replay.troubles import SIDES
-from trackslip_tools.report.events import SURE, Event
+from trackslip_tools.report.events import CERTAIN, Event
 from trackslip_tools.report.lights import Level
 from trackslip_tools.report.quantities import PERCENT
 from trackslip_tools.report.run import Run
@@ -20,7 +20,7 @@ from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 
 _GAP_S = 1.0  # a longer time between two estimates is nobody's
 _NONE = "–"
-_LASTING_S = 0.5  # s for which a slip must last
+_LEAST_TIME_S = 0.5  # s for which a slip must last
 
 
 class Travel(NamedTuple):
@@ -96,7 +96,7 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
         [persistent_slips(times, np.where(known[:, k], states.slips[:, k], np.nan)) for k in (0, 1)]
     )
     if not np.isfinite(slips).any():
-        return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LASTING_S:g} s")
+        return Fact(name, _NONE, f"never known to {PERCENT * limits.slip_stddev:g} % for {_LEAST_TIME_S:g} s")
     size = np.where(np.isfinite(slips), np.abs(slips), -1.0)
     k, side = np.unravel_index(np.argmax(size), size.shape)
     at_s = times[k]
@@ -109,9 +109,9 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
 
 
 def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
-    """(n,) medians over ``_LASTING_S`` of (n,) slips at times in s; nan where one of them is unknown."""
+    """(n,) medians over ``_LEAST_TIME_S`` of (n,) slips at times in s; nan where one of them is unknown."""
     period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    size = round(_LASTING_S / period) | 1 if period > 0.0 else 1
+    size = round(_LEAST_TIME_S / period) | 1 if period > 0.0 else 1
     if size >= len(slips):
         size = 1
     middles = np.median(np.lib.stride_tricks.sliding_window_view(slips, size), axis=1)
@@ -138,7 +138,7 @@ def _soil(run: Run) -> Fact:
         return Fact("Soil", "not classified", note)
     likely = max(chances, key=lambda name: chances[name])
     found = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
-    if chances[likely] < SURE:
+    if chances[likely] < CERTAIN:
         return Fact("Soil", "not told apart", f"likeliest: {found}; {note}")
     return Fact("Soil", found, note)
 

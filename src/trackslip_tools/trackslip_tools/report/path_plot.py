@@ -161,6 +161,6 @@ def fixes_of(run: Run) -> dict[str, FloatArray]:
     return {source: fixes["value"][own] for source, own in sorted(by_source.items())}
 
 
-def _spread(size: int, wanted: int) -> NDArray[np.intp]:
-    """Up to ``wanted`` indices, evenly spread from the first to the last."""
-    return np.unique(np.linspace(0, size - 1, min(size, wanted)).round().astype(np.intp))
+def _spread(size: int, requested: int) -> NDArray[np.intp]:
+    """Up to ``requested`` indices, evenly spread from the first to the last."""
+    return np.unique(np.linspace(0, size - 1, min(size, requested)).round().astype(np.intp))

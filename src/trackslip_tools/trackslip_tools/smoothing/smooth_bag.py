@@ -94,9 +94,9 @@ def smooth_bag(
         InputError: the bag lacks what is needed.
     """
     reference = reference or own_reference(bag)
-    wanted = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
-    detailed = frozenset(wanted) - {TRUE_SLIP, TRUE_ODOMETRY}
-    measurements, series = read_settled(bag, p, filters, wanted, detailed)
+    requested = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
+    detailed = frozenset(requested) - {TRUE_SLIP, TRUE_ODOMETRY}
+    measurements, series = read_settled(bag, p, filters, requested, detailed)
     truth = _Truth(series, reference)
     of_filter, of_smoother = (_Compared(p.vehicle.kinematics.tread) for _ in range(2))
     count, stamps_ns = 0, [0, 0]

@@ -95,14 +95,14 @@ def read_plan(path: Path) -> Plan:
         InputError: it cannot be read, a name is no number of the slip estimator, or a value is refused.
     """
     tree = read_yaml(path)
-    wanted = tree.pop("parameters", None)
-    if not isinstance(wanted, Mapping) or not wanted:
+    requested = tree.pop("parameters", None)
+    if not isinstance(requested, Mapping) or not requested:
         raise InputError(
             f"{path}: parameters: nothing to tune; accepted: name: {{low: …, high: …, scale: log}}"
         )
     return Plan(
         from_flat(SearchSettings, tree, str(path)),
-        {str(name): _bounds(f"{path}: {name}", str(name), given) for name, given in wanted.items()},
+        {str(name): _bounds(f"{path}: {name}", str(name), given) for name, given in requested.items()},
     )
 
 

@@ -199,8 +199,8 @@ def read_task(
         InputError: the bag lacks what is needed.
     """
     reference = reference or own_reference(bag)
-    wanted = (reference,) if reference else ()
-    measurements, found = read_settled(bag, p, filters, wanted, frozenset(wanted) - {TRUE_ODOMETRY})
+    requested = (reference,) if reference else ()
+    measurements, found = read_settled(bag, p, filters, requested, frozenset(requested) - {TRUE_ODOMETRY})
     series = found.get(reference or "")
     if series is None and needs_reference:
         raise InputError(f"bag '{bag.path}': no reference for this objective; --reference TOPIC names one")

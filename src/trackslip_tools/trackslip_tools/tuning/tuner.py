@@ -94,8 +94,8 @@ class Tuner:
 
     def _scores(self, sets: Sequence[dict[str, float]], bags: Sequence[int]) -> list[list[Score]]:
         """Of each set and bag; the journal's where it knows them."""
-        wanted = dict.fromkeys((bag, tuple(values.values())) for values in sets for bag in bags)
-        missing = [key for key in wanted if key not in self._journal]
+        requested = dict.fromkeys((bag, tuple(values.values())) for values in sets for bag in bags)
+        missing = [key for key in requested if key not in self._journal]
         jobs = [(bag, dict(zip(self._plan.bounds, values, strict=True))) for bag, values in missing]
         for key, score in zip(missing, self._work(jobs), strict=True):
             self._journal.add(*key, score)

@@ -97,7 +97,7 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
     squares, bounds, nees, nis = (part / runs for part in sums)
     values: dict[str, Any] = asdict(cell)
     values |= {"sigma_heading": p.sigma_heading, "scenario": p.scenario, "seeds": runs}
-    for name, columns, wanted, tracks in (
+    for name, columns, requested, tracks in (
         ("position", _POSITION, always, 1),
         ("heading", _HEADING, always, 1),
         ("slip", _SLIPS, drive.moving, 2),
@@ -105,8 +105,8 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
         ("alpha", _ALPHA, drive.moving, 1),
         *([("swing", _SWING, always, 1)] if drive.swings else []),
     ):
-        values[f"{name}_rmse"] = _root_mean(squares[wanted, columns], tracks)
-        values[f"{name}_bound"] = _root_mean(bounds[wanted, columns], tracks)
+        values[f"{name}_rmse"] = _root_mean(squares[requested, columns], tracks)
+        values[f"{name}_bound"] = _root_mean(bounds[requested, columns], tracks)
     numbers = {"nees_pose": 3, "nees_slip": 2, "nis_pose": drive.fix_size, "nis_yaw_rate": 1}
     intervals = {name: mean_bounds(dof, runs) for name, dof in numbers.items()}
     values |= {f"{name}_bounds": interval for name, interval in intervals.items()}

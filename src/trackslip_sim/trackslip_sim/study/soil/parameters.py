@@ -23,7 +23,7 @@ class SoilStudyParameters(GridParameters):
 
     scenarios: tuple[str, ...] = parameter("names in config/scenarios, or files")
     duration: float = parameter("of each drive, repeated or cut; 0: as it is", unit="s", ge=0.0, le=3600.0)
-    stand: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
+    standstill: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
     drawn: bool = parameter("also machines drawn from what the estimator expects")
     fix_delay: float = parameter("until a pose arrives", unit="s", ge=0.0, le=10.0)
     offset_stddev: float = parameter("offset of a pressure transducer", unit="Pa", ge=0.0)

@@ -85,8 +85,8 @@ def run(trial: Trial, setting: Setting | None = None) -> Result:
     return Result(
         **_strength(states[-1], truth, vehicle),
         **_moment(states, truth, vehicle),
-        **_thrust(forces, truth, vehicle, trial.stand),
-        offset_residue=_offset_residue(readings, setting, trial.stand),
+        **_thrust(forces, truth, vehicle, trial.standstill),
+        offset_residue=_offset_residue(readings, setting, trial.standstill),
         **change_of(states, truth),
     )
 
@@ -136,11 +136,11 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
     }
 
 
-def _offset_residue(readings: Readings, setting: Setting, stand: float) -> float:
+def _offset_residue(readings: Readings, setting: Setting, standstill: float) -> float:
     """What the estimator's calibration of offsets leaves after standing."""
     p, period = setting.soil.thrust, 1.0 / setting.study.sprocket_rate
     offsets, numbers = new_offsets(p)[0], record_of(ThrustParameters, p)[0]
-    for reading in readings.pressures[: round(stand / period)]:
+    for reading in readings.pressures[: round(standstill / period)]:
         pressures = np.array((reading.left_pressure, reading.right_pressure))
         update_offsets(offsets, pressures, True, period, numbers)
     return float(np.abs(offsets["mean"] - readings.offsets).max())

@@ -29,7 +29,7 @@ from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_settings
 
 _GRID = (  # a trial has one of each
-    *("scenarios", "duration", "stand", "soils", "drawn", "sigma_xy"),
+    *("scenarios", "duration", "standstill", "soils", "drawn", "sigma_xy"),
     *("terrains", "seeds"),
 )
 _SOIL_LEGEND = (
@@ -119,7 +119,7 @@ class SoilStudy(Study[Trial, Result]):
         self.cells = {
             cell: [
                 Trial(
-                    *(cell.soil, cell.sigma_xy, seed, cell.drawn, cell.scenario, p.duration, p.stand),
+                    *(cell.soil, cell.sigma_xy, seed, cell.drawn, cell.scenario, p.duration, p.standstill),
                     terrain=cell.terrain,
                 )
                 for seed in range(p.seeds)

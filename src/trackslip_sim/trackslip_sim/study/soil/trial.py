@@ -44,7 +44,7 @@ class Trial:
     drawn: bool = False  # a machine that differs from the nominal one as the estimator's parameters expect
     scenario: str = "field_trial"
     duration: float = 0.0  # s, the scenario repeated or cut; 0: as it is
-    stand: float = 0.0  # s of standing before it
+    standstill: float = 0.0  # s of standing before it
     terrain: str = ""  # in config/terrains, or a file; empty: the scenario's own
 
 
@@ -100,7 +100,7 @@ def drive(trial: Trial, scenario: Scenario | None = None, setting: Setting | Non
 
 def _scenario_of(trial: Trial) -> Scenario:
     scenario = load_scenario(trial.scenario, trial.terrain, trial.duration)
-    standing = (Segment(trial.stand, 0.0, 0.0),) if trial.stand > 0.0 else ()
+    standing = (Segment(trial.standstill, 0.0, 0.0),) if trial.standstill > 0.0 else ()
     return dataclasses.replace(scenario, segments=(*standing, *scenario.segments))
 
 
