@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The records that pass through the compiled estimator: what is measured, what is known, what became of it.
+"""Records of the compiled estimator: measurements, state, branches, results.
 
-Arrays of them cross from Python as one argument each. Angles in rad, lengths in m, times in ns.
+An array of records is one argument of a compiled function. Angles in rad, lengths in m, times in ns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,49 +36,49 @@ from trackslip_estimation.slip.wandering import Wander
 MOST_SOURCES = 14  # of all kinds together
 MOST_ODOMETRIES = 2
 
-# kinds, in the order at one stamp
+# kinds of measurements, in their order at one stamp
 SPROCKETS, YAW_RATE, POSE, SLIPS, HEADING, ODOMETRY, ON_SWING, VELOCITY = range(8)
 
 
 class MeasurementRecord(Record):
-    """One measurement of any kind."""
+    """A measurement of any kind."""
 
     stamp_ns: int
     kind: int
-    source: int  # number in ``Sources``; MANUAL is a user's
+    source: int  # number in ``Sources``; MANUAL: set by a user
     left_speed: float  # of the sprockets, rad/s
     right_speed: float
-    left_angle: float  # rad, continuous; nan where there is none
+    left_angle: float  # rad, continuous; nan: not measured
     right_angle: float
     value: Annotated[
         FloatArray, 3
-    ]  # z of all others: rad/s about z, x, y; m, m, rad; left and right slip; rad; m/s, m/s
-    noise: Annotated[FloatArray, (3, 3)]  # R, as its source states it; of odometry, variances in two rows
-    turn: Annotated[FloatArray, 4]  # of odometry, whose value is a place: quaternion x, y, z, w
-    frame: int  # and number of its odom frame
+    ]  # z of the other kinds: rad/s about z, x, y; m, m, rad; left and right slip; rad; m/s, m/s
+    noise: Annotated[FloatArray, (3, 3)]  # R as stated by the source; of odometry, variances in two rows
+    turn: Annotated[FloatArray, 4]  # attitude of odometry, whose value is a position: quaternion x, y, z, w
+    frame: int  # number of the odom frame
     altitude: float  # of a pose, m
     altitude_variance: float  # m²
-    acceleration: Annotated[FloatArray, 3]  # of an IMU: specific force, m/s²; nan where it has none
+    acceleration: Annotated[FloatArray, 3]  # specific force by an IMU, m/s²; nan: not measured
     acceleration_variance: float  # (m/s²)²
-    up: Annotated[FloatArray, 3]  # by its orientation, of any length about 1
-    up_variances: Annotated[FloatArray, 2]  # rad²; −1: it has none
+    up: Annotated[FloatArray, 3]  # vertical by the orientation of an IMU, of a length of about 1
+    up_variances: Annotated[FloatArray, 2]  # rad²; −1: no orientation
 
 
 MEASUREMENT = dtype_of(MeasurementRecord)
 
-TRACKS, GYROS = MOST_SOURCES - 3, MOST_SOURCES - 2  # of the sprockets and of all gyros, among faults
-MANUAL = MOST_SOURCES - 1  # the source number of a manual pose: the last of those with one stamp
+TRACKS, GYROS = MOST_SOURCES - 3, MOST_SOURCES - 2  # numbers of the sprockets and of all gyros in ``fault``
+MANUAL = MOST_SOURCES - 1  # source number of a manual pose: the last at its stamp
 
 
 class SprocketSample(Record):
-    """The last sample of the sprockets."""
+    """The latest sprocket sample."""
 
-    seen: bool  # whether there was one
-    stamp_ns: int  # of the start where there was none
+    seen: bool  # whether a sample was received
+    stamp_ns: int  # of the sample; of the start where there is none
     left_angle: float
     right_angle: float
-    known: bool  # whether the interval that it closed shows speeds
-    speeds: SpeedsRecord  # of that interval
+    known: bool  # whether the interval that ends here has speeds
+    speeds: SpeedsRecord  # mean speeds of that interval
     counts: CountsRecord
 
 
@@ -86,14 +86,14 @@ SAMPLE = dtype_of(SprocketSample)
 
 
 class Reading(Record):
-    """The last of a source."""
+    """The latest reading of a source."""
 
-    stamp_ns: int  # never: there was none
-    sprocket_angles: Annotated[FloatArray, 2]  # of the state then
+    stamp_ns: int  # NEVER_NS: none
+    sprocket_angles: Annotated[FloatArray, 2]  # of the state at this reading
 
 
 class Streak(Record):
-    """Yaw rates in a row that speak for other ground."""
+    """Consecutive yaw rates that indicate a change of ground."""
 
     count: int
     value: float
@@ -101,11 +101,11 @@ class Streak(Record):
 
 
 class Adaptation(Record):
-    """How wrong tracks, gyros and fixes are, as far as it is known (``adaptation``)."""
+    """Estimated noise of tracks, gyros and fixes (``adaptation``)."""
 
     track_variance: float  # s², posterior mean
-    rate_factor: float  # a, of the variance of yaw rates
-    log_weights: Annotated[FloatArray, (TRACK_ERRORS, RATE_FACTORS)]  # w of both
+    rate_factor: float  # a, factor of the variance of yaw rates
+    log_weights: Annotated[FloatArray, (TRACK_ERRORS, RATE_FACTORS)]  # w of both grids
     envelope: float  # E, (m/s)²
     exposure: float  # T, (rad/s)²
     elapsed: float  # s since the last yaw rate
@@ -113,121 +113,119 @@ class Adaptation(Record):
     speed_elapsed: float  # s since then
     left_speed: float  # of the sprockets in the interval before, rad/s
     right_speed: float
-    fix_factors: Annotated[FloatArray, MOST_SOURCES]  # f, of the covariance of each source's fixes
+    fix_factors: Annotated[FloatArray, MOST_SOURCES]  # f, factor of the covariance of fixes by source
     fix_log_weights: Annotated[FloatArray, (MOST_SOURCES, FIX_FACTORS)]
-    fix_innovations: Annotated[FloatArray, (MOST_SOURCES, 2)]  # of the last that taught f
-    fix_correlation: Annotated[FloatArray, MOST_SOURCES]  # of those that follow each other
+    fix_innovations: Annotated[FloatArray, (MOST_SOURCES, 2)]  # latest innovation that f was estimated from
+    fix_correlation: Annotated[FloatArray, MOST_SOURCES]  # correlation of consecutive innovations
 
 
 ADAPTATION = dtype_of(Adaptation)
 
 
 class OdometryRecord(Record):
-    """Of a source, at the begin of its next increment."""
+    """Odometry of a source at the begin of its next increment."""
 
     known: bool
-    coasting: bool  # whether the sprockets were silent
+    coasting: bool  # whether the sprockets had timed out
     frame: int
     place: Annotated[FloatArray, 3]
     turn: Annotated[FloatArray, 4]
     noise: Annotated[FloatArray, (3, 3)]
-    integrated_twist: Annotated[FloatArray, 3]  # of the state then
-    errors: Annotated[FloatArray, 2]  # variances of the velocity errors then, (m/s)², (rad/s)²
-    slip_weight: float  # of what increments of late say that i₀ is off by, 1/variance
-    slip_sum: float  # that times its weight
-    slip_distance: float  # that the tracks have gone since it is, m
-    slip_ns: int  # stamp since when
+    integrated_twist: Annotated[FloatArray, 3]  # ∫ twist of the state at this time
+    errors: Annotated[FloatArray, 2]  # variances of the velocity errors at this time, (m/s)², (rad/s)²
+    slip_weight: float  # inverse variance of the error of i₀ by recent increments
+    slip_sum: float  # error of i₀ times its weight
+    slip_distance: float  # track distance since i₀ is wrong, m
+    slip_ns: int  # stamp since when i₀ is wrong
 
 
 class Standstill(Record):
-    """Of a machine, to a source: fixes from there, and the angle of what swings, rad."""
+    """Fixes of a source since the machine is at standstill, and the swing angle there, rad."""
 
     count: int
     swing: float
 
 
 class Offset(Record):
-    """Of a source of poses, as ``correlated_errors`` has it."""
+    """Time-correlated error of a pose source (``correlated_errors``)."""
 
     errors: Annotated[Table[FixErrors], QUALITIES]
-    variance: float  # a priori of each of its two states, m²; 0: it has none, or an event
+    variance: float  # prior of each of the two offset states, m²; 0: no offset, or one that an event opened
     wander: Wander
-    stddev: float  # that the source's last fix stated, m
+    stddev: float  # as stated by the latest fix, m
 
 
 OFFSET = dtype_of(Offset)
 
 
 class State(Record):
-    """All that is remembered from one measurement to the next."""
+    """The state of a branch at a measurement."""
 
     stamp_ns: int
     mean: Annotated[FloatArray, SIZE]
     covariance: Annotated[FloatArray, (SIZE, SIZE)]
-    speeds: SpeedsRecord  # of the sprockets in the interval that led here
+    speeds: SpeedsRecord  # of the sprockets in the interval that ends here
     motion: MotionRecord
-    shear: Annotated[FloatArray, 2]  # of the left and right track, see ``models.shear``
-    coasting: bool  # the sprockets have been silent for too long
-    sample: SprocketSample  # the last of the sprockets
-    time_since_sample: float  # s since it, in the middle of a step in which its speeds are taken to go on
-    consistent_ns: Annotated[IntArray, MOST_SOURCES]  # when each source was last inside its plain gate
-    refused_ns: Annotated[IntArray, MOST_SOURCES]  # for how long it has insisted since, its silences apart
-    received_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of its last measurement; of poses never
-    offsets: Annotated[Table[Offset], MOST_RECEIVERS]  # of sources of poses
-    sole_fix_source: int  # source of the one fix that the place rests on; −1: others agreed with it
-    sole_fix_heading: bool  # on that fix, too
-    displacement: Annotated[FloatArray, 2]  # by which the place went as it was predicted, since the start, m
+    shear: Annotated[FloatArray, 2]  # shear of the left and right track (``models.shear``)
+    coasting: bool  # whether the sprockets have timed out
+    sample: SprocketSample
+    time_since_sample: float  # s, at the middle of a step that extrapolates the speeds of the sample
+    consistent_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one inside the gate
+    refused_ns: Annotated[IntArray, MOST_SOURCES]  # time of rejections since then, without silences
+    received_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest measurement; NEVER_NS of poses
+    offsets: Annotated[Table[Offset], MOST_RECEIVERS]  # of pose sources
+    sole_fix_source: int  # source of the only fix that supports the position; −1: others agree with it
+    sole_fix_heading: bool  # whether the heading depends on that fix, too
+    displacement: Annotated[FloatArray, 2]  # sum of predicted displacements since the start, m
     standstills: Annotated[Table[Standstill], MOST_SOURCES]
-    streaks: Annotated[Table[Streak], MOST_SOURCES]  # measurements in a row that speak for other ground
+    streaks: Annotated[Table[Streak], MOST_SOURCES]  # by gyro
     readings: Annotated[Table[Reading], MOST_SOURCES]  # of gyros and odometry
     adaptation: Adaptation
     attitude: Attitude
     odometry: Annotated[Table[OdometryRecord], MOST_ODOMETRIES]
-    sprocket_angles: Annotated[FloatArray, 2]  # by left and right sprocket since the start, rad
-    integrated_twist: Annotated[
-        FloatArray, 3
-    ]  # ∫ of the twist as it was predicted, since the start: m, m, rad
-    fixed_ns: int  # stamp of the last fix; never
-    delay_variance: float  # of δ, had no fix shown it
-    learned_downhill: float  # sine of the slope that the tracks drove down as k was learned
-    track_distance: float  # by the tracks since the start, mean of both, forward or not, m
-    is_sector: bool  # whether its heading is one share of the circle
-    fault: Annotated[IntArray, MOST_SOURCES]  # of ``events.SourceFault``: what is assumed of each source
+    sprocket_angles: Annotated[FloatArray, 2]  # of the left and right sprocket since the start, rad
+    integrated_twist: Annotated[FloatArray, 3]  # ∫ predicted twist dt since the start: m, m, rad
+    fixed_ns: int  # stamp of the latest fix; NEVER_NS: none
+    delay_variance: float  # of δ without the information of fixes
+    learned_downhill: float  # sine of the slope, downhill along the tracks, where k was estimated
+    track_distance: float  # mean of both tracks since the start, never decreasing, m
+    is_sector: bool  # whether the heading is known to a sector of the circle only
+    fault: Annotated[IntArray, MOST_SOURCES]  # ``SourceFault`` that the branch assumes, by source
     fault_ns: Annotated[IntArray, MOST_SOURCES]  # stamp since when
-    outlier_share: Annotated[FloatArray, MOST_SOURCES]  # of its measurements
-    last_fix: Annotated[FloatArray, (MOST_SOURCES, 2)]  # place that a source stated last, m
-    last_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of its last measurement by which branches were weighed
+    outlier_share: Annotated[FloatArray, MOST_SOURCES]  # share of outliers, by source
+    last_fix: Annotated[FloatArray, (MOST_SOURCES, 2)]  # position of the latest fix, by source, m
+    last_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one that weighed branches
 
 
 STATE = dtype_of(State)
 
 
 class Update(Record):
-    """What became of a measurement."""
+    """Result of a step with a measurement."""
 
     outcome: int  # of ``measurements.Outcome``
     dof: int
     nis: float
     gate: float
     log_determinant: float  # ln |S|
-    evidence: float  # ln of the density of the measurement, where branches are weighed by it
-    whitened: Annotated[FloatArray, 2]  # innovation of a fix along and across, over its standard deviation
-    stated: float  # standard deviation that a fix states, m
-    coarse: int  # 0 or 1: whether its error may last
-    measured_position: Annotated[FloatArray, 2]  # place of base_link by a coarse fix, m
-    squared_repeat_distance: float  # squared distance of a fix from the source's fix before, m²
-    tied: int  # 0 or 1: the fix is as likely as in the most probable branch that may use it
-    opened: int  # last ``events.Event`` that opened states since the state before
-    attitude: int  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not wanted
-    follows: bool  # whether the prior follows from the state before by the model
-    reset_states: int  # bit i: state i does not follow from the state before
+    evidence: float  # ln of the likelihood of a measurement that weighs branches
+    whitened: Annotated[FloatArray, 2]  # innovation of a fix along and across, over its stddev
+    stated: float  # standard deviation as stated by a fix, m
+    coarse: int  # 0 or 1: whether the error of a fix may be time-correlated
+    measured_position: Annotated[FloatArray, 2]  # position of base_link by a coarse fix, m
+    squared_repeat_distance: float  # from the previous fix of the source, m²
+    tied: int  # 0 or 1: takes the likelihood of the most probable branch that may use the fix
+    opened: int  # latest ``events.Event`` in this step
+    attitude: int  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not requested
+    follows: bool  # whether the prior is the prediction of the previous state
+    reset_states: int  # bit i: state i was reset in this step
 
 
 UPDATE = dtype_of(Update)
 
 
 class Prior(Record):
-    """What was known before a measurement, widened where it surprised."""
+    """Mean and covariance before the update, inflated where the innovation was large."""
 
     mean: Annotated[FloatArray, SIZE]
     covariance: Annotated[FloatArray, (SIZE, SIZE)]
@@ -236,51 +234,51 @@ class Prior(Record):
 PRIOR = dtype_of(Prior)
 
 
-HISTORY = 16  # events that a branch remembers
+HISTORY = 16  # latest events of a branch
 
 
 class EventRecord(Record):
-    """Of a branch: before, or after, the step to which measurement it opened states.
+    """An event of a branch, and the step in which it opened states.
 
-    ``part``: of the circle, or ``MEASURED``: where the source measured the angle ``value``, rad; or ``LOST``.
-    ``value`` of a skid, of fixes that are off, and of a machine that was moved is the standard deviation, m;
-    of a slip and a bias that changed a while ago how long, s: an offset of the source took it for its own.
+    ``part``: sector of the circle; ``MEASURED``: the source measured the angle ``value``, rad; or ``LOST``.
+    ``value`` is the standard deviation, m, of a skid, an offset, or a displaced machine. Of a slip or a bias
+    that changed earlier it is the time since then, s, in which the offset of a coarse receiver absorbed it.
     """
 
     event: int  # of ``events.Event``
     source: int  # whose measurement it explains
     part: int
     value: float
-    decided_ns: int  # stamp of the measurement that it explains
-    stamp_ns: int  # of the measurement of the step, with kind and source
+    decided_ns: int  # stamp of the measurement that the event explains
+    stamp_ns: int  # of the measurement of the step, as are kind and of
     kind: int
     of: int
-    after: int  # 0 or 1: after that step
+    after: int  # 0: before the step, 1: after it
 
 
 EVENT = dtype_of(EventRecord)
 
 
 class Snapshot(Record):
-    """Of a branch, at an entry from which children may start."""
+    """Entry of the window from which children of a branch start."""
 
-    entry: int  # its number
-    slot: int  # place of the branch in the row of that entry
-    weight: float  # w then
-    weighed: int  # measurements since then by which the branch was weighed
+    entry: int
+    slot: int  # number of the branch in the row of that entry
+    weight: float  # w at that entry
+    weighed: int  # measurements since then that weighed the branch
 
 
-OLDER, YOUNGER = range(2)  # snapshots: where children start now, and where they do next
+OLDER, YOUNGER = range(2)  # snapshots: start of children now, and its successor
 
 
 class Branch(Record):
-    """One explanation, at one entry of the window."""
+    """One explanation (hypothesis) at one entry of the window."""
 
     weight: float  # w
-    events: int  # how many it has had
-    history: Annotated[Table[EventRecord], HISTORY]  # the last of them; event n is at n % HISTORY
-    first: int  # entry of the first step that it makes for this row
-    fresh: int  # 0 or 1: made by this measurement
+    events: int  # number of events
+    history: Annotated[Table[EventRecord], HISTORY]  # the latest events; event n is at n % HISTORY
+    first: int  # entry of the first step for this row
+    fresh: int  # 0 or 1: created by this measurement
     cusum: Annotated[FloatArray, 4]  # of innovations: ahead, behind, left, right
     snapshots: Annotated[Table[Snapshot], 2]
 
@@ -289,9 +287,9 @@ BRANCH = dtype_of(Branch)
 
 
 class TiltRecord(Record):
-    """Of an estimate."""
+    """Attitude of an estimate."""
 
-    known: int  # 0 or 1; the rest is zero where it is not
+    known: int  # 0 or 1; 0: all other fields are zero
     tilt: Annotated[FloatArray, 3]  # roll rad, pitch rad, height m
     covariance: Annotated[FloatArray, (3, 3)]
     rates: Annotated[FloatArray, 3]  # p, q, r, rad/s
@@ -304,9 +302,9 @@ TILT = dtype_of(TiltRecord)
 
 
 class SwingRecord(Record):
-    """Of an estimate."""
+    """Swing of an estimate."""
 
-    known: int  # 0 or 1: whether anything sits above; the rest is zero where it does not
+    known: int  # 0 or 1: whether a sensor is on the upper structure; 0: all other fields are zero
     angle: float  # σ in (−π, π], rad
     rate: float  # rad/s
     covariance: Annotated[FloatArray, (2, 2)]
@@ -316,16 +314,16 @@ SWINGING = dtype_of(SwingRecord)
 
 
 class EstimateRecord(Record):
-    """What is published."""
+    """A published estimate."""
 
     stamp_ns: int
     pose: Annotated[FloatArray, 3]
     pose_covariance: Annotated[FloatArray, (3, 3)]
     twist: Annotated[FloatArray, 3]  # v_x, v_y m/s, yaw rate rad/s at C
     twist_covariance: Annotated[FloatArray, (3, 3)]
-    horizontal: Annotated[FloatArray, 3]  # what of the twist is: along the heading, to its left, rate of it
+    horizontal: Annotated[FloatArray, 3]  # horizontal twist: along the heading, to its left, yaw rate
     tilt: TiltRecord
-    rise: float  # ż, m/s; 0 while nobody knows the tilt
+    rise: float  # ż, m/s; 0 while the tilt is unknown
     rise_variance: float
     slips: Annotated[FloatArray, 3]  # left slip, right slip, slip angle rad
     slip_covariance: Annotated[FloatArray, (3, 3)]
@@ -337,17 +335,17 @@ ESTIMATE = dtype_of(EstimateRecord)
 
 
 class Result(Record):
-    """What became of an arrival, and what is published at it."""
+    """Result of an arrival, and the estimate that it publishes."""
 
-    stamp_ns: int  # as used: a manual pose without a stamp has that of now
+    stamp_ns: int  # as used: a manual pose without a stamp gets the current one
     outcome: int
     dof: int
     nis: float
     gate: float
     attitude: int
-    fault: int  # ``measurements.Fault`` of one that is invalid; 0: none
+    fault: int  # ``measurements.Fault`` of an invalid measurement; 0: none
     published: bool
-    estimate: EstimateRecord  # where published
+    estimate: EstimateRecord  # valid where published
 
 
 RESULT = dtype_of(Result)
