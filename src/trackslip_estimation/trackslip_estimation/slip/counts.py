@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Angle and speed of both sprockets from positions in whole counts; compiled.
 
-    p       position by the encoder, or the speeds that its counts show, added up    rad
+    p       position of the encoder, or the integral of its speeds                   rad
     q       angle of a count                                                         rad
     θ, ω    angle and speed: ω walks by ``_SPEED_WALK``                              rad, rad/s
     P       covariance of both, the same of either sprocket
 
-A Kalman filter follows each sprocket, with R = q²/12; and θ stays within half a count of p. So no rounding
-adds up, and little of it passes for a motion. Fine counts say all: then θ is p.
+A Kalman filter estimates angle and speed of each sprocket with R = q²/12. θ stays within half a count of p:
+quantisation errors do not accumulate, and hardly appear as motion. With fine counts θ equals p.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SPEED_WALK = 0.2  # rad/s in a second
 
 
 class CountsRecord(Record):
-    """What is known of both sprockets."""
+    """Filter state of both sprockets."""
 
     left_ahead: float  # p − θ, rad
     right_ahead: float
@@ -41,11 +41,11 @@ COUNTS = dtype_of(CountsRecord)
 
 
 class Side(NamedTuple):
-    """A sprocket at a position, and how fast it turned up to there."""
+    """Angle and speed of a sprocket at a position."""
 
     ahead: float  # p − θ, rad
     speed: float  # ω, rad/s
-    mean: float  # of ω since the position before, rad/s
+    mean: float  # mean of ω since the previous position, rad/s
 
 
 class Followed(NamedTuple):
@@ -60,7 +60,7 @@ class Followed(NamedTuple):
 
 
 class _Gain(NamedTuple):
-    """What a position leaves of how far it is ahead, and gives to ω."""
+    """Gains of a position: share of p − θ that stays, and gain of ω."""
 
     kept: float
     speed: float  # 1/s
@@ -68,7 +68,7 @@ class _Gain(NamedTuple):
 
 @compiled
 def begin_counts(counts: CountsRecord, c: Config) -> None:
-    """At a position that continues none."""
+    """Reset the filter at a position without predecessor."""
     counts.left_ahead = counts.right_ahead = counts.left_speed = counts.right_speed = 0.0
     counts.variance, counts.covariance = c.encoder_resolution**2 / 12.0, 0.0
     counts.speed_variance = c.max_sprocket_speed**2
@@ -76,7 +76,7 @@ def begin_counts(counts: CountsRecord, c: Config) -> None:
 
 @compiled
 def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> Followed:
-    """``dt`` s later, when the positions changed by ``left`` and ``right`` rad/s."""
+    """The filter ``dt`` s later, after mean encoder speeds of ``left`` and ``right`` rad/s."""
     known = Known(counts.variance, counts.covariance, counts.speed_variance)
     variance, covariance, speed_variance = later(known, dt, _SPEED_WALK)
     R, half = c.encoder_resolution**2 / 12.0, c.encoder_resolution / 2.0
@@ -103,7 +103,7 @@ def _side(ahead: float, speed: float, shown: float, dt: float, gain: _Gain, half
 
 @compiled
 def keep(followed: Followed, counts: CountsRecord) -> None:
-    """``followed`` into ``counts``."""
+    """Store ``followed`` in ``counts``."""
     counts.left_ahead, counts.left_speed = followed.left.ahead, followed.left.speed
     counts.right_ahead, counts.right_speed = followed.right.ahead, followed.right.speed
     counts.variance, counts.covariance = followed.variance, followed.covariance

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The last guard: whether a state can be gone on from; compiled.
+"""Check that a state is finite; compiled.
 
-``usable`` keeps out what would break a state, and ``kalman.positive`` keeps its covariance positive definite.
-Should a state be broken nevertheless, ``process`` counts a divergence and restarts, as after a reset.
+``validity`` rejects measurements that would break a state, and ``kalman.positive`` keeps the covariance
+positive definite. If a state is broken nevertheless, ``process`` counts a divergence and restarts, as after a reset.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 @compiled
 def is_finite_state(state: State, n: int) -> bool:
-    """Whether means and variances of the ``n`` states, and of the attitude, are finite, no variance negative.
+    """Whether means and variances of ``n`` states and the attitude are finite, no variance negative.
 
-    What else is not finite makes one of them so in the next step.
+    Any other number that is not finite makes one of these not finite in the next step.
     """
     a, adaptation, positive = state.attitude, state.adaptation, True
     total, variances = adaptation.track_variance + adaptation.rate_factor, 0.0

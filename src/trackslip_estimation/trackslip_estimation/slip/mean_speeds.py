@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the sprockets did between two readings of a source; compiled."""
+"""Mean sprocket speeds between two readings of a source; compiled."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 
 class MeanSpeeds(NamedTuple):
-    """Of both sprockets."""
+    """Mean speeds of both sprockets over T."""
 
-    left: float  # mean speed, rad/s
+    left: float  # rad/s
     right: float  # rad/s
     T: float  # s
 
 
 @compiled
 def mean_speeds_since(state: State, source: int, stamp_ns: int) -> MeanSpeeds:
-    """From the last reading of a source, which was before ``stamp_ns``, to the state."""
+    """Mean speeds from the latest reading of a source, before ``stamp_ns``, to the state."""
     last = state.readings[source]
     T = (stamp_ns - last.stamp_ns) * 1e-9
     left, right = (
@@ -34,6 +34,6 @@ def mean_speeds_since(state: State, source: int, stamp_ns: int) -> MeanSpeeds:
 
 @compiled
 def store_reading(state: State, source: int, stamp_ns: int) -> None:
-    """It is the last of its source."""
+    """Store the latest reading of a source."""
     last = state.readings[source]
     last.stamp_ns, last.sprocket_angles[:] = stamp_ns, state.sprocket_angles

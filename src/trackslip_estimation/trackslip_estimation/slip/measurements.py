@@ -156,7 +156,7 @@ class Outcome(IntEnum):
     GATED = 1  # its innovation lies outside the gate
     TOO_LATE = 2  # older than the history, or than the start of the estimate
     DUPLICATE = 3  # same source and stamp as one before
-    INVALID = 4  # not finite, beyond physical limits, or no usable covariance: see ``usable.Fault``
+    INVALID = 4  # not finite, beyond physical limits, or no usable covariance: see ``Fault``
     WAITING = 5  # no estimate yet: it starts with the first fix
     AHEAD = 6  # far ahead of the sprockets, or a sprocket sample that the next ones must confirm
     JUMPED = 7  # used, but the sprocket positions jump: its measured speeds count

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Standing, straight or turning: seen from the sprockets alone, with hysteresis.
+"""State of motion from the sprocket speeds: standing, straight or turning, with hysteresis.
 
-The thesis' jump hypothesis (3.22) rests on it: slips hold still while both tracks run at similar
-and steady speeds, and move while the speeds differ or change.
+The jump hypothesis (3.22) depends on it: slips are constant while both tracks run at similar and steady
+speeds, and change while the speeds differ or change.
 
     ω_L, ω_R   sprocket speeds, low-passed             rad/s
     ω̄          mean of |ω_L| and |ω_R|                  rad/s
 
-``SPEEDS`` and ``MOTION`` are the records that compiled code passes on; ``Speeds`` and ``MotionState`` are the
-same for Python.
+``SPEEDS`` and ``MOTION`` are the records of compiled code; ``Speeds`` and ``MotionState`` are the same for
+Python.
 """
 
 import math
@@ -82,7 +82,9 @@ _UNKNOWN, _STANDING, _STRAIGHT, _TURNING = map(int, Motion)
 class MotionParameters(Parameters):
     """Limits between the states of motion."""
 
-    standing_speed: float = parameter("sprocket speed below which a track stands", unit="rad/s", gt=0.0)
+    standing_speed: float = parameter(
+        "sprocket speed below which a track is at standstill", unit="rad/s", gt=0.0
+    )
     turning_ratio: float = parameter("|ω_R − ω_L| over the mean speed above which it turns", gt=0.0, le=2.0)
     change_ratio: float = parameter("departure from the recent mean speed that counts as a change", gt=0.0)
     hysteresis: float = parameter("share of a limit at which a state is left again", gt=0.0, le=1.0)
@@ -100,7 +102,7 @@ class Speeds(NamedTuple):
 
 
 class MotionState(NamedTuple):
-    """What the classifier remembers; immutable, so that a filter can keep it in its history."""
+    """State of the classifier; immutable, so that a filter can keep it in its history."""
 
     motion: Motion = Motion.UNKNOWN
     changing: bool = True
@@ -108,7 +110,7 @@ class MotionState(NamedTuple):
     right: float = 0.0
     left_mean: float = 0.0  # rad/s, low-passed further
     right_mean: float = 0.0
-    departure: float = 0.0  # rad/s, the largest of the present speeds from those
+    departure: float = 0.0  # rad/s, largest difference of the current speeds from these
 
     @property
     def slips_move(self) -> bool:
@@ -125,7 +127,7 @@ def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParame
 
 
 def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
-    """What slips are shown of: ``steady_speeds``."""
+    """``steady_speeds`` for Python."""
     now, before = _table(SpeedsRecord, SPEEDS, speeds), _table(MotionRecord, MOTION, state)
     left, right, variance = _steady_speeds(now, before, limits_record(limits))
     return speeds._replace(left=left, right=right, variance=variance)
@@ -161,14 +163,14 @@ def _steady_speeds(
 
 @compiled
 def reset_motion(state: MotionRecord) -> None:
-    """The record ``state`` of ``MOTION`` where nothing of the sprockets is known."""
+    """Reset the record ``state`` of ``MOTION`` to unknown motion."""
     state.motion, state.changing = _UNKNOWN, True
     state.left = state.right = state.left_mean = state.right_mean = state.departure = 0.0
 
 
 @compiled
 def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: LimitsRecord) -> None:
-    """The record ``state`` of ``MOTION``, ``dt`` s later with mean ``speeds``."""
+    """Update the record ``state`` of ``MOTION`` by mean ``speeds`` over ``dt`` s."""
     if dt <= 0.0:
         return
     if state.motion == _UNKNOWN:
@@ -196,13 +198,13 @@ def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: 
 
 @compiled
 def is_rounding(departure: float, speeds: SpeedsRecord) -> bool:
-    """Whether the rounding of counts explains how far ``speeds`` are from others, rad/s."""
+    """Whether the quantisation of counts explains a ``departure`` of ``speeds``, rad/s."""
     return bool(departure**2 <= _SIGNIFICANT**2 * speeds.variance)
 
 
 @compiled
 def rounding_over(time: float, speeds: SpeedsRecord) -> float:
-    """Variance of a mean speed over so many s, (rad/s)²: of the angles at its ends."""
+    """Variance of a mean speed over ``time`` s by the quantisation of the angles at its ends, (rad/s)²."""
     return min(2.0 * speeds.angle_variance / (time * time), speeds.variance)
 
 
@@ -210,11 +212,11 @@ def rounding_over(time: float, speeds: SpeedsRecord) -> float:
 def steady_speeds(
     speeds: SpeedsRecord, motion: MotionRecord, limits: LimitsRecord
 ) -> tuple[float, float, float]:
-    """Left and right, rad/s, of which twist and slips are shown and observed, and a gyro's derivative is.
+    """Left and right speed without quantisation, rad/s, and the variance of each.
 
-    Also the variance of each by rounding. No rounding of counts passes for a turn, or a change of speed:
-    low-passed, where rounding explains how the speeds depart from their mean; equal, where it explains their
-    difference.
+    Published and observed twist and slips use these speeds, and so does the Jacobian of a gyro. They are
+    low-passed where quantisation explains their departure from the mean, and equal where it explains their
+    difference: quantisation does not appear as a turn or a change of speed.
     """
     left, right, variance = speeds.left, speeds.right, speeds.variance
     if variance == 0.0:

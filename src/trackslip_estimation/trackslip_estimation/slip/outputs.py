@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a state means: pose, twist, slips, tilt and swing, with their covariances; compiled."""
+"""Outputs of a state: pose, twist, slips, tilt and swing, with their covariances; compiled."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ if TYPE_CHECKING:
 
 
 _UNKNOWN = int(Motion.UNKNOWN)
-_NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a direction that may be any of half a turn
+_NO_DIRECTION = math.pi**2 / 12.0  # rad², variance of a uniform direction within half a turn
 
 
 @inlined
 def fill_estimate(state: State, c: Config, estimate: EstimateRecord) -> None:
-    """What is published of a state, into a record of ``ESTIMATE``; its motion, where the tracks show it."""
+    """Fill a record of ``ESTIMATE`` from a state; unknown motion while counts are lost."""
     fill_motion(state, c, estimate)
     fill_tilt(state, estimate)
     fill_swing(state, estimate.swing, c)
     estimate.stamp_ns, estimate.motion = state.stamp_ns, state.motion.motion
-    if state.fault[TRACKS] == IS_MISCOUNTING:  # its slips are none of the ground
+    if state.fault[TRACKS] == IS_MISCOUNTING:  # its slips are not those of the ground
         estimate.motion = _UNKNOWN
 
 
 @compiled
 def fill_motion(state: State, c: Config, estimate: EstimateRecord) -> None:
-    """Pose, twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
+    """Fill pose, twist and slips of a record of ``ESTIMATE``, with covariances."""
     fill_outputs(state, c, estimate)
     estimate.pose[:], estimate.pose_covariance[:] = state.mean[:3], state.covariance[:3, :3]
     if estimate.slip_covariance[2, 2] == 0.0:  # at a standstill there is no direction
@@ -67,7 +67,7 @@ def _outputs(state: State, left: float, right: float, c: Config) -> FloatArray:
 
 @compiled
 def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
-    """Twist and slips of a state, with covariances, into a record of ``ESTIMATE``."""
+    """Fill twist and slips of a record of ``ESTIMATE``, with covariances."""
     x, P = state.mean[: c.size], state.covariance[:]
     left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
     found = _outputs(state, left, right, c)
@@ -91,7 +91,7 @@ def fill_outputs(state: State, c: Config, estimate: EstimateRecord) -> None:
 
 @compiled
 def fill_swing(state: State, swing: SwingRecord, c: Config) -> None:
-    """What is published of the upper structure, into a record of ``SWINGING``."""
+    """Fill a record of ``SWINGING`` from a state."""
     swing.known, swing.angle, swing.rate = 0, 0.0, 0.0
     swing.covariance[:] = 0.0
     if c.swings:

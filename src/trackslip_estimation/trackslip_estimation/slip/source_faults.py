@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of sources: what a branch assumes of each, and how likely its measurements are then; compiled."""
+"""Faults of sources: the assumption of a branch, and the likelihood of measurements under it; compiled."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 
 _GATED = int(Outcome.GATED)
 _LOG_TURN = math.log(2.0 * math.pi)
-_AREA = 1e4  # m², of a place of which nothing is known
+_AREA = 1e4  # m², of an unknown position
 
 
 class SourceFault(IntEnum):
-    """What a branch assumes of a source."""
+    """Fault that a branch assumes of a source."""
 
     HEALTHY = 0
     OFFSET = 1
     REPEATS = 2
     SCATTERS = 3
     IGNORED = 4  # for one measurement
-    FAILED = 5  # of the sprockets, or of all gyros: they do not show the motion
-    STAYS = 6  # where it was, and jitters on
-    HEADING_OFF = 7  # its headings, or swing angles, are off, not its places
-    HEADING_WANDERS = 8  # the same, by something else at any time
-    MISCOUNTS = 9  # of the sprockets: they show the motion but for a factor
-    WANDERS = 10  # its places go off evenly, and none is used
+    FAILED = 5  # sprockets, gyros or odometry do not measure the motion
+    STAYS = 6  # fixes jitter about a constant position
+    HEADING_OFF = 7  # headings or swing angles have a constant offset; positions are correct
+    HEADING_WANDERS = 8  # headings or swing angles have an offset that walks
+    MISCOUNTS = 9  # sprockets measure half of the motion
+    WANDERS = 10  # positions drift with a nearly constant velocity; none is used
 
 
 (
@@ -58,31 +58,31 @@ class SourceFault(IntEnum):
 
 @compiled
 def is_heading_off(fault: int) -> bool:
-    """Whether a source is assumed to show headings, or swing angles, that are off."""
+    """Whether a fault is an offset of headings or swing angles."""
     return fault in (IS_HEADING_OFF, IS_HEADING_WANDERING)
 
 
 @compiled
 def is_trusted(fault: int, kind: int) -> bool:
-    """Whether a measurement of a source is taken for sound; places are, though headings of theirs are off."""
+    """Whether a measurement is free of the fault: positions are, where only headings have an offset."""
     return fault == IS_HEALTHY or (kind == POSE and is_heading_off(fault))
 
 
 @compiled
 def is_failed(fault: int) -> bool:
-    """Whether a unit is assumed not to show the motion, or but for a factor."""
+    """Whether a unit does not measure the motion, or only to a factor."""
     return fault in (IS_FAILED, IS_MISCOUNTING)
 
 
 @compiled
 def has_failed_unit(state: State) -> bool:
-    """Whether sprockets, gyros or an odometry are assumed not to show the motion."""
+    """Whether a branch assumes that sprockets, gyros or an odometry have failed."""
     return bool(((state.fault == IS_FAILED) | (state.fault == IS_MISCOUNTING)).any())
 
 
 @compiled
 def wanders(state: State, source: int, c: Config) -> bool:
-    """Whether a source is off by what wanders, so that nothing contradicts it as the fault ends."""
+    """Whether the offset of a source walks, so that no measurement contradicts it when the fault ends."""
     fault = state.fault[source]
     is_velocity = number_of(source, c) < 0
     return bool(fault in (IS_WANDERING, IS_HEADING_WANDERING) or (fault == IS_OFFSET and is_velocity))
@@ -90,7 +90,7 @@ def wanders(state: State, source: int, c: Config) -> bool:
 
 @compiled
 def propagate_faults(state: State, dt: float, c: Config) -> None:
-    """Headings that wander, and velocities that are off, are so by something else dt later."""
+    """Add process noise of ``dt`` s to offsets that walk: of headings, swing angles and velocities."""
     P = state.covariance
     for source in range(state.fault.size):
         if state.fault[source] == IS_HEADING_WANDERING:
@@ -103,19 +103,19 @@ def propagate_faults(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def reach(squared: float) -> float:
-    """Standard deviation of a place of which nothing is known but that it may be ``squared`` m² away, m."""
+    """Standard deviation, m, of an unknown position that is ``squared`` m² away, or within ``_AREA``."""
     return math.sqrt(max(_AREA / (2.0 * math.pi), squared))
 
 
 @compiled
 def log_density_of_any_size(squared: float, c: Config) -> float:
-    """ln of the density of a place (2,) that errs by ``squared`` m², any logarithm of which is as likely."""
+    """ln of the density of a position error (2,) of ``squared`` m², uniform in the logarithm of its size."""
     return -math.log(2.0 * math.pi * c.bank.outlier_sizes * squared)
 
 
 @compiled
 def density_of_outlier(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
-    """ln of the density of an outlier: any angle, or a place or a velocity off by no less than expected."""
+    """ln of the density of an outlier: any angle; a position or velocity error of at least the usual size."""
     if m.kind not in (POSE, VELOCITY):
         return -_LOG_TURN
     squared, expected = 0.0, 0.0
@@ -129,9 +129,9 @@ def density_of_outlier(m: MeasurementRecord, o: Observation, predicted: FloatArr
 
 @compiled
 def _density_of_heading(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
-    """ln of the density of the heading of a fix whose place is wrong, if it has one.
+    """ln of the density of the heading of a fix with a wrong position; 0 of a fix without heading.
 
-    It is any; that of two antennas, which is found apart from the place, is as likely right.
+    The heading is uniform. A heading of two antennas, independent of the position, is as likely correct.
     """
     if o.innovation.size <= YAW:
         return 0.0
@@ -144,9 +144,9 @@ def _density_of_heading(m: MeasurementRecord, o: Observation, predicted: FloatAr
 
 @compiled
 def density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
-    """ln of the density of a measurement of a source that scatters: any place, angle or speed.
+    """ln of the density of a measurement of a source that scatters: any position, angle or speed.
 
-    Places are those of an area; farther ones err by any size.
+    Positions are uniform within ``_AREA``, and of any size of error beyond it.
     """
     if m.kind == VELOCITY:
         return -math.log(math.pi * c.unknown_speed**2 if o.innovation.size > 1 else 2.0 * c.unknown_speed)
@@ -159,22 +159,22 @@ def density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArr
 
 @compiled
 def is_repeated(update: Update, c: Config) -> bool:
-    """Whether a fix is the one before, but for the rounding of a map projection."""
+    """Whether a fix equals the previous one, to the rounding of a map projection."""
     return bool(update.squared_repeat_distance <= c.gate_limits[YAW] * c.bank.repeat_stddev**2)
 
 
 @compiled
 def may_repeat(update: Update, c: Config) -> bool:
-    """Whether a fix differs from the one before by no more than the noise that both state."""
+    """Whether a fix differs from the previous one by no more than the stated noise of both."""
     return bool(update.squared_repeat_distance <= 2.0 * c.gate_limits[YAW] * update.stated**2)
 
 
 @compiled
 def weigh_repeat(m: int, stays: bool, c: Config, update: Update) -> None:
-    """Evidence of a source that repeats itself, or ``stays`` where it was, by the distance to its fix before.
+    """Set the evidence of a source that repeats its fix, or ``stays``, from the distance to its previous fix.
 
-    No fix tells a source that stays, and jitters on, from a machine that is stuck: such a fix is *tied*, as
-    likely as in the most probable branch that may use it (``bank.rows``).
+    A source that stays and jitters cannot be distinguished from a machine that is stuck. Such a fix is
+    *tied*: it gets the likelihood of the most probable branch that may use it (``bank.rows``).
     """
     limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
     if stays:

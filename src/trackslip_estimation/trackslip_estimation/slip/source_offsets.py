@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors that each source has of its own: numbers of the state from ``SENSOR_ERRORS`` on; compiled.
+"""States of single sources, from number ``SENSOR_ERRORS`` on: position, velocity and yaw offsets; compiled.
 
-The first gyro's bias is that of the model, which what it learned keeps. Every further one has its own.
+The bias of the first gyro is a state of the model. Each further gyro has one of its own here.
 
-The offset of a source of poses is what its places err by for a while. Of a receiver whose errors are
-correlated it is there always: b of ``correlated_errors``, whose prior variance g R follows what the masses
-find. Any other offset, as that of velocities, is zero until an event opens it.
+The offset of a pose source is the time-correlated error of its positions. A receiver with correlated errors
+always has one: b of ``correlated_errors``, with the prior variance g R of the point masses. Any other offset,
+as that of velocities, is zero until an event opens it.
 
-The yaw offset of a source of headings is by how much its sensor is turned on the machine, that of a swing
-encoder by how much ``offset`` errs. An event opens it where they are off for a while.
+The yaw offset of a heading source is the misalignment of its sensor, that of a swing encoder the error of
+``offset``. An event opens it.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 @compiled
 def number_of(source: int, c: Config) -> int:
-    """Number of a source among those of poses, whose offsets come first; −1: it is none."""
+    """Number of a source among the pose sources, whose offsets come first; −1: no pose source."""
     number = (c.offsets[source] - SENSOR_ERRORS) // 2
     return number if 0 <= number < c.poses else -1
 
 
 @compiled
 def latest_pose_source(state: State, c: Config) -> int:
-    """Number of the source of poses that was consistent last; 0 where there is none."""
+    """Number of the pose source that was consistent most recently; 0 without pose sources."""
     latest = -1
     for k in range(c.offsets.size):
         if number_of(k, c) >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
@@ -49,19 +49,19 @@ def latest_pose_source(state: State, c: Config) -> int:
 
 @compiled
 def errors_of(offset: Offset, c: Config) -> FixErrors:
-    """What fixes of the quality that the source gave last err by."""
+    """Error model of the quality of the latest fix."""
     return offset.errors[quality_of(offset.stddev, c)]
 
 
 @compiled
 def errs_by_position(source: int, c: Config) -> bool:
-    """Whether fixes of a source err by where it stands, as a laser's do, and not by time."""
+    """Whether errors of a source depend on its position, as those of a laser, and not on time."""
     return bool(c.standing_share[source] > 0.0)
 
 
 @compiled
 def is_correlated(state: State, source: int, c: Config) -> bool:
-    """Whether the fixes of a source err more to one side than at random."""
+    """Whether the correlated errors of a source exceed its white errors."""
     number = number_of(source, c)
     if number < 0:
         return False
@@ -72,33 +72,33 @@ def is_correlated(state: State, source: int, c: Config) -> bool:
 
 @compiled
 def time_correlated_share(state: State, source: int, c: Config) -> float:
-    """Share of the variance of a source that lasts, or may: a receiver may err so until it was observed."""
+    """Share of the variance of a source that is time-correlated, or may be until it was observed."""
     number = number_of(source, c)
     if number < 0 or errs_by_position(source, c):
         return 0.0
     found = errors_of(state.offsets[number], c)
     if found.g > 0.0:
         return float(found.g / (found.g + found.f))
-    least = 1.0 - found.f if _are_observed(found, c) else 1.0  # what white errors leave of what is stated
+    least = 1.0 - found.f if _are_observed(found, c) else 1.0  # stated variance less the white errors
     return float(min(max(least, 0.0), c.receivers.most_correlated))
 
 
 @compiled
 def _are_observed(found: FixErrors, c: Config) -> bool:
-    """Whether fixes were observed for several times as long as their errors last."""
+    """Whether fixes were observed for several correlation times."""
     return bool(found.observed >= c.receivers.observed * found.time)
 
 
 @compiled
 def is_unobserved_receiver(state: State, source: int, c: Config) -> bool:
-    """Whether the fixes of a source err to one side, and were not observed for several times that long."""
+    """Whether a source with correlated errors was not observed for several correlation times."""
     offset = state.offsets[number_of(source, c)]
     return is_correlated(state, source, c) and not _are_observed(errors_of(offset, c), c)
 
 
 @compiled
 def has_correlated_errors(state: State, source: int, stddev: float, c: Config) -> bool:
-    """Whether fixes of a source that state a standard deviation, m, have errors that f, g and τ describe."""
+    """Whether fixes of a source with this stated standard deviation, m, have correlated errors."""
     number = number_of(source, c)
     return bool(number >= 0 and state.offsets[number].errors[quality_of(stddev, c)].g > 0.0)
 
@@ -107,11 +107,10 @@ def has_correlated_errors(state: State, source: int, stddev: float, c: Config) -
 def prepare_offset(
     state: State, update: Update, prior: Prior, source: int, R: FloatArray, is_open: bool, c: Config
 ) -> None:
-    """The offset of a source as its next fix, of covariance R, finds it.
+    """Set the prior variance of the offset of a source before its next fix, of covariance R.
 
-    When the standard deviation becomes another (ambiguities fixed, floating, code alone), so does the offset.
-    Else its prior variance goes to what the masses have now; one of white errors is none. One that an event
-    opened stays as it is.
+    A change of quality (ambiguities fixed, floating, code only) resets the offset. Else the prior variance
+    becomes that of the point masses; white errors have none. An offset that an event opened stays.
     """
     offset, first, stddev = state.offsets[number_of(source, c)], c.offsets[source], position_stddev(R)
     if is_open:
@@ -124,7 +123,7 @@ def prepare_offset(
         begins = target > 0.0 and not other and offset.stddev > 0.0
         _reset_offset(state.mean, state.covariance, first, target)
         _reset_offset(prior.mean, prior.covariance, first, target)
-        if begins:  # until now it was in the place
+        if begins:  # so far the position contained it
             to_measured_position(state.mean, state.covariance, source, -1.0, c)
             to_measured_position(prior.mean, prior.covariance, source, -1.0, c)
     elif target > 0.0:
@@ -135,7 +134,7 @@ def prepare_offset(
 
 @compiled
 def position_stddev(R: FloatArray) -> float:
-    """Standard deviation of a place of covariance R, by axis, m."""
+    """Standard deviation of a position of covariance R, by axis, m."""
     return math.sqrt((R[X, X] + R[Y, Y]) / 2.0)
 
 
@@ -147,16 +146,16 @@ def _reset_offset(x: FloatArray, P: FloatArray, first: int, variance: float) -> 
 
 @compiled
 def offset_persistence(state: State, number: int, dt: float, c: Config) -> float:
-    """Share of an offset that is left after dt."""
+    """Persistence of an offset over dt, e^(−dt/τ)."""
     offset = state.offsets[number]
     return math.exp(-dt / errors_of(offset, c).time) if offset.variance > 0.0 else 1.0
 
 
 @compiled
 def propagate_offsets(state: State, dt: float, c: Config) -> None:
-    """Offsets of receivers dt later.
+    """Propagate the offsets of receivers over dt.
 
-    One that an event opened for precise fixes stays, but for what their errors change by.
+    An offset of precise fixes that an event opened has the process noise of their errors only.
     """
     x, P = state.mean, state.covariance
     for number in range(c.poses):
@@ -174,7 +173,7 @@ def propagate_offsets(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def set_offset_transition(F: FloatArray, state: State, dt: float, c: Config) -> None:
-    """The transition F (n, n) of a step, with what is left of offsets after it."""
+    """Multiply the offset rows of the transition F (n, n) by their persistence."""
     for number in range(c.poses):
         for k in (SENSOR_ERRORS + 2 * number, SENSOR_ERRORS + 2 * number + 1):
             F[k, k] *= offset_persistence(state, number, dt, c)
@@ -182,7 +181,7 @@ def set_offset_transition(F: FloatArray, state: State, dt: float, c: Config) -> 
 
 @compiled
 def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c: Config) -> None:
-    """P, where the offset of a source is by ``more`` (2,), m², more uncertain."""
+    """Inflate the offset of a source in P by ``more`` (2,), m², up to ``largest_inflation``."""
     first, most = (
         c.offsets[source],
         c.receivers.largest_inflation * state.offsets[number_of(source, c)].variance,
@@ -194,7 +193,7 @@ def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c
 
 @compiled
 def to_sensor_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
-    """The state with the heading that a source with a yaw offset shows; or back (−1)."""
+    """Transform the heading into that of a source with a yaw offset (1), or back (−1); in place."""
     first = c.yaw_offsets[source]
     if first >= 0:
         x[YAW] = wrap(x[YAW] + sign * x[first])
@@ -203,14 +202,14 @@ def to_sensor_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c:
 
 @compiled
 def prior_offset_variance(state: State, source: int, c: Config) -> float:
-    """Prior variance of the offset of a source that an event ends; it is that of its receiver again."""
+    """Prior variance of an offset after its event ends: that of the receiver."""
     offset = state.offsets[number_of(source, c)]
     return float(errors_of(offset, c).g * offset.stddev**2)
 
 
 @compiled
 def begin_offset(state: State, source: int, c: Config) -> None:
-    """The state at the start, whose place is that of a fix with an error that lasts: it is in both."""
+    """Correlate initial position and offset by the time-correlated error of the first fix."""
     x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
     stddev = position_stddev(R)
@@ -226,7 +225,7 @@ def begin_offset(state: State, source: int, c: Config) -> None:
 
 @compiled
 def to_measured_position(x: FloatArray, P: FloatArray, source: int, sign: float, c: Config) -> None:
-    """The state with the place that a source with an offset shows; or back (−1)."""
+    """Transform the position into that measured by a source with an offset (1), or back (−1); in place."""
     first = c.offsets[source]
     for axis in (X, Y):
         x[axis] += sign * x[first + axis]

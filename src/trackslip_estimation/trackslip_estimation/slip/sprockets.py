@@ -1,21 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the sprockets did in an interval, from the samples around it; compiled.
+"""Mean speeds of the sprockets in an interval between two samples; compiled.
 
-An interval lies between two samples. Where it is longer than the timeout, its first part (as long as the
-timeout) is taken to go on as the interval before; the rest is *silence*: how fast the sprockets turned in it
-is unknown, whatever the positions at its ends say (a driver that was restarted counts from elsewhere). Beyond
-the newest sample it is the same. The longer speeds are taken to go on, the more they may have changed, up to
-what silence leaves of them (``coasting``). Between a start and the first sample, where that comes within the
-timeout, the speeds are those that it shows, and may have been others (``coasting.widen_start``).
+An interval longer than the timeout has two parts. In the first, as long as the timeout, the speeds of the
+previous interval are extrapolated. The rest is *silence*: its speeds are unknown, whatever the positions at
+its ends (a restarted driver counts from another origin). The same holds beyond the newest sample. The
+variance of extrapolated speeds grows with time, up to that of unknown speeds (``coasting``). Between a start
+and a first sample within the timeout, the speeds are those of that sample, with an uncertainty
+(``coasting.widen_start``).
 
-While a branch assumes that the machine does not move as its sprockets turn (``events.FAILED``), all is
-silence.
+While a branch assumes that the sprockets have failed (``events.FAILED``), all time is silence.
 
-Speeds come from the difference of positions where there are positions and they do not jump; else from the
-speeds of the sample that closes the interval. Either are counted (``counts``), by the angle of a count.
+Speeds are differences of positions where the positions are continuous; else the speeds of the closing sample.
+Both are filtered by their quantisation (``counts``).
 
-    sample    record of ``SAMPLE``: the last sample, and the speeds of the interval that it closes
+    sample    record of ``SAMPLE``: the latest sample, and the speeds of the interval that it closes
     closing   record of ``MEASUREMENT``: the next sample; of another kind where there is none
     c         record of ``config.CONFIG``
 """
@@ -39,9 +38,9 @@ if TYPE_CHECKING:
 
 @compiled
 def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> int:
-    """Mean speeds up to ``stamp_ns`` into ``state.speeds``; returns the stamp until which they are known.
+    """Set ``state.speeds`` to the mean speeds up to ``stamp_ns``; returns the end of the known speeds.
 
-    That is ``stamp_ns``, or an earlier one beyond which there is silence.
+    An earlier stamp than ``stamp_ns`` is the begin of silence.
     """
     sample, speeds = state.sample, state.speeds
     state.time_since_sample = 0.0
@@ -65,7 +64,7 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
 def interval_speeds(
     sample: SprocketSample, closing: MeasurementRecord, c: Config, speeds: SpeedsRecord
 ) -> bool:
-    """Mean speeds between ``sample`` and ``closing`` into ``speeds``; whether they are known."""
+    """Set ``speeds`` to the mean speeds between ``sample`` and ``closing``; whether they are known."""
     left, right, dt = _shown(sample, closing, c)
     a_count = c.encoder_resolution / dt if dt > 0.0 else 0.0
     if max(abs(left), abs(right)) > c.max_sprocket_speed + a_count:
@@ -80,7 +79,7 @@ def interval_speeds(
 
 @compiled
 def _shown(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> tuple[float, float, float]:
-    """Left and right speed by the encoder, rad/s, and over which time, s; 0: ``closing`` continues none."""
+    """Left and right speed of the encoder, rad/s, and their interval, s; 0: no previous sample in time."""
     elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
     dt = elapsed_ns * 1e-9 if elapsed_ns <= c.sprocket_timeout_ns else 0.0
     if dt > 0.0 and is_continuous(sample, closing, c):
@@ -99,7 +98,7 @@ def has_angles(sample: SprocketSample, closing: MeasurementRecord) -> bool:
 
 @compiled
 def is_continuous(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
-    """Whether the positions of ``closing`` are the continuation of those of ``sample``, to a count."""
+    """Whether the machine can reach the positions of ``closing`` from those of ``sample``, to one count."""
     if not has_angles(sample, closing):
         return False
     left, right = closing.left_angle - sample.left_angle, closing.right_angle - sample.right_angle
@@ -109,14 +108,14 @@ def is_continuous(sample: SprocketSample, closing: MeasurementRecord, c: Config)
 
 @compiled
 def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
-    """Whether its positions are not the continuation of those before, though it came in time."""
+    """Whether the positions of a sample in time are not continuous."""
     in_time = has_angles(sample, closing) and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
     return in_time and not is_continuous(sample, closing, c)
 
 
 @compiled
 def store_sample(state: State, closing: MeasurementRecord, c: Config) -> None:
-    """Makes ``closing`` the last sample of ``state``."""
+    """Store ``closing`` as the latest sample of ``state``."""
     sample = state.sample
     left, right, dt = _shown(sample, closing, c)
     sample.known = interval_speeds(sample, closing, c, sample.speeds)
@@ -136,5 +135,5 @@ def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
 
 @compiled
 def set_zero_speeds(speeds: SpeedsRecord) -> None:
-    """No motion."""
+    """Set speeds and variances to zero."""
     speeds.left = speeds.right = speeds.variance = speeds.angle_variance = 0.0

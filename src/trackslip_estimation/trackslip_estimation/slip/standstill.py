@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes of a machine that stands share a part of their error; compiled.
+"""Fixes of a machine at standstill share a part of their error; compiled.
 
-    R    covariance of a fix, as its source states it and the noise factor has it
-    ρ    share of its position's variance that all fixes of one stand have in common   1
+    R    covariance of a fix, stated variance times noise factor
+    ρ    share of the position variance that all fixes of a standstill have in common   1
 
-A laser that sees the same edges by the same beams errs alike in every scan, so that averaging helps less and
-less: n fixes of one stand have together ρ R + (1 − ρ) R/n, and not R/n. Of the heading they share nothing.
+A laser that measures the same edges with the same beams repeats its error in every scan. The mean of n fixes
+of a standstill has the variance ρ R + (1 − ρ) R/n, and not R/n. Heading errors are independent.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 
 _STANDING = int(Motion.STANDING)
-_SWUNG = 0.1  # rad, beyond which what sits above is seen from another side
+_SWUNG = 0.1  # rad of swing, beyond which a sensor on the upper structure sees another side
 
 
 @compiled
 def is_at_same_standstill(state: State, source: int, c: Config) -> bool:
-    """Whether a sensor, whose fixes from one place share a part, stands where it was at the last."""
+    """Whether a source with position-dependent errors has not moved since its latest fix."""
     standstill, shares = state.standstills[source], errs_by_position(source, c)
     turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _SWUNG
     is_standing = shares and state.motion.motion == _STANDING and not state.coasting
@@ -42,14 +42,14 @@ def is_at_same_standstill(state: State, source: int, c: Config) -> bool:
 
 @compiled
 def standstill_inflation(count: int, share: float) -> float:
-    """By how much R grows for the ``count``-th fix of a stand, of which all have ``share`` ρ in common."""
+    """Factor of R for the ``count``-th fix of a standstill with a common ``share`` ρ."""
     before = share * (count - 1) + 1.0 - share
     return (before + share) * before / (1.0 - share)
 
 
 @compiled
 def inflate_repeated_fix(state: State, source: int, alone: bool, R: FloatArray, c: Config) -> None:
-    """R of a fix that is used, ``alone`` or as one more of its stand; in place."""
+    """Inflate R of an accepted fix, the first of its standstill (``alone``) or one more; in place."""
     standstill = state.standstills[source]
     if alone:
         standstill.count, standstill.swing = 0, state.mean[SWING]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How an estimate begins: with which measurement, and in which state; compiled into ``process``."""
+"""Start of the estimate: the first measurement, and the initial state; compiled into ``process``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-_LEAN = 0.2  # rad, standard deviation of the tilt of ground that nobody has seen
+_LEAN = 0.2  # rad, standard deviation of an unknown tilt
 
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
 
@@ -73,7 +73,7 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
 
 @inlined
 def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
-    """The state at the start; a heading that a fix does not have is that of the parameters."""
+    """Set the initial state; a fix without heading starts with that of the parameters."""
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     forget_attitude(state.attitude)
     for number in range(c.poses):
@@ -92,12 +92,12 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
             begin_offset(state, source, c)
             if rows > YAW:
                 to_sensor_heading(x, P, source, -1.0, c)
-            if rows <= YAW and c.above[source] == 1:  # which sees the sum, and does not show it
+            if rows <= YAW and c.above[source] == 1:  # its heading is the sum of heading and swing
                 x[YAW] += x[SWING]
                 P[YAW, YAW] += P[SWING, SWING]
                 P[YAW, SWING] = P[SWING, YAW] = P[SWING, SWING]
             to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
-            if c.tilt_source >= 0:  # how it leans is still to come
+            if c.tilt_source >= 0:  # the tilt is not known yet
                 for i in range(YAW):
                     P[i, i] += (c.levers[source, 2] * _LEAN) ** 2
     set_zero_speeds(state.speeds)

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step of the slip estimator: propagate, predict the observation, gate, update; compiled.
 
-    state         record of ``STATE``, at the measurement before; in place
-    closing       record of ``MEASUREMENT``: the next sprocket sample, which closes the interval
+    state         record of ``STATE`` at the previous measurement; in place
+    closing       record of ``MEASUREMENT``: the next sprocket sample, at the end of the interval
     measurement   record of ``MEASUREMENT``
     c             record of ``config.CONFIG``
-    update        record of ``UPDATE``: what became of the measurement
-    prior         record of ``PRIOR``: what was known before it
+    update        record of ``UPDATE``: result of the step
+    prior         record of ``PRIOR``: mean and covariance before the update
 
-Live node, replay, tuning, studies and smoother all make this step, and no other.
+Live node, replay, tuning, studies and smoother share this step.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 
-_SETTLED = 0.2  # rad, standard deviation of a heading that is known
-_MOVING = 0.1  # m that the tracks have run since the start
+_SETTLED = 0.2  # rad, standard deviation below which a heading is known
+_MOVING = 0.1  # m, track distance beyond which the machine has moved
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 
@@ -77,7 +77,7 @@ def step(
     update: Update,
     prior: Prior,
 ) -> None:
-    """The state at the measurement's stamp, with the measurement used or not."""
+    """The state after a measurement: propagated to its stamp, and updated where it is accepted."""
     follow_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.whitened[:] = 0, 0.0, 0.0
@@ -109,7 +109,7 @@ def step(
 
 @inlined
 def _update_ground(state: State, update: Update, prior: Prior) -> None:
-    """The height, where the place was corrected; one where it began, or that was found again, is no way."""
+    """Correct the height by a correction of the position, but for an initial or a reset position."""
     jumped = update.reset_states & ((1 << X) | (1 << Y)) != 0
     if update.follows and not jumped and update.outcome == _ACCEPTED and state.track_distance > _MOVING:
         update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
@@ -117,16 +117,16 @@ def _update_ground(state: State, update: Update, prior: Prior) -> None:
 
 @inlined
 def _settle_heading(state: State) -> None:
-    """Measurements have shown more of the heading than its share of the circle."""
+    """Clear ``is_sector`` once the heading is known better than to a sector."""
     if state.is_sector and state.covariance[YAW, YAW] < _SETTLED**2:
         state.is_sector = False
 
 
 @inlined
 def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> None:
-    """The state at ``stamp_ns``, as the sprockets and the model say; it coasts while they are silent."""
+    """Propagate the state to ``stamp_ns`` by the sprockets; coast while they are silent."""
     if state.sample.seen and state.sample.stamp_ns == stamp_ns == state.stamp_ns:
-        return  # at the sample: nothing passes
+        return  # at the sample: no time passes
     known_ns, reached_ns = set_speeds(state, closing, stamp_ns, c), state.stamp_ns
     if known_ns > reached_ns:
         dt = (known_ns - reached_ns) * 1e-9
@@ -145,7 +145,7 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
 
 @compiled
 def coast(state: State, dt: float, c: Config) -> None:
-    """``dt`` s of silence later. Beyond the largest gap nothing grows: the pose is lost."""
+    """Propagate over ``dt`` s of silence. Beyond ``max_gap`` the covariance stays: the pose is lost."""
     dt = min(dt, c.max_gap)
     if not state.coasting:
         left, right = state.speeds.left, state.speeds.right
@@ -166,7 +166,7 @@ def coast(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def limit_heading(state: State) -> None:
-    """An unknown heading has the variance of any on the circle, or of its share of it; in place."""
+    """Limit the variance of the heading to that of a uniform angle, on the circle or a sector; in place."""
     P, most = state.covariance, UNKNOWN_HEADING if state.is_sector else ANY_HEADING
     if P[YAW, YAW] <= most * most:
         return
@@ -179,7 +179,7 @@ def limit_heading(state: State) -> None:
 
 @compiled
 def integrate_tracks(state: State, dt: float, c: Config) -> None:
-    """Angles of the sprockets, and distance of the tracks, forward or not, after ``dt`` s more."""
+    """Integrate sprocket angles and track distance over ``dt`` s."""
     left, right = state.speeds.left, state.speeds.right
     state.sprocket_angles[0] += left * dt
     state.sprocket_angles[1] += right * dt
@@ -188,7 +188,7 @@ def integrate_tracks(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def propagate(state: State, dt: float, c: Config) -> None:
-    """Mean and covariance after ``dt`` s of the state's own speeds and motion."""
+    """Propagate mean and covariance by ``dt`` s with the speeds and the motion of the state."""
     P, n = state.covariance[:], c.size
     if not c.sigma_points:
         n = max(used_size(P, n), SENSOR_ERRORS if c.swings else UNDERCARRIAGE_SIZE)
@@ -200,7 +200,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
         add_track_error_noise(state, dt, c)
         update_direction(state)
     moved, F, Q = linearize(x, P, state, dt, c)
-    if P[YAW, YAW] > UNKNOWN_HEADING**2:  # it moves by as much to any side
+    if P[YAW, YAW] > UNKNOWN_HEADING**2:  # the displacement may have any direction
         squared = (moved[X] - x[X]) ** 2 + (moved[Y] - x[Y]) ** 2
         P[X, X] += 2.0 * squared
         P[Y, Y] += 2.0 * squared
@@ -228,7 +228,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def place(state: State, manual: MeasurementRecord) -> None:
-    """A manual pose for the estimated one; what else was learned stays."""
+    """Set a manual pose; all other states stay."""
     x, P = state.mean, state.covariance
     for i in range(3):
         x[i] = manual.value[i]

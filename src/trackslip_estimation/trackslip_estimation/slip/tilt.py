@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between the slip estimator and the attitude filter, which is part of its state; compiled.
+"""Interface of the slip estimator to the attitude filter, which is part of its state; compiled.
 
-One IMU of the gyros tells the attitude (``config.tilt_source``); its samples pass in the order of stamps with
-all other measurements, so that the attitude too is a function of their set. One on the upper structure is
-turned back by the swing; while that is not known, it tells nothing.
+One IMU measures the attitude (``config.tilt_source``). Its samples are processed in the order of stamps with
+all other measurements. Samples of an IMU on the upper structure are rotated back by the swing angle, and left
+out while that is unknown.
 
-The height follows the ground along the estimated way: the tracks', and what measurements correct of it. So
-slips that nobody expected are climbed, or slid down, too.
+The height is the integral of the slope along the estimated path, including corrections by measurements. So an
+unmodelled slip changes the height, too.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @compiled
 def tilt_by(state: State, measurement: MeasurementRecord, bias: int, c: Config) -> int:
-    """The attitude at the stamp of a sample of its IMU; why its orientation was not used, 0 where it was.
+    """Update the attitude by a sample of its IMU; returns why its orientation was rejected, 0: used.
 
     ``bias``: number of the state that is the bias of its gyro.
     """
@@ -53,14 +53,14 @@ def tilt_by(state: State, measurement: MeasurementRecord, bias: int, c: Config) 
         imu.turn, imu.turn_variance = state.mean[SWING], state.covariance[SWING, SWING]
         imu.lost = 1 if imu.turn_variance > UNKNOWN_SWING**2 else 0
         swing_lever(imu, state.mean[SWING_RATE], c)
-        imu.rates[2] = rate  # its own has the swing, which starts before the state knows
+        imu.rates[2] = rate  # the rate of the IMU contains the swing, before the state does
     imu.known_velocity = 0 if state.coasting else 1
     return int(use_sample(a, c.attitude))
 
 
 @compiled
 def rise(state: State, dt: float, c: Config) -> None:
-    """The height ``dt`` s later, with the state's speeds."""
+    """Propagate the height over ``dt`` s with the speeds of the state."""
     if state.attitude.known == 1 and dt > 0.0:
         v_x, v_y, _ = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
         climb(state.attitude, v_x, v_y, dt)
@@ -68,7 +68,7 @@ def rise(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def update_ground(state: State, east: float, north: float) -> None:
-    """The height, where a measurement has moved the place by so much: it has shown a way along the ground."""
+    """Correct the height by a correction of the position, m, along the ground."""
     if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
         ahead, left = _along_ground(state, east, north)
         climb(state.attitude, ahead, left, 1.0)
@@ -76,7 +76,7 @@ def update_ground(state: State, east: float, north: float) -> None:
 
 @compiled
 def _along_ground(state: State, east: float, north: float) -> tuple[float, float]:
-    """What is so long on the map, along the machine's axes on the ground: ahead and to its left."""
+    """A horizontal displacement along the axes of the machine on the ground: ahead and to the left."""
     level = state.attitude.level
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     left = (cos * north - sin * east) / (1.0 + level.sideways)
@@ -85,7 +85,7 @@ def _along_ground(state: State, east: float, north: float) -> tuple[float, float
 
 @compiled
 def _of_place(state: State) -> float:
-    """Variance of the height, m², by what the place errs by on the slope."""
+    """Variance of the height, m², by the position error on the slope."""
     tilt, P = state.attitude.mean, state.covariance
     ahead, left = _along_ground(state, 1.0, 0.0)
     east = rise_of(tilt, ahead, left)
@@ -96,9 +96,9 @@ def _of_place(state: State) -> float:
 
 @compiled
 def fill_tilt(state: State, estimate: EstimateRecord) -> None:
-    """What is published of the attitude, into a record of ``ESTIMATE`` that has its twist.
+    """Set the attitude of a record of ``ESTIMATE`` that has its twist.
 
-    The height errs by the slope times what the place errs by.
+    The height error includes the slope times the position error.
     """
     a, tilt = state.attitude, estimate.tilt
     tilt.known = a.known

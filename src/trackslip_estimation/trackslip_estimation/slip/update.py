@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which way a measurement takes to the state: the one table of kinds; compiled.
+"""The table of measurement kinds: how each is observed, gated and used; compiled.
 
     state         record of ``STATE``, as predicted for the measurement's stamp; in place
-    measurement   record of ``MEASUREMENT``, neither of sprockets nor a user's
+    measurement   record of ``MEASUREMENT``, neither of sprockets nor manual
     c             record of ``config.CONFIG``
-    update        record of ``UPDATE``: what became of the measurement
-    prior         record of ``PRIOR``: what was known before it, widened where it surprises
+    update        record of ``UPDATE``: result of the step
+    prior         record of ``PRIOR``: mean and covariance before the update
 
-``observations`` has what each kind says of the state: innovation, Jacobian, noise, and the states that it
-leaves alone. Poses, headings, swing angles and velocities are weighed by the bank (``weighing``), the others
-pass a gate that widens (``gate``). What is refused leaves mean and covariance as they were.
+``observations`` has innovation, Jacobian, noise and consider states of each kind. The bank weighs poses,
+headings, swing angles and velocities (``weighing``); the other kinds pass a gate that widens (``gate``). A
+rejected measurement leaves mean and covariance unchanged.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _GATED = int(Outcome.GATED)
 
 @inlined
 def use(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
-    """The state, given the measurement."""
+    """Update the state by a measurement."""
     kind = measurement.kind
     if is_weighed(measurement):
         use_weighed(state, measurement, c, update, prior)
@@ -60,7 +60,7 @@ def use(state: State, measurement: MeasurementRecord, c: Config, update: Update,
 
 @compiled
 def observe(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
-    """What a measurement says of a state by itself; of odometry, which knows of two states, nothing."""
+    """Observation of a measurement that depends on one state: of any kind but odometry."""
     if measurement.kind == YAW_RATE:
         return observe_rate(state, measurement, c)
     if measurement.kind == SLIPS:

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Validity checks of measurements: finite, within physical limits, covariance positive definite; compiled.
 
-    R     covariance of a measurement, its part that is used          (m, m)
-    C     its correlations, R_ij / √(R_ii R_jj)                       (m, m)
-    d_k   pivots of C = L D Lᵀ: share of a variance that the others leave open
+    R     covariance of a measurement, the rows in use                (m, m)
+    C     correlation matrix, R_ij / √(R_ii R_jj)                     (m, m)
+    d_k   pivots of C = L D Lᵀ: conditional variance over variance
 
-All limits stand here. What lies beyond them is no measurement of a ground vehicle, and would cost the filter
-digits that it needs: 64 bits hold numbers to 1e-16 of the largest.
+This module has all limits. Values beyond them are no measurement of a ground vehicle, and would cost the
+filter digits: 64 bits hold numbers to 1e-16 of the largest.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord
 
 
-FARTHEST = 1e8  # m, of a place; the Earth is 4e7 m round
+FARTHEST = 1e8  # m, of a position; the circumference of the Earth is 4e7 m
 HIGHEST = 1e5  # m, of an altitude
 LARGEST_ANGLE = 1e3  # rad, of a heading
 LARGEST_COUNT = 1e9  # rad, of a sprocket position: a year of driving is 3e8
@@ -46,10 +46,10 @@ LARGEST_FORCE = 1e4  # m/s²
 LARGEST_SLIP = 1e3
 FARTHEST_STDDEV = 1e4  # m
 LEAST_VARIANCE = 1e-12  # of any unit: no sensor is better than 1e-6
-_LARGEST_ANGLE_VARIANCE = 1e6  # rad²: drivers send that for an angle that they do not know
-_UNKNOWN_HEADING = 1e18  # rad², the largest number that stands for a heading that a fix does not know
+_LARGEST_ANGLE_VARIANCE = 1e6  # rad²; drivers send it for an unknown angle
+_UNKNOWN_HEADING = 1e18  # rad², the largest variance that drivers send for an unknown heading
 _LARGEST_SLIP_VARIANCE = 1e6
-_LARGEST_ODOMETRY_VARIANCE = 1e12  # of a pose that drifts: only its growth is used
+_LARGEST_ODOMETRY_VARIANCE = 1e12  # of a pose that drifts; only its growth is used
 _SINGULAR = 1e-10  # least d_k
 _ROUNDING = 1e-9  # of a correlation of 1
 _UNIT = 0.01  # by which the norm of a quaternion, squared, may differ from 1
@@ -62,7 +62,7 @@ _NO_ROTATION = int(Fault.NO_ROTATION)
 
 @compiled
 def fault_of(measurement: MeasurementRecord, c: Config) -> int:
-    """``Fault`` of a record of ``MEASUREMENT``; 0 where it has none."""
+    """``Fault`` of a record of ``MEASUREMENT``; 0: valid."""
     z, R, kind = measurement.value, measurement.noise, measurement.kind
     if kind == SPROCKETS:
         return _of_sprockets(measurement)
@@ -86,14 +86,14 @@ def fault_of(measurement: MeasurementRecord, c: Config) -> int:
 
 @compiled
 def rows_of_velocity(measurement: MeasurementRecord, c: Config) -> int:
-    """2, or 1 of a sensor in axes of the machine that does not observe its second one."""
+    """Rows of a velocity: 2, or 1 of a sensor in machine axes that does not measure the second axis."""
     one = c.body_axes[measurement.source] == 1 and measurement.noise[1, 1] >= UNOBSERVED
     return 1 if one else 2
 
 
 @compiled
 def has_heading(measurement: MeasurementRecord) -> bool:
-    """Whether a pose has a heading at all: a number, with a variance of an angle that is known."""
+    """Whether a pose has a heading: finite, with the variance of a known angle."""
     variance = measurement.noise[2, 2]
     return bool(abs(measurement.value[2]) < LARGEST_ANGLE and 0.0 < variance <= math.pi**2) and (
         _of_covariance(measurement.noise, 3, FARTHEST_STDDEV**2) == 0
@@ -109,7 +109,7 @@ def _of_number(value: float, largest: float) -> int:
 
 @compiled
 def _of_optional(value: float, largest: float) -> int:
-    """Of what an IMU may not have; not finite where it has not."""
+    """Fault of an optional value of an IMU; not finite where it is absent."""
     return _OUT_OF_RANGE if math.isfinite(value) and not abs(value) < largest else 0
 
 
@@ -145,7 +145,7 @@ def _of_imu(measurement: MeasurementRecord) -> int:
 
 @compiled
 def _of_pose(measurement: MeasurementRecord, c: Config) -> int:
-    """Of a fix: of its heading only where its source shows one, which may be as good as unknown."""
+    """Fault of a fix; its heading counts only where the source has one."""
     z, R, source = measurement.value, measurement.noise, measurement.source
     fault = max(_of_number(z[0], FARTHEST), _of_number(z[1], FARTHEST))
     fault = max(fault, _of_variance(R[0, 0], FARTHEST_STDDEV**2), _of_variance(R[1, 1], FARTHEST_STDDEV**2))
@@ -159,7 +159,7 @@ def _of_pose(measurement: MeasurementRecord, c: Config) -> int:
 
 @compiled
 def _of_odometry(measurement: MeasurementRecord) -> int:
-    """A pose, and variances: none negative, zero where there is none."""
+    """Fault of an odometry pose and its variances; a variance of zero: unspecified."""
     norm = 0.0
     for k in range(3):
         fault = _of_number(measurement.value[k], FARTHEST)
@@ -176,7 +176,7 @@ def _of_odometry(measurement: MeasurementRecord) -> int:
 
 @compiled
 def _of_covariance(R: FloatArray, rows: int, largest: float) -> int:
-    """Of the first ``rows``: symmetric, positive definite, and well enough for numbers of 64 bits."""
+    """Fault of the first ``rows`` of R: symmetric, positive definite, and not nearly singular."""
     for i in range(rows):
         fault = _of_variance(R[i, i], largest)
         if fault > 0:
