@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The slip estimator: measurements in, in any order; pose, slips and slip angle out.
+"""The slip estimator: measurements in any order → pose, slips and slip angle.
 
-Live node and replay run this same class. It knows no clock: time is in the stamps.
+Live node and replay share this class. It reads no clock: time is in the stamps.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ EstimateFields = tuple[  # of ``ESTIMATE``
 ]
 ResultFields = tuple[int, int, int, float, float, int, int, bool, EstimateFields]  # of ``RESULT``
 
-_CAPACITY = 512  # entries of a window at first: some seconds
+_CAPACITY = 512  # initial entries of a window: some seconds
 
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """How the machine leans, and how high it is."""
+    """Attitude and height of the machine."""
 
     tilt: FloatArray  # (3,) roll rad, pitch rad (nose down positive), height m
     covariance: FloatArray  # (3, 3)
@@ -74,7 +74,7 @@ class Tilt:
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """How the upper structure is turned against the undercarriage."""
+    """Angle of the upper structure relative to the undercarriage."""
 
     angle: float  # rad, counter-clockwise, in (−π, π]
     rate: float  # rad/s
@@ -83,22 +83,22 @@ class Swing:
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What a state means, with covariances."""
+    """Outputs of a state, with covariances."""
 
     twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s at C, in the machine's axes
     twist_covariance: FloatArray  # (3, 3)
-    horizontal: FloatArray  # (3,) what of it is: along the heading, to its left, rate of the heading
-    tilt: Tilt | None  # None: the ground counts as flat
-    rise: float  # of the height, m/s; 0 on ground that counts as flat
+    horizontal: FloatArray  # (3,) horizontal twist: along the heading, to its left, yaw rate
+    tilt: Tilt | None  # None: the ground is assumed to be flat
+    rise: float  # ż, m/s; 0 on flat ground
     rise_variance: float
     slips: FloatArray  # (3,) left slip, right slip, slip angle rad
     slip_covariance: FloatArray  # (3, 3)
-    swing: Swing | None = None  # None: nothing sits on it
+    swing: Swing | None = None  # None: no sensor is on the upper structure
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What is published at the stamp of each sprocket sample."""
+    """An estimate, published at the stamp of each sprocket sample."""
 
     stamp_ns: int
     pose: FloatArray  # (3,) x m, y m, heading rad, site frame
@@ -117,10 +117,10 @@ class SlipEstimator:
         learned: Learned | None = None,
         script: Records | None = None,
     ) -> None:
-        """``window_ns``: how late a measurement may come, where it is not the parameters' history window.
+        """``window_ns``: largest delay of a measurement; None: the history window of the parameters.
 
-        ``learned``: what was learned before of this machine, with parameters of the same ``Meaning.machine``.
-        ``script``: (n,) of ``EVENT``: then there is one branch, and these are its only events.
+        ``learned``: states learned before on this machine, with parameters of the same ``Meaning.machine``.
+        ``script``: (n,) of ``EVENT``, the only events of a single branch.
         """
         self._window_ns, self._start = window_ns, learned
         self._happened: list[Happened] = []
@@ -140,30 +140,30 @@ class SlipEstimator:
 
     @property
     def restarts(self) -> int:
-        """Since the clock went back, not those a user asked for."""
+        """Restarts because the clock went back; resets by a user do not count."""
         return int(self.window.status["restarts"][0])
 
     @property
     def divergences(self) -> int:
-        """How often the estimate restarted because its state was not finite."""
+        """Restarts because the state was not finite."""
         return int(self.window.status["divergences"][0])
 
     @property
     def newest_ns(self) -> int | None:
-        """The time of the estimate: newest stamp of the sprockets, or of what carries on in their silence."""
+        """Stamp of the estimate: of the newest sprocket sample, or of other sources while there are none."""
         clock = self.window.status["clock"][0]
         return int(clock["head_ns"]) if clock["running"] else None
 
     @property
     def attitude(self) -> str:
-        """Where the machine leans, or why the ground counts as flat."""
+        """Source of the attitude in words, or why the ground is assumed to be flat."""
         if not self.started:
             return "flat: no estimate yet"
         return attitude_text(self.window.best[self.window.count - 1]["attitude"], self.parameters.tilt_source)
 
     @property
     def learned(self) -> Learned | None:
-        """What is known by now of machine and ground; None where nothing was learned yet."""
+        """Learned states of machine and ground; None before the first."""
         if not self.started:
             return self._start
         found = learned_of(self.window.best[self.window.count - 1], self.meaning, self.sources)
@@ -171,7 +171,7 @@ class SlipEstimator:
 
     @property
     def explained(self) -> Explained:
-        """What may have happened, the most probable first; nothing without an estimate."""
+        """Competing explanations, the most probable first; none without an estimate."""
         found = explanations(self.window, self._named) if self.started else []
         return Explained(self.newest_ns or 0, found)
 
@@ -181,7 +181,7 @@ class SlipEstimator:
         return float(probability_of_best(self.window, self.window.count - 1)) if self.started else 0.0
 
     def read_events(self) -> list[Happened]:
-        """Events of the most probable branch; it keeps the last 16, those before are of earlier calls."""
+        """Events of the most probable branch: its latest 16, and older ones of earlier calls."""
         if self.started:
             branch = self.window.branches[0, self.window.count - 1]
             self._happened = history(branch, self._named, self._happened, self.certainty)
@@ -190,10 +190,10 @@ class SlipEstimator:
     def apply_command(self, command: Command | Reload) -> Report:
         """Reset, forget, freeze or unfreeze, or use new values of parameters.
 
-        A reset keeps what was learned: the next estimate starts from it. ``FORGET`` is a reset that does not.
+        The estimate after a reset starts from the learned states; ``FORGET`` is a reset without them.
 
         Raises:
-            InputError: a new value of a parameter is refused; then nothing changes.
+            InputError: a new value is invalid; nothing changes then.
         """
         if isinstance(command, Reload):
             self._use(self.parameters.changed(command.values))
@@ -216,25 +216,25 @@ class SlipEstimator:
             self.window = enlarged(self.window)
 
     def process(self, given: Input) -> Step:
-        """Use one measurement in its place by stamp, or apply a command.
+        """Process one measurement in the order of stamps, or apply a command.
 
-        Returns what became of it, and the estimate to publish if this was the newest sprocket sample.
+        Returns its report, and the estimate to publish if it was the newest sprocket sample.
         """
         if isinstance(given, (Command, Reload)):
             return self.apply_command(given), None
         return self.process_all((given,))[0]
 
     def process_all(self, measurements: Iterable[Measurement]) -> list[Step]:
-        """``process`` of each, at once."""
+        """``process`` of each in one call."""
         given = list(measurements)
         results = self.process_records(to_records(given, self.sources))
         return [make_step(result, m.source) for result, m in zip(results.tolist(), given, strict=True)]
 
     def estimate(self) -> Estimate:
-        """The state at the newest stamp, of whichever source.
+        """The estimate at the newest stamp of any source.
 
         Raises:
-            RuntimeError: nothing has started the estimate yet.
+            RuntimeError: there is no estimate yet.
         """
         if not self.started:
             raise RuntimeError("no estimate yet")
@@ -256,7 +256,7 @@ class SlipEstimator:
 
 
 def make_step(result: ResultFields, source: str) -> Step:
-    """What a record of ``RESULT`` says; a tuple of its fields is faster to look at."""
+    """Report and estimate of a record of ``RESULT``, given as a tuple, which is faster to read."""
     stamp_ns, outcome, dof, nis, gate, attitude, fault, published, estimate = result
     refusal, lack = AttitudeRefusal(attitude) if attitude else None, Fault(fault) if fault else None
     report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, refusal, lack)
@@ -264,7 +264,7 @@ def make_step(result: ResultFields, source: str) -> Step:
 
 
 def make_estimate(fields: EstimateFields) -> Estimate:
-    """What a record of ``ESTIMATE`` says."""
+    """The estimate of a record of ``ESTIMATE``, given as a tuple."""
     stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt = fields[:7]
     rise, rise_variance, slips, slip_covariance, motion, swing = fields[7:]
     leans = Tilt(*tilt[1:]) if tilt[0] else None

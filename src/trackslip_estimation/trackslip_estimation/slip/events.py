@@ -1,44 +1,42 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events that may explain a contradiction, and the states that each one opens; compiled.
+"""Events that explain a contradiction, and the states that each one opens; compiled.
 
-An event has a rate, so its prior probability over a time Δt is about rate · Δt. Rates of a source are its
-parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``.
+The prior probability of an event over a time Δt is its rate times Δt. The rates of a source are its
+parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``. "Before": just before the
+measurement that the event explains. "Since": after the latest consistent measurement.
 
-    event            opens                                               happened
+    event            opens                                               time
     OUTLIER          nothing; this one measurement is left out           at the measurement
-    OFFSET           the offset of a source's places: two states         just before it
-                     the offset of its velocities: two states            just before it, or since the last
-                                                                         consistent measurement
-    WANDERS          nothing; its places go off evenly               since the last consistent measurement
-    HEADING_OFF      the offset of its headings or swing angles          just before it
-    HEADING_WANDERS  the same, which goes on to change                   just before it, or since the last
-                                                                         consistent measurement
-    REPEATS          nothing; bit-identical fixes                        just before it
-    STAYS            nothing; fixes that jitter about one place          just before it, or since the last
-                                                                         consistent measurement
-    SCATTERS         nothing; measurements uniform over an area          just before it
-    SOUND            nothing; a fault of the source ended                just before it
-    MOVED            x, y                                                just before it
-    TURNED           heading, and what was learned through it            since the last consistent measurement
-    SWUNG            σ, σ̇ of the upper structure                         since the last consistent measurement
-    SLIPPED          i₀                                                  since the last consistent measurement
-                     i₀, and the offset of a coarse receiver             or a while ago
-    SKIDDED          x, y, by a share of the way since the last          just before it
+    OFFSET           the position offset of a source: two states         before
+                     the velocity offset of a source: two states         before, or since
+    WANDERS          nothing; its positions drift                        since
+    HEADING_OFF      the offset of its headings or swing angles          before
+    HEADING_WANDERS  the same offset, which walks                        before, or since
+    REPEATS          nothing; bit-identical fixes                        before
+    STAYS            nothing; fixes that jitter about one position       before, or since
+    SCATTERS         nothing; measurements uniform over an area          before
+    RECOVERED        nothing; a fault of the source ended                before
+    MOVED            x, y                                                before
+    TURNED           heading, and the states estimated through it        since
+    SWUNG            σ, σ̇ of the upper structure                         since
+    SLIPPED          i₀                                                  since
+                     i₀, and the offset of a coarse receiver             or earlier
+    SKIDDED          x, y, by a share of the distance since the latest   before
                      consistent fix
-    SLID             i₀, k; on a slope                                   since the last consistent measurement
-    NOISE            noise factor of the source                          since the last consistent measurement
-    STRAYS           speed and yaw rate: the machine does not move as    since the last consistent measurement
-                     its sprockets turn (encoder fault, towed, slides); or
-                     i₀, about −1: they count half of the way; or
-                     heading: its gyros do not show how it turns; or
-                     i₀: an odometry shows another motion
+    SLID             i₀, k; on a slope                                   since
+    NOISE            noise factor of the source                          since
+    FAILED           speed and yaw rate: the sprockets do not measure    since
+                     the motion (encoder fault, towed, slides); or
+                     i₀, about −1: half of their counts are lost; or
+                     heading: the gyros do not measure the yaw rate; or
+                     i₀: odometry measures another motion
     LATE             delay of all fixes                                  before all of them
-    BIASED           bias of the first gyro, and the heading             since the last consistent measurement
-                     the same, and the offset of a coarse receiver       or a while ago
-    FOLDED           what the source is off by, which becomes a jump of  just before it
-                     what it measures; nothing for one of swing angles,
-                     which keeps it
+    BIASED           bias of the first gyro, and the heading             since
+                     the same, and the offset of a coarse receiver       or earlier
+    FOLDED           the offset of the source, which becomes a jump of   before
+                     the measured state; of swing angles nothing: the
+                     offset stays
 
 Source: Willsky & Jones (1976), a generalised likelihood ratio test for jumps of a state.
 """
@@ -52,7 +50,7 @@ from trackslip_common.parameters import Parameters, parameter
 
 
 class Event(IntEnum):
-    """What may have happened."""
+    """An event of a branch."""
 
     NONE = 0
     OUTLIER = 1
@@ -101,11 +99,11 @@ class Event(IntEnum):
     LATE,
 ) = map(int, Event)
 
-HEADINGS = 8  # branches of an unknown heading, each for its share of the circle
+HEADINGS = 8  # branches of an unknown heading, one for each sector of the circle
 UNKNOWN_HEADING = 1.0  # rad, standard deviation beyond which a heading is split into ``HEADINGS``
-ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of one that may be any
-MEASURED = -1  # part of the circle: the one that a compass shows
-LOST = 1  # part of what sprockets count: half of it is lost
+ANY_HEADING = math.pi / math.sqrt(3.0)  # rad, standard deviation of a uniform heading
+MEASURED = -1  # ``part``: the heading is that of a compass
+LOST = 1  # ``part``: half of the counts of the sprockets are lost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,32 +112,32 @@ class EventParameters(Parameters):
 
     fault_time: float = parameter("mean time that a fault of a source lasts", unit="s", gt=0.0)
     repeat_share: float = parameter("rate of frozen fixes, over the source's fault_rate", gt=0.0)
-    wander_share: float = parameter("rate of fixes that wander off, over the source's fault_rate", gt=0.0)
-    wander_speed: float = parameter("speed at the most of fixes that wander off", unit="m/s", gt=0.0)
+    wander_share: float = parameter("rate of fixes that drift, over the source's fault_rate", gt=0.0)
+    wander_speed: float = parameter("largest speed of fixes that drift", unit="m/s", gt=0.0)
     wander_walk: float = parameter("random walk of that speed", unit="m/s/√s", gt=0.0)
-    heading_walk: float = parameter("random walk of headings that are off", unit="rad/√s", ge=0.0)
-    velocity_stddev: float = parameter("standard deviation of velocities that are off", unit="m/s", gt=0.0)
-    velocity_walk: float = parameter("random walk of velocities that are off", unit="m/s/√s", ge=0.0)
+    heading_walk: float = parameter("random walk of a heading offset", unit="rad/√s", ge=0.0)
+    velocity_stddev: float = parameter("standard deviation of a velocity offset", unit="m/s", gt=0.0)
+    velocity_walk: float = parameter("random walk of a velocity offset", unit="m/s/√s", ge=0.0)
     scatter_share: float = parameter("rate of scattered fixes, over the source's fault_rate", gt=0.0)
-    heading_rate: float = parameter("rate at which the heading turns out to be wrong", unit="1/s", gt=0.0)
+    heading_rate: float = parameter("rate at which the heading is found to be wrong", unit="1/s", gt=0.0)
     slip_rate: float = parameter("rate at which the common slip changes suddenly", unit="1/s", gt=0.0)
     slide_rate: float = parameter("rate at which the machine slides on a slope", unit="1/s", gt=0.0)
     skid_rate: float = parameter("rate at which the machine skids", unit="1/s", gt=0.0)
-    skid_time: float = parameter("that it lasts at the most", unit="s", gt=0.0)
-    skid_share: float = parameter("its standard deviation, over the way meanwhile", gt=0.0)
-    skid_stddev: float = parameter("that a fix states at the most which shows a skid", unit="m", gt=0.0)
-    failure_rate: float = parameter(
-        "rate at which sprockets, gyros or an odometry no longer show the motion", unit="1/s", gt=0.0
+    skid_time: float = parameter("largest duration of a skid", unit="s", gt=0.0)
+    skid_share: float = parameter("standard deviation of a skid, over the distance meanwhile", gt=0.0)
+    skid_stddev: float = parameter(
+        "largest stated standard deviation of a fix that shows a skid", unit="m", gt=0.0
     )
+    failure_rate: float = parameter("rate at which sprockets, gyros or an odometry fail", unit="1/s", gt=0.0)
     failure_heading: float = parameter(
-        "standard deviation of what such gyros turn the heading by unseen", unit="rad", ge=0.0
+        "standard deviation of the heading error by gyros that failed", unit="rad", ge=0.0
     )
     bias_rate: float = parameter("rate at which the bias of a gyro changes suddenly", unit="1/s", gt=0.0)
     bias_stddev: float = parameter("standard deviation of such a change", unit="rad/s", gt=0.0)
     bias_unseen: float = parameter(
-        "for which a changed bias turned the heading before a fix shows it", unit="s", ge=0.0
+        "time in which a changed bias turns the heading before a fix shows it", unit="s", ge=0.0
     )
-    late_share: float = parameter("probability that stamps err by more than they are said to", gt=0.0, lt=1.0)
+    late_share: float = parameter("probability that stamps err by more than stamp_error", gt=0.0, lt=1.0)
     late_stddev: float = parameter("standard deviation of such a delay", unit="s", gt=0.0)
     noise_rate: float = parameter("rate at which the noise of a source changes", unit="1/s", gt=0.0)
     slip_stddev: float = parameter("standard deviation of a changed common slip", gt=0.0)
@@ -148,7 +146,7 @@ class EventParameters(Parameters):
 def event_rates(
     e: EventParameters, fault_rate: float, jump_rate: float, repeat_jitter: float
 ) -> Mapping[Event, float]:
-    """1/s of those events of a source that have one, by its own two rates."""
+    """Event → rate of it, 1/s, by the two rates of a source."""
     return {
         Event.OFFSET: fault_rate,
         Event.HEADING_OFF: fault_rate,

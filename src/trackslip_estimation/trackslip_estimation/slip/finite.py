@@ -3,7 +3,7 @@
 """Check that a state is finite; compiled.
 
 ``validity`` rejects measurements that would break a state, and ``kalman.positive`` keeps the covariance
-positive definite. If a state is broken nevertheless, ``process`` counts a divergence and restarts, as after a reset.
+positive definite. If a state is broken nevertheless, ``process`` counts a divergence and restarts.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The measurements and commands of the slip estimator, and what became of each."""
+"""Measurements and commands of the slip estimator, and the report on each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.attitude.records import AttitudeRefusal
 
-# What a user asks of the node stands in the journal under these names, beside the topics of the sensors.
+# Names of commands in the journal, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
 POSE_SET = "slip_estimator/pose_set"  # the estimator's repetition of it, for recorders
 RESET, FREEZE, UNFREEZE = "slip_estimator/reset", "slip_estimator/freeze", "slip_estimator/unfreeze"
@@ -39,9 +39,9 @@ UNOBSERVED = 1e6  # variance of what a planar pose does not contain
 
 @dataclass(frozen=True)
 class YawRate:
-    """Rate of turn of the machine about its z axis, and what else the IMU shows, along the machine's axes.
+    """Yaw rate about the z axis of the machine, and the other values of the IMU along its axes.
 
-    What an IMU does not have is nan.
+    A value that the IMU does not measure is nan.
     """
 
     source: str
@@ -52,8 +52,8 @@ class YawRate:
     tilt_variances: tuple[float, float] = (_NONE, _NONE)  # (rad/s)²
     acceleration: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # specific force: upward at rest, m/s²
     acceleration_variance: float = _NONE  # of each axis, (m/s²)²
-    up: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # which way that is, by its orientation
-    up_variances: tuple[float, float] = (_NONE, _NONE)  # of rotations about x and y, rad²; −1: it has none
+    up: tuple[float, float, float] = (_NONE, _NONE, _NONE)  # vertical by its orientation
+    up_variances: tuple[float, float] = (_NONE, _NONE)  # of rotations about x and y, rad²; −1: none
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +64,16 @@ class PoseFix:
     """
 
     source: str
-    stamp_ns: int  # of SET_POSE, 0 stands for now
+    stamp_ns: int  # 0 of SET_POSE: now
     pose: FloatArray  # (3,) x m, y m, heading rad
     covariance: FloatArray  # (3, 3)
     altitude: float = 0.0  # of the sensor above the site's origin, m
-    altitude_variance: float = UNOBSERVED  # m²; that or more: nobody observes it
+    altitude_variance: float = UNOBSERVED  # m²; that or more: not observed
 
 
 @dataclass(frozen=True, eq=False)
 class SlipFix:
-    """Slips of both tracks, known from elsewhere: in straight motion from thrust and soil."""
+    """Slips of both tracks by another estimator, as from thrust and soil in straight motion."""
 
     source: str
     stamp_ns: int
@@ -113,14 +113,14 @@ class VelocityFix:
 
 @dataclass(frozen=True, eq=False)
 class OdometryPose:
-    """Pose of a laser or camera in its own odom frame, which drifts; only what it moved counts."""
+    """Pose of a laser or camera in its own odom frame, which drifts; only differences are used."""
 
     source: str
     stamp_ns: int
     place: FloatArray  # (3,) m
     turn: FloatArray  # (4,) quaternion x, y, z, w
-    frame: int  # number of its odom frame; another one restarts
-    variances: FloatArray  # (2, 3) linear and angular, of twist or pose, as the source's parameters want
+    frame: int  # number of its odom frame; a new frame restarts the differences
+    variances: FloatArray  # (2, 3) linear and angular, of twist or pose by the parameters of the source
 
 
 Measurement: TypeAlias = (
@@ -131,7 +131,7 @@ KINDS = (Sprockets, YawRate, PoseFix, SlipFix, HeadingFix, OdometryPose, SwingAn
 
 @dataclass(frozen=True)
 class Command:
-    """``RESET``, ``FORGET``, ``FREEZE`` or ``UNFREEZE``: acts when it comes, on what comes after it."""
+    """``RESET``, ``FORGET``, ``FREEZE`` or ``UNFREEZE``; acts on arrival."""
 
     source: str
     stamp_ns: int = 0  # commands have none
@@ -139,7 +139,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Reload:
-    """New values of parameters that may change while the estimator runs; acts when it comes."""
+    """New values of parameters that may change while the estimator runs; acts on arrival."""
 
     values: Mapping[str, Any]  # dotted name → value
     source: str = RELOAD
@@ -150,42 +150,42 @@ Input: TypeAlias = Measurement | Command | Reload
 
 
 class Outcome(IntEnum):
-    """What became of a measurement; the numbers are those of ``trackslip_msgs/MeasurementReport``."""
+    """Result of a measurement; the numbers are those of ``trackslip_msgs/MeasurementReport``."""
 
     ACCEPTED = 0
     GATED = 1  # its innovation lies outside the gate
     TOO_LATE = 2  # older than the history, or than the start of the estimate
-    DUPLICATE = 3  # same source and stamp as one before
+    DUPLICATE = 3  # same source and stamp as an earlier measurement
     INVALID = 4  # not finite, beyond physical limits, or no usable covariance: see ``Fault``
     WAITING = 5  # no estimate yet: it starts with the first fix
     AHEAD = 6  # far ahead of the sprockets, or a sprocket sample that the next ones must confirm
     JUMPED = 7  # used, but the sprocket positions jump: its measured speeds count
     RESTARTED = 8  # the clock went back: the estimate restarts with this sample
-    FROZEN = 9  # poses are not wanted now
-    BEGUN = 10  # odometry restarts: there is no earlier pose to compare it with
+    FROZEN = 9  # poses are ignored until unfreeze
+    BEGUN = 10  # odometry restarts: there is no earlier pose
     DIVERGED = 11  # the estimate was not finite: it restarts
 
     @property
     def refused(self) -> bool:
-        """Whether the measurement has not touched the state."""
+        """Whether the measurement left the state unchanged."""
         return self not in (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)
 
 
 class Fault(IntEnum):
-    """Why a measurement is invalid; 0 where it is not."""
+    """Why a measurement is invalid; 0: valid."""
 
     NOT_FINITE = 1  # nan or infinite
     OUT_OF_RANGE = 2  # beyond physical limits
     VARIANCE_NOT_POSITIVE = 3
-    VARIANCE_OUT_OF_RANGE = 4  # beyond what a sensor that shows anything has
+    VARIANCE_OUT_OF_RANGE = 4  # beyond that of any useful sensor
     COVARIANCE_INDEFINITE = 5  # asymmetric, or with a negative eigenvalue
-    COVARIANCE_NEARLY_SINGULAR = 6  # one of its directions is as good as certain beside the others
+    COVARIANCE_NEARLY_SINGULAR = 6  # one direction is nearly certain beside the others
     NO_ROTATION = 7  # a quaternion of another length than 1
 
 
 @dataclass(frozen=True)
 class Report:
-    """What the estimator did with one measurement when it processed it."""
+    """Result of one measurement."""
 
     source: str
     stamp_ns: int
@@ -193,5 +193,5 @@ class Report:
     nis: float = float("nan")  # normalised innovation squared
     gate: float = float("nan")  # its limit
     dof: int = 0
-    attitude: AttitudeRefusal | None = None  # why orientation or altitude were not used, where wanted
-    fault: Fault | None = None  # what an invalid measurement lacks
+    attitude: AttitudeRefusal | None = None  # why orientation or altitude were rejected
+    fault: Fault | None = None  # of an invalid measurement

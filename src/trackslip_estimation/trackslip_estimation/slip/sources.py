@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is stated of each source of measurements: a group of parameters ``sources.<name>``.
+"""Parameters of each measurement source: the group ``sources.<name>``.
 
-A list of topics for each kind of source says which there are; the group of a topic has its name with ``_``
-for ``/``: ``imu/data_raw`` has ``sources.imu_data_raw.sign``. What is not given is as ``config/sources.yaml``
-says of the kind. Another kind: its list and dataclass in ``KINDS``, its block in that file.
+Each kind of source has a list of topics. The group of a topic is its name with ``_`` for ``/``:
+``imu/data_raw`` has ``sources.imu_data_raw.sign``. ``config/sources.yaml`` has the defaults of each kind. A
+new kind needs its list and dataclass in ``KINDS``, and its block in that file.
 """
 
 import math
@@ -25,16 +25,16 @@ from trackslip_estimation.slip.mounting import Rotation, quaternion_of, rotation
 
 A = TypeVar("A", float, NDArray[np.float64])
 
-_MOUNT = "what it sits on; upper: its place is that with the upper structure looking forward"
-_FAULT_RATE = "rate at which it begins to be off, repeat itself or scatter"
-_YAW_OFFSET = "standard deviation of what its angles are off by for minutes, which is estimated"
-_JUMP_RATE = "rate at which what it measures jumps: the machine was moved, or turned"
-_TIMEOUT = "with nothing accepted for so long it counts as lost"
+_MOUNT = "part of the machine that carries it; upper: its lever arm is that at swing angle 0"
+_FAULT_RATE = "rate of its faults: an offset, frozen or scattered measurements"
+_YAW_OFFSET = "standard deviation of its yaw offset, which is estimated"
+_JUMP_RATE = "rate of jumps of the measured state: the machine was moved, or turned"
+_TIMEOUT = "time without an accepted measurement after which it counts as lost"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Source(Parameters):
-    """What all kinds have."""
+    """Parameters of all kinds."""
 
     timeout: float = parameter(_TIMEOUT, unit="s", ge=0.01, le=86400.0, read_only=False)
     frame_id: str = parameter("the only frame its messages may be in; empty: any")
@@ -53,25 +53,23 @@ class Mounted(Source):
 
     @property
     def above(self) -> bool:
-        """Whether it swings."""
+        """Whether it is on the upper structure."""
         return self.mount == UPPER
 
 
 @dataclass(frozen=True, kw_only=True)
 class Placed(Mounted):
-    """A sensor whose measurements depend on where it is."""
+    """A sensor with a lever arm."""
 
     lever_arm_x: float = parameter(
-        "place of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0, basic=True
+        "lever arm of its sensor in base_link, forward", unit="m", ge=-100.0, le=100.0, basic=True
     )
     lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0, basic=True)
-    lever_arm_z: float = parameter(
-        "above the ground: how far it moves as the machine leans", unit="m", ge=-100.0, le=100.0, basic=True
-    )
+    lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0, basic=True)
 
     @property
     def lever(self) -> tuple[float, float, float]:
-        """Place of the sensor in base_link, m."""
+        """Lever arm of the sensor in base_link, m."""
         return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
 
@@ -101,14 +99,14 @@ class PoseSource(Placed):
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
     jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     standing_share: float = parameter(
-        "share of a position's variance that all fixes of a machine standing there have in common",
+        "share of a position's variance that all fixes of a standstill have in common",
         ge=0.0,
         lt=1.0,
     )
 
     @property
     def has_yaw_offset(self) -> bool:
-        """Whether what its headings are off by is estimated."""
+        """Whether its yaw offset is estimated."""
         return self.use_heading and self.yaw_offset_stddev > 0.0
 
 
@@ -117,7 +115,7 @@ class YawRateSource(Mounted):
     """A gyro; its gate widens with each further timeout."""
 
     mounting_roll: float = parameter(
-        "how its axes are turned against those of base_link: about x last",
+        "rotation of its axes relative to base_link: about x last",
         unit="rad",
         ge=-6.2832,
         le=6.2832,
@@ -125,43 +123,43 @@ class YawRateSource(Mounted):
     mounting_pitch: float = parameter("about y, nose down positive", unit="rad", ge=-6.2832, le=6.2832)
     mounting_yaw: float = parameter("about z first, counter-clockwise", unit="rad", ge=-6.2832, le=6.2832)
     mounting_from_tf: bool = parameter(
-        "whether how its axes are turned is what /tf_static says of its frame; it is refused until then"
+        "whether its mounting is that of its frame in /tf_static; it is rejected until that is received"
     )
     sign: int = parameter(
-        "1, or -1 for a gyro whose yaw rate, so mounted, is the wrong way round", choices=(1, -1), basic=True
+        "1, or -1 for a gyro whose yaw rate has the wrong sign", choices=(1, -1), basic=True
     )
-    scale: float = parameter("what it shows of 1 rad/s: its scale times the cosine of its tilt", gt=0.0)
+    scale: float = parameter("its reading at 1 rad/s: scale times the cosine of its tilt", gt=0.0)
     stddev: float = parameter("where its message gives no variance", unit="rad/s", gt=0.0)
     acceleration_stddev: float = parameter("where its message gives no variance", unit="m/s²", gt=0.0)
 
     use_acceleration: bool = parameter(
-        "whether its accelerations tell roll and pitch; of several such IMUs the first one's do"
+        "whether its accelerations correct roll and pitch; of several such IMUs the first is used"
     )
     use_orientation: bool = parameter(
-        "whether roll and pitch of its orientation are measured ones; of several such IMUs the first one "
-        "tells the attitude, before any that has accelerations alone"
+        "whether its orientation corrects roll and pitch; of several such IMUs the first is used, "
+        "before any with accelerations only"
     )
     orientation_time: float = parameter(
-        "for which an error of its orientation lasts", unit="s", gt=0.0, le=3600.0
+        "correlation time of its orientation error", unit="s", gt=0.0, le=3600.0
     )
-    lever_arm_x: float = parameter("its place in base_link, forward", unit="m", ge=-100.0, le=100.0)
+    lever_arm_x: float = parameter("lever arm in base_link, forward", unit="m", ge=-100.0, le=100.0)
     lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
     lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)
 
     @property
     def lever(self) -> tuple[float, float, float]:
-        """Its place in base_link, m."""
+        """Lever arm in base_link, m."""
         return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
     @property
     def mounting(self) -> Rotation | None:
-        """Turns vectors of its frame into base_link; None where they are alike."""
+        """Rotation of vectors from its frame into base_link; None: identity."""
         return rotation(self.mounting_roll, self.mounting_pitch, self.mounting_yaw)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlipSource(Source):
-    """Slips that were estimated elsewhere; its gate widens with each further timeout."""
+    """Slips of another estimator; its gate widens with each further timeout."""
 
 
 class Refusal(Enum):
@@ -190,12 +188,12 @@ class HeadingSource(Mounted):
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
     jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     convention: str = parameter(
-        "how its angles count: enu: from east, counter-clockwise; compass: from north, clockwise",
+        "enu: angles from east, counter-clockwise; compass: from north, clockwise",
         choices=CONVENTIONS,
     )
-    sign: int = parameter("1, or -1 for angles that count the other way round than that", choices=(1, -1))
+    sign: int = parameter("1, or -1 for angles of the opposite direction", choices=(1, -1))
     offset: float = parameter(
-        "direction in base_link of what it shows, counter-clockwise: π/2 for a pair that points left",
+        "direction of its axis in base_link, counter-clockwise: π/2 for a pair that points left",
         unit="rad",
         ge=-6.2832,
         le=6.2832,
@@ -227,7 +225,7 @@ class SwingSource(Source):
     fault_rate: float = parameter(_FAULT_RATE, unit="1/s", gt=0.0, le=1.0)
     jump_rate: float = parameter(_JUMP_RATE, unit="1/s", gt=0.0, le=1.0)
     offset: float = parameter(
-        "what it shows while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
+        "its reading while the upper structure looks forward", unit="rad", ge=-6.2832, le=6.2832
     )
     stddev: float = parameter("of one reading", unit="rad", gt=0.0)
     yaw_offset_stddev: float = parameter(_YAW_OFFSET, unit="rad", ge=0.0, le=0.5)
@@ -238,17 +236,17 @@ class VelocitySource(Placed):
     """Velocity over the ground: a GNSS receiver's, or a radar's."""
 
     axes: str = parameter(
-        "what x and y of its velocity are along: map: east and north; body: forward and left of the sensor",
+        "axes of its velocity: map: east and north; body: forward and left of the sensor",
         choices=("map", "body"),
     )
     mounting_yaw: float = parameter(
-        "with axes: body, direction in base_link that its x axis points to, counter-clockwise",
+        "with axes: body, direction of its x axis in base_link, counter-clockwise",
         unit="rad",
         ge=-6.2832,
         le=6.2832,
     )
     latency: float = parameter(
-        "by which its stamps are later than the instant of its velocity", unit="s", ge=-1.0, le=10.0
+        "delay of its stamps after the instant of its velocity", unit="s", ge=-1.0, le=10.0
     )
     stddev: float = parameter("where its message gives no variance", unit="m/s", gt=0.0)
     velocity_floor: float = parameter("smallest standard deviation that is accepted", unit="m/s", gt=0.0)
@@ -261,25 +259,25 @@ class VelocitySource(Placed):
 
 
 COVARIANCES = ("twist", "pose", "declared")  # in the order of ``increments``
-ODOMETRY_FIELDS = {  # by those: what is read of a message, what of it says that there is none, refusal then
+ODOMETRY_FIELDS = {  # by covariance: field that is read, field that marks its absence, refusal then
     "twist": ("twist_variances", "twist_absent", Refusal.NO_VELOCITY),
     "pose": ("pose_variances", "pose_absent", Refusal.NO_POSE),
     "declared": ("", "", Refusal.NO_POSE),
 }
-LEAN_TIME = 100.0  # s, for which the tilt is off alike: most of it is the bias of accelerometers
-DRIFT_TIME = 60.0  # s in which the drift of an odometry has become another, by as much as it is
-YAW_TIME = 300.0  # s in which the yaw offset of headings has
+LEAN_TIME = 100.0  # s, correlation time of the tilt error, mostly accelerometer bias
+DRIFT_TIME = 60.0  # s, correlation time of the drift of odometry
+YAW_TIME = 300.0  # s, correlation time of a yaw offset
 
 
 @dataclass(frozen=True, kw_only=True)
 class OdometrySource(Source):
-    """Odometry of a laser or camera: what it moved between two of its poses; its gate widens as a gyro's."""
+    """Odometry of a laser or camera: differences of its poses; its gate widens as that of a gyro."""
 
-    lever_arm_x: float = parameter("its place in base_link, forward", unit="m", ge=-100.0, le=100.0)
+    lever_arm_x: float = parameter("lever arm in base_link, forward", unit="m", ge=-100.0, le=100.0)
     lever_arm_y: float = parameter("to the left", unit="m", ge=-100.0, le=100.0)
     lever_arm_z: float = parameter("above the ground", unit="m", ge=-100.0, le=100.0)
     mounting_roll: float = parameter(
-        "how the axes of its body are turned against those of base_link: about x last",
+        "rotation of its body axes relative to base_link: about x last",
         unit="rad",
         ge=-6.2832,
         le=6.2832,
@@ -287,22 +285,22 @@ class OdometrySource(Source):
     mounting_pitch: float = parameter("about y, nose down positive", unit="rad", ge=-6.2832, le=6.2832)
     mounting_yaw: float = parameter("about z first, counter-clockwise", unit="rad", ge=-6.2832, le=6.2832)
     covariance: str = parameter(
-        "of which its noise is taken: that of its twist, the growth of its pose's, or what is declared here",
+        "its noise: the covariance of its twist, the growth of that of its pose, or the one declared here",
         choices=COVARIANCES,
     )
-    velocity_stddev: float = parameter("declared; also where its message has a zero", unit="m/s", gt=0.0)
+    velocity_stddev: float = parameter("where declared, or where its message has a zero", unit="m/s", gt=0.0)
     yaw_rate_stddev: float = parameter("the same", unit="rad/s", gt=0.0)
-    drift: float = parameter("by how much its lengths err, over minutes: 0.01 is 1 %", ge=0.0, le=0.5)
-    max_gap: float = parameter("poses further apart are not compared", unit="s", gt=0.0, le=10.0)
+    drift: float = parameter("scale error of its distances, over minutes: 0.01 is 1 %", ge=0.0, le=0.5)
+    max_gap: float = parameter("largest time between two poses that are compared", unit="s", gt=0.0, le=10.0)
 
     @property
     def lever(self) -> tuple[float, float, float]:
-        """Its place in base_link, m."""
+        """Lever arm in base_link, m."""
         return self.lever_arm_x, self.lever_arm_y, self.lever_arm_z
 
     @property
     def mounting(self) -> tuple[float, float, float, float]:
-        """Quaternion x, y, z, w that turns vectors of its frame into base_link."""
+        """Quaternion x, y, z, w of the rotation from its frame into base_link."""
         return quaternion_of(self.mounting_roll, self.mounting_pitch, self.mounting_yaw)
 
 
@@ -318,12 +316,12 @@ KINDS: Mapping[str, type[Source]] = {
 
 
 def named(sources: Sequence[str]) -> list[str]:
-    """The sources of a parameter list; '' names none."""
+    """The sources of a parameter list without empty names."""
     return [source for source in sources if source]
 
 
 def group_name(topic: str) -> str:
-    """Under ``sources``, of the source on this topic."""
+    """Name of the group under ``sources`` of a topic."""
     return topic.strip("/").replace("/", "_")
 
 
@@ -332,7 +330,7 @@ def source_groups(
 ) -> dict[str, Group]:
     """Name → group of each source of the lists (name of a kind's list → topics).
 
-    ``mounted``: by topic, what the vehicle says of a source.
+    ``mounted``: topic → values of the vehicle for a source.
 
     Raises:
         InputError: two topics have one name.
