@@ -171,7 +171,7 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     both = "two explanations for 10.0 s: box_pose is 1.0 m off (90 %), the machine was moved (10 %)"
     assert (Level.WARN, pytest.approx(10.0), both) in reported
     assert (Level.WARN, pytest.approx(10.0), "box_pose is off") in reported
-    assert (Level.OK, pytest.approx(24.0), "box_pose is sound again") in reported
+    assert (Level.OK, pytest.approx(24.0), "box_pose has recovered") in reported
     assert not any("outlier" in text for *_, text in reported)
     (strip,) = (strip for strip in strips([run]) if "explanations" in strip.rows)
     (competing, one) = strip.rows["explanations"]

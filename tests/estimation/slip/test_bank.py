@@ -359,7 +359,7 @@ def test_while_counts_are_lost_slips_are_none_of_the_ground() -> None:
             m = replace(m, left_speed=0.5 * m.left_speed, right_speed=0.5 * m.right_speed)
         estimator.process(m)
     assert estimator.estimate().motion is Motion.UNKNOWN
-    assert estimator.explained.found[0].text == "sprockets count half of the way"
+    assert estimator.explained.found[0].text == "sprockets count half of the distance"
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3])

@@ -60,7 +60,7 @@ def test_last_events_have_stamps_and_no_single_outliers() -> None:
         Happened(45 * S, Event.OUTLIER, "gnss_pose", 0.9),
         Happened(50 * S + S // 4, Event.RECOVERED, "gnss_pose", 0.9),
     ]
-    assert recent(happened) == "40.00 gnss_pose is off; 50.25 gnss_pose is sound again; probability 90 %"
+    assert recent(happened) == "40.00 gnss_pose is off; 50.25 gnss_pose has recovered; probability 90 %"
     assert recent([]) == "none"
 
 
@@ -85,7 +85,7 @@ def test_a_source_that_is_sound_again_explains_nothing_more() -> None:
     values = estimator_health(estimator, watch, 0.0, {}).values
     assert values["explanations"] == "none needed"
     assert f"{FIX} is off" in values["last events"]
-    assert f"{FIX} is sound again" in values["last events"]
+    assert f"{FIX} has recovered" in values["last events"]
 
 
 def test_an_unknown_heading_is_being_found_until_one_share_of_the_circle_is_left() -> None:

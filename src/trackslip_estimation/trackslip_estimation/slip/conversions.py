@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between messages and the estimator's records. Knows both sides; holds no logic.
+"""Conversion between ROS messages and measurements or estimates; without logic.
 
-What is read of each message stands in ``trackslip_common.message_fields``, for rclpy's messages and a bag's
-alike. Writing goes through ``make``, which builds a message from its type name and fields, so that live node
-and replay share it.
+``trackslip_common.message_fields`` declares the fields that are read, of messages of rclpy and of a bag.
+``make`` builds a message from its type name and fields; live node and replay share it.
 """
 
 import math
@@ -74,16 +73,16 @@ _FLAT, _NO_RATES = np.diag(np.full(3, UNOBSERVED)), np.full(2, UNOBSERVED)
 
 
 def sprockets(message: Any, source: str) -> Sprockets:
-    """From sensor_msgs/JointState. A joint or a speed that is missing reads nan, and is refused."""
+    """From sensor_msgs/JointState. A missing joint or speed is nan, and the measurement is invalid."""
     m = read(SprocketFields, message)
     positions = (m.left_position, m.right_position) if m.has_positions else None
     return Sprockets(source, m.stamp_ns, m.left_speed, m.right_speed, positions)
 
 
 def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Refusal:
-    """From sensor_msgs/Imu, turned as ``imu`` is mounted.
+    """From sensor_msgs/Imu, rotated by the mounting of ``imu``.
 
-    A variance of zero means unknown, a first element of −1 that there is no such vector (REP-145).
+    A variance of zero means unknown, a first element of −1 absent (REP-145).
     """
     m = read(ImuFields, message)
     if m.variance_x == ABSENT:
@@ -123,7 +122,7 @@ def slip_fix(message: Any, source: str) -> SlipFix:
 def heading_fix(message: Any, source: str, compass: HeadingSource) -> HeadingFix | Refusal:
     """From sensor_msgs/Imu, or geometry_msgs/QuaternionStamped, which has no variance.
 
-    A variance of zero means unknown, a first element of −1 that there is no orientation (REP-145).
+    A variance of zero means unknown, a first element of −1 absent (REP-145).
     """
     if hasattr(message, "quaternion"):
         q = read(QuaternionFields, message)
@@ -136,7 +135,7 @@ def heading_fix(message: Any, source: str, compass: HeadingSource) -> HeadingFix
 
 
 def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
-    """From sensor_msgs/JointState, without a variance. A joint that is missing reads nan, and is refused."""
+    """From sensor_msgs/JointState, without a variance. A missing joint is nan, and invalid."""
     m = read(SwingFields, message)
     return SwingAngle(source, m.stamp_ns, m.angle, variance)
 
@@ -144,7 +143,7 @@ def swing_angle(message: Any, source: str, variance: float) -> SwingAngle:
 def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityFix | Refusal:
     """From geometry_msgs/TwistWithCovarianceStamped, at the instant of its velocity.
 
-    A variance of zero means unknown, a first element of −1 that there is no velocity.
+    A variance of zero means unknown, a first element of −1 absent.
     """
     m = read(VelocityFields, message)
     if m.absent == ABSENT:
@@ -157,9 +156,9 @@ def velocity_fix(message: Any, source: str, stated: VelocitySource) -> VelocityF
 
 
 def odometry_pose(message: Any, source: str, odometry_: OdometrySource) -> OdometryPose | Refusal:
-    """From nav_msgs/Odometry of a laser or camera: its pose, and the variances that its parameters want.
+    """From nav_msgs/Odometry of a laser or camera: its pose, and the variances that its parameters name.
 
-    A variance of zero means unknown, a first element of −1 that there is no such covariance.
+    A variance of zero means unknown, a first element of −1 absent.
     """
     m, (name, absent, refusal) = read(OdometryPoseFields, message), ODOMETRY_FIELDS[odometry_.covariance]
     if absent and getattr(m, absent) == ABSENT:
@@ -178,14 +177,14 @@ def odometry(make: Make, estimate: Estimate, parent_frame: str, base_frame: str)
 
 
 def blank_odometry(make: Make, parent_frame: str, base_frame: str) -> Any:
-    """nav_msgs/Odometry for ``fill_odometry``, which is several times faster than to make one."""
+    """nav_msgs/Odometry for ``fill_odometry``, which is several times faster than a new message."""
     message = make("nav_msgs/msg/Odometry", header=header(make, 0, parent_frame), child_frame_id=base_frame)
     message.pose.covariance, message.twist.covariance = _BLANK_36.copy(), _BLANK_36.copy()
     return message
 
 
 def fill_odometry(message: Any, estimate: Estimate) -> None:
-    """Put another estimate into the message."""
+    """Fill the message with an estimate."""
     set_stamp(message, estimate.stamp_ns)
     pose, twist, tilt = message.pose.pose, message.twist.twist, estimate.outputs.tilt
     pose.position.x, pose.position.y, heading = estimate.pose.tolist()
@@ -242,7 +241,7 @@ def blank_swing(make: Make, base_frame: str) -> Any:
 
 
 def fill_swing(message: Any, estimate: Estimate, swing: Swing) -> None:
-    """Angle and rate of the upper structure, and as a joint of its own their standard deviations."""
+    """Fill angle and rate of the upper structure, and their standard deviations as a second joint."""
     set_stamp(message, estimate.stamp_ns)
     of_angle, of_rate = np.sqrt(np.diag(swing.covariance)).tolist()
     message.position, message.velocity = np.array((swing.angle, of_angle)), np.array((swing.rate, of_rate))
@@ -269,7 +268,7 @@ def blank_track_slip(make: Make, base_frame: str) -> Any:
 
 
 def fill_track_slip(message: Any, estimate: Estimate) -> None:
-    """Slips, slip angle and state of motion of another estimate."""
+    """Fill the message with slips, slip angle and state of motion of an estimate."""
     set_stamp(message, estimate.stamp_ns)
     message.left_slip, message.right_slip, message.slip_angle = estimate.outputs.slips.tolist()
     message.covariance = estimate.outputs.slip_covariance.flatten()
@@ -291,7 +290,7 @@ def blank_machine_state(make: Make, parent_frame: str, base_frame: str) -> Any:
 
 
 def fill_machine_state(message: Any, estimate: Estimate) -> None:
-    """All of another estimate at its instant."""
+    """Fill the message with an estimate."""
     set_stamp(message, estimate.stamp_ns)
     of = estimate.outputs
     message.x, message.y, message.heading = estimate.pose.tolist()
@@ -332,7 +331,7 @@ def blank_measurement_report(make: Make, source: str) -> Any:
 
 
 def fill_measurement_report(message: Any, report: Report, sequence: int) -> None:
-    """Put another report on the same source into the message."""
+    """Fill the message with a report on the same source."""
     set_stamp(message, report.stamp_ns)
     message.sequence, message.outcome = sequence, int(report.outcome)
     message.nis, message.gate, message.dof = report.nis, report.gate, report.dof
@@ -349,7 +348,7 @@ def planar_pose_message(make: Make, pose: FloatArray) -> Any:
 
 
 def in_six(covariance: FloatArray) -> FloatArray:
-    """(36,) row-major 6×6 with the planar (3, 3) in its place, the rest marked as not observed."""
+    """(36,) row-major 6×6 covariance of a planar (3, 3); the other variances are ``UNOBSERVED``."""
     six = _BLANK_36.copy()
     six[_PLANE_IN_36] = covariance.ravel()
     return six

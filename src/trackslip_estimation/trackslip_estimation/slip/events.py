@@ -3,8 +3,8 @@
 """Events that explain a contradiction, and the states that each one opens; compiled.
 
 The prior probability of an event over a time Δt is its rate times Δt. The rates of a source are its
-parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``. "Before": just before the
-measurement that the event explains. "Since": after the latest consistent measurement.
+parameters ``fault_rate`` and ``jump_rate``; the others are those of ``EventParameters``. "Before": just
+before the measurement that the event explains. "Since": after the latest consistent measurement.
 
     event            opens                                               time
     OUTLIER          nothing; this one measurement is left out           at the measurement

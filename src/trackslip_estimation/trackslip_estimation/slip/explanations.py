@@ -103,7 +103,7 @@ _WORDS = {
     Event.REPEATS: "{source} repeats itself",
     Event.STAYS: "{source} stays where it was",
     Event.SCATTERS: "{source} scatters",
-    Event.RECOVERED: "{source} is sound again",
+    Event.RECOVERED: "{source} has recovered",
     Event.MOVED: "the machine was moved",
     Event.TURNED: "the heading was wrong",
     Event.SWUNG: "the upper structure has swung",
@@ -233,7 +233,7 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
     if fault is SourceFault.FAILED:
         return _FAILURES.format(source=name)
     if fault is SourceFault.MISCOUNTS:
-        return f"{name} count half of the way"
+        return f"{name} count half of the distance"
     if fault in (SourceFault.REPEATS, SourceFault.STAYS, SourceFault.WANDERS):
         return _WORDS[Event[fault.name]].format(source=name)
     if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):

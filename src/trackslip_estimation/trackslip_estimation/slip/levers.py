@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where sensors sit, and what the machine's motion does to them: the one place that turns levers; compiled.
+"""Lever arms of sensors: position and velocity of a sensor relative to C; compiled.
 
-    l, a       place of a sensor and of the swing axis in base_link, the upper structure looking forward   m
+    l, a       lever arm of a sensor and of the swing axis in base_link, at σ = 0                           m
     φ, σ, σ̇    heading of the machine, angle of the upper structure, its rate               rad, rad, rad/s
-    p          place of the sensor beside C along the heading and to its left, seen from above, as the machine
-               leans: l, or above a + R(σ) (l − a)                                          (2,), m
-    p'         its derivative by σ; zero below                                              (2,), m
-    R(φ) p     the lever: from C to the sensor, east and north                              (2,), m
+    p          horizontal lever arm along the heading and to its left, at the tilt of the machine: of l, or on
+               the upper structure of a + R(σ) (l − a)                                      (2,), m
+    p'         derivative by σ; zero below                                                  (2,), m
+    R(φ) p     from C to the sensor, east and north                                         (2,), m
     x, P       mean and covariance of the state; c: record of ``config.CONFIG``
 
-A sensor above sees φ + σ, its gyro ω + σ̇.
+A sensor on the upper structure ("above") measures φ + σ, its gyro ω + σ̇.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ class Lever(NamedTuple):
 
 @compiled
 def arm_of(source: int, c: Config) -> tuple[float, float]:
-    """l − a of a sensor above, from the swing axis to it, seen from above."""
+    """l − a of a sensor above, horizontal, m."""
     return c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
 
 
 @compiled
 def unknown_arm(P: FloatArray, source: int, c: Config) -> float:
-    """Variance of its place along an axis, m², where nobody knows σ: no derivative goes round a circle."""
+    """Variance of its position by axis, m², where σ is unknown and linearisation fails; else 0."""
     x, y = arm_of(source, c)
     known = P[SWING, SWING] <= UNKNOWN_SWING**2
     return 0.0 if known else float(x * x + y * y)
@@ -59,14 +59,14 @@ def unknown_arm(P: FloatArray, source: int, c: Config) -> float:
 
 @compiled
 def swung_place(swing: float, source: int, c: Config) -> Place:
-    """x and y of its place in base_link, and their derivatives by σ."""
+    """x and y of its lever arm in base_link, and their derivatives by σ."""
     x, y = c.levers[source, 0], c.levers[source, 1]
     return _swung(x, y, swing, c) if c.above[source] == 1 else (x, y, 0.0, 0.0)
 
 
 @compiled
 def _swung(x: float, y: float, swing: float, c: Config) -> Place:
-    """x and y in base_link of a place above, and their derivatives by σ; ``x``, ``y``: looking forward."""
+    """x and y in base_link of a point above, and their derivatives by σ; ``x``, ``y``: at σ = 0."""
     cos, sin, ahead, left = np.cos(swing), np.sin(swing), x - c.swing_axis[0], y - c.swing_axis[1]
     by_x, by_y = -sin * ahead - cos * left, cos * ahead - sin * left
     return c.swing_axis[0] + by_y, c.swing_axis[1] - by_x, by_x, by_y
@@ -74,7 +74,7 @@ def _swung(x: float, y: float, swing: float, c: Config) -> Place:
 
 @compiled
 def sensor_place(level: Level, swing: float, source: int, c: Config) -> Place:
-    """p and p'; ``level``: the record of ``attitude`` that says how the machine leans."""
+    """p and p'; ``level``: tilt of the machine, record of ``attitude``."""
     z = c.levers[source, 2]
     x, y, by_x, by_y = swung_place(swing, source, c)
     ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
@@ -85,7 +85,7 @@ def sensor_place(level: Level, swing: float, source: int, c: Config) -> Place:
 
 @compiled
 def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
-    """R(φ) p, with what the lasting error of the tilt moves it by, and its derivatives."""
+    """R(φ) p with the time-correlated tilt error, and its derivatives."""
     above, by, cos, sin = c.above[source] == 1, np.zeros((2, x.size)), np.cos(x[YAW]), np.sin(x[YAW])
     ahead, left, by_ahead, by_left = sensor_place(level, x[SWING] if above else 0.0, source, c)
     if above:
@@ -103,7 +103,7 @@ def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
 
 @compiled
 def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: float, c: Config) -> None:
-    """The state with a sensor's pose for that of base_link (``sign`` 1), or back again (−1); in place."""
+    """Transform the pose of base_link into that of a sensor (``sign`` 1), or back (−1); in place."""
     above = c.above[source] == 1
     if above and sign < 0.0:
         _turn_heading(x, P, level, sign)
@@ -119,10 +119,10 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: flo
 def turn_about(
     x: FloatArray, P: FloatArray, before: FloatArray, place: Lever, level: Level, source: int, c: Config
 ) -> None:
-    """A correction of x, ``before`` it, with the ``place`` of a sensor then: C goes round the sensor.
+    """Add the terms beyond first order to a correction, so that C turns about the sensor; in place.
 
-    To first order it is a part of the correction; here is the rest. So a place that a sensor has shown stays
-    as it was seen, however far the heading, or the upper structure, turns.
+    ``before``, ``place``: state and lever before the correction. The measured position of the sensor stays,
+    however far heading or upper structure turn.
     """
     after = lever(x, level, source, c)
     x[X] += place.east - after.east
@@ -135,7 +135,7 @@ def turn_about(
 
 @compiled
 def _shear_place(P: FloatArray, by: FloatArray, sign: float) -> None:
-    """P, where to x and y are added what ``by`` (2, n) has of the others."""
+    """Transform P for x and y that gain ``by`` (2, n) times the other states; in place."""
     for k in range(YAW, by.shape[1]):
         for axis in (X, Y):
             if by[axis, k] != 0.0:
@@ -144,21 +144,21 @@ def _shear_place(P: FloatArray, by: FloatArray, sign: float) -> None:
 
 @compiled
 def _turn_heading(x: FloatArray, P: FloatArray, level: Level, sign: float) -> None:
-    """φ + σ, seen from above, for φ, or back again; in place."""
+    """Transform φ into the horizontal φ + σ, or back; in place."""
     x[YAW] = wrap(x[YAW] + sign * seen_from_above(x[SWING], level))
     add_state(P, YAW, SWING, sign)
 
 
 @compiled
 def other_lean(level: Level, source: int, c: Config) -> float:
-    """Variance of a sensor's place along an axis, m², as the tilt errs by more than its lasting error."""
+    """Variance of a sensor's position by axis, m², by the part of the tilt error that is no state."""
     more = max(level.lean_variance - c.lean_stddev**2, 0.0)
     return float(c.levers[source, 2] ** 2 * more)
 
 
 @compiled
 def swing_lever(imu: ImuSample, swing_rate: float, c: Config) -> None:
-    """Place and velocity of an IMU above, into its record, which has σ and what they would be below."""
+    """Transform lever arm and velocity in the record of an IMU above by σ and σ̇; in place."""
     imu.lever[0], imu.lever[1], by_x, by_y = _swung(imu.lever[0], imu.lever[1], imu.turn, c)
     imu.velocity[0] += swing_rate * by_x
     imu.velocity[1] += swing_rate * by_y
@@ -166,7 +166,7 @@ def swing_lever(imu: ImuSample, swing_rate: float, c: Config) -> None:
 
 @compiled
 def seen_from_above(angle: float, level: Level) -> float:
-    """Direction against the heading of what points along ``angle`` in base_link, rad."""
+    """Horizontal direction, relative to the heading, of a vector along ``angle`` in base_link, rad."""
     if level.tilted == 0:
         return angle
     cos, sin = np.cos(angle), np.sin(angle)
@@ -175,7 +175,7 @@ def seen_from_above(angle: float, level: Level) -> float:
 
 @compiled
 def stamp_shift(state: State, source: int, c: Config) -> tuple[float, float, float]:
-    """How the pose of a source's sensor changes in its σ_t; nothing while nobody knows how fast it does."""
+    """Change of a sensor's pose within its σ_t; zero while the speed is unknown."""
     seconds = 0.0 if state.coasting else c.stamp_errors[source]
     v_x, v_y, rate = horizontal_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
     place = sensor_place(state.attitude.level, state.mean[SWING], source, c)

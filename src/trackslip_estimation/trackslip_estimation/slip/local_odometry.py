@@ -5,11 +5,11 @@
     x, y, ψ        pose in odom, from the first estimate on                m, m, rad
     v_x, v_y, ω    mean of the horizontal twists at both ends of an interval Δt   m/s, m/s, rad/s
     x += (v_x cos ψ' − v_y sin ψ') Δt,  y += (v_x sin ψ' + v_y cos ψ') Δt,  ψ += ω Δt,  ψ' = ψ + ω Δt/2
-    P = F P Fᵀ + T Σ Tᵀ τ Δt    Σ covariance of the twist, whose errors last τ
-    z += ż Δt,  σ_z += σ_ż Δt   height, whose errors last: those of the pitch, and of slips    m
+    P = F P Fᵀ + T Σ Tᵀ τ Δt    Σ covariance of the twist, correlation time τ of its errors
+    z += ż Δt,  σ_z += σ_ż Δt   height, with constant errors of pitch and slips             m
 
-A fix that corrects the estimate shows in the twist at most. Where time goes back, or is lost for longer than
-an interval may be, the pose stays as it is.
+A fix changes the twist at most. Where time goes back, or jumps by more than the longest interval, the pose is
+held.
 """
 
 import math
@@ -27,12 +27,12 @@ from trackslip_estimation.slip.estimator import Estimate, Tilt
 
 Records = NDArray[np.void]
 
-_LONGEST = 1.0  # s, interval that a twist is taken to last
+_LONGEST = 1.0  # s, longest interval that is integrated
 _CORRELATION = 1.0  # s, τ
 
 
 class TwistRecord(Record):
-    """Of an estimate, what moves the pose."""
+    """Twist of an estimate."""
 
     stamp_ns: int
     horizontal: Annotated[FloatArray, 3]
@@ -42,7 +42,7 @@ class TwistRecord(Record):
 
 
 class LocalRecord(Record):
-    """The pose in ``odom``, and what moves it next."""
+    """The pose in ``odom``, and its twist."""
 
     stamp_ns: int
     pose: Annotated[FloatArray, 3]
@@ -58,7 +58,7 @@ TWIST, LOCAL = dtype_of(TwistRecord), dtype_of(LocalRecord)
 
 
 class LocalOdometry:
-    """Follows the estimates in the order in which they are published."""
+    """Integrates the estimates in the order of publication."""
 
     def __init__(self) -> None:
         self._known = make_table(LocalRecord, LOCAL, 1)
@@ -89,7 +89,7 @@ class LocalOdometry:
 
 
 def _at_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
-    """With the height in ``odom``."""
+    """The tilt with the height in ``odom``."""
     place, covariance = tilt.tilt.copy(), tilt.covariance.copy()
     place[HEIGHT], covariance[HEIGHT], covariance[:, HEIGHT] = height, 0.0, 0.0
     covariance[HEIGHT, HEIGHT] = stddev**2
@@ -98,7 +98,7 @@ def _at_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
 
 @compiled
 def integrate(known: Table[LocalRecord], twists: Table[TwistRecord], found: Table[LocalRecord]) -> None:
-    """From ``known`` (1,) over (n,) of ``TWIST``: fills (n,) of ``LOCAL``, of which the last stays known."""
+    """Integrate (n,) of ``TWIST`` from ``known`` (1,) into (n,) of ``LOCAL``; ``known`` becomes the last."""
     local = known[0]
     for k in range(len(twists)):
         given = twists[k]
@@ -115,7 +115,7 @@ def integrate(known: Table[LocalRecord], twists: Table[TwistRecord], found: Tabl
 
 @compiled
 def _move(local: LocalRecord, given: TwistRecord, dt: float) -> None:
-    """Over one interval."""
+    """Integrate one interval."""
     v_x = 0.5 * (local.horizontal[0] + given.horizontal[0])
     v_y = 0.5 * (local.horizontal[1] + given.horizontal[1])
     rate = 0.5 * (local.horizontal[2] + given.horizontal[2])

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How an IMU is mounted: its frame against base_link.
+"""Mounting of an IMU: rotation from its frame into base_link.
 
     v_base = R v_imu,  R = R_z(yaw) R_y(pitch) R_x(roll)
 
-Numbers of one message and columns of a bag go through the same sums, so that a replay repeats every bit. What
-an axis does not share is left out of its sum: nan of an axis that a unit lacks stays where it belongs.
+Numbers of one message and columns of a bag use the same sums, so that a replay repeats every bit. A sum
+leaves out axes of factor 0: a nan of an absent axis does not spread.
 """
 
 import math
@@ -56,7 +56,7 @@ def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any
 
 
 def up_by(x: Number, y: Number, z: Number, w: Number) -> list[Number]:
-    """The way up along the axes that the quaternion turns into the world, times its norm squared."""
+    """Vertical along the axes of the frame of the quaternion, times its norm squared."""
     return [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w + z * z - x * x - y * y]
 
 

@@ -44,7 +44,7 @@ from trackslip_estimation.slip.sources import (
 
 NODE = "slip_estimator"
 DEFAULT_FILES = ("slip_estimator.yaml",)
-GNSS_POSE = "gnss_pose"  # a topic whose lever arm the vehicle states, as FIX_VELOCITY's
+GNSS_POSE = "gnss_pose"  # topic with the lever arm of the vehicle's antenna, as FIX_VELOCITY
 _ANTENNA = "vehicle.sensors.antenna"
 _BOX = "vehicle.sensors.box.length"
 _BOX_POSE = "box_pose"
@@ -54,10 +54,10 @@ _MOUNTS = {
     FIX_VELOCITY: "antenna",
     "heading": "antenna",
     "imu/data_raw": "imu",
-}  # topics of them
+}  # topic → sensor of the vehicle
 _ENCODER = "vehicle.sensors.swing_encoder.stddev"
 
-# rad, of a heading of which nothing is said: it may be any, or the map's x axis is where the machine looks
+# start → default standard deviation of the heading, rad: uniform, or along the x axis of the map
 _YAW_STDDEVS: Mapping[str, float] = MappingProxyType(
     {"first_fix": math.pi / math.sqrt(3.0), "initial_pose": 0.02}
 )
@@ -75,7 +75,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
     ground: GroundParameters
     attitude: AttitudeParameters
     swing: SwingParameters
-    use_attitude: bool = parameter("whether roll and pitch are estimated; else the ground counts as flat")
+    use_attitude: bool = parameter(
+        "whether roll and pitch are estimated; else the ground is assumed to be flat"
+    )
     filter: str = parameter("extended Kalman filter, or the thesis' Fig. 4.3", choices=("ekf", "daf"))
     kappa: float = parameter("of the daf: scales the higher moments of its points", gt=-7.0, le=100.0)
     map_frame: str = parameter("site frame of the estimate and of the pose sources")
@@ -89,50 +91,52 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         "topics of Imu whose z rate is a measurement; '' names none", basic=True
     )
     slip_sources: tuple[str, ...] = parameter(
-        "topics of TrackSlip that are measurements: [slip_seed], the soil estimator's, which rests on these "
-        "very slips and so feeds back; '' names none"
+        "topics of TrackSlip that are measurements: [slip_seed] of the soil estimator feeds these slips "
+        "back; '' names none"
     )
     heading_sources: tuple[str, ...] = parameter(
-        "topics of headings, such as a pair of antennas shows; '' names none. With one and start: first_fix, "
-        "the start heading is what it says",
+        "topics of headings, such as of a pair of antennas; '' names none. With one and start: first_fix, "
+        "it gives the initial heading",
         basic=True,
     )
     swing_sources: tuple[str, ...] = parameter(
         "topics of JointState whose joint 'swing' is the angle of the upper structure; '' names none. Used "
-        "where the vehicle has a sensors.swing_encoder, and something sits above"
+        "where the vehicle has a sensors.swing_encoder and a sensor on the upper structure"
     )
     odometry_sources: tuple[str, ...] = parameter(
-        "topics of Odometry of a laser or camera: what it moved counts, never where it is; '' names none"
+        "topics of Odometry of a laser or camera, of which differences are used; '' names none"
     )
     velocity_sources: tuple[str, ...] = parameter(
         "topics of TwistWithCovarianceStamped: velocity of an antenna or a radar; '' names none"
     )
     sources: Mapping[str, Source]
     encoder_resolution: float = parameter("sprocket angle of one count", unit="rad", ge=0.0, basic=True)
-    start: str = parameter("what the estimate starts from", choices=("first_fix", "initial_pose"), basic=True)
+    start: str = parameter(
+        "first measurement of the estimate", choices=("first_fix", "initial_pose"), basic=True
+    )
     initial_x: float = parameter("x at the start, with start: initial_pose", unit="m")
     initial_y: float = parameter("y at the start", unit="m")
-    initial_yaw: float = parameter("heading at the start, where the first fix shows none", unit="rad")
-    initial_position_stddev: float = parameter("its standard deviation, x and y", unit="m", gt=0.0)
+    initial_yaw: float = parameter("heading at the start, where the first fix has none", unit="rad")
+    initial_position_stddev: float = parameter("standard deviation of x and y at the start", unit="m", gt=0.0)
     initial_yaw_stddev: float = parameter(
-        "its standard deviation, heading; beyond 1 rad it is unknown, and found from the first metres. "
-        "0: as start implies, unknown with first_fix, 0.02 rad with initial_pose",
+        "standard deviation of the heading at the start; beyond 1 rad it is unknown, and found from the "
+        "first metres. 0: unknown with start: first_fix, 0.02 rad with initial_pose",
         unit="rad",
         ge=0.0,
     )
-    history_window: float = parameter("how late a measurement may come", unit="s", gt=0.0, le=60.0)
+    history_window: float = parameter("largest delay of a measurement", unit="s", gt=0.0, le=60.0)
     max_gap: float = parameter(
         "stamps further ahead of the sprockets must be confirmed; at least history_window", unit="s", le=600.0
     )
-    jump_confirmations: int = parameter("sprocket samples in a row that make another time accepted", ge=2)
+    jump_confirmations: int = parameter("consecutive sprocket samples that confirm another time", ge=2)
     sprocket_timeout: float = parameter(
-        "how long sprocket speeds are taken to go on; then the pose is held and its uncertainty grows",
+        "time for which sprocket speeds are extrapolated; then the pose is held and its covariance grows",
         unit="s",
         gt=0.0,
         le=3600.0,
     )
     max_sprocket_speed: float = parameter(
-        "fastest a sprocket can turn; positions asking for more have jumped", unit="rad/s", gt=0.0, basic=True
+        "largest sprocket speed; positions that need more have jumped", unit="rad/s", gt=0.0, basic=True
     )
     gate_probability: float = parameter(
         "χ² probability inside which a measurement is accepted", gt=0.0, lt=1.0, read_only=False
@@ -144,18 +148,18 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         read_only=False,
     )
     gate_confirmations: int = parameter(
-        "measurements in a row that must agree with each other before what the gate refuses is accepted", ge=1
+        "consecutive measurements beyond the gate that must agree before they are accepted", ge=1
     )
     state_file: str = parameter(
-        "file that keeps what was learned until the next start; ~ is the home directory, '' for none"
+        "file of the learned states for the next start; ~ is the home directory, '' for none"
     )
     publish_tf: bool = parameter("whether map → odom → base goes to /tf, where tf2_msgs is installed")
 
     def __post_init__(self) -> None:
-        """Check also what belongs together.
+        """Check also combinations of values.
 
         Raises:
-            InputError: a value is refused, or two do not go together.
+            InputError: a value or a combination is invalid.
         """
         super().__post_init__()
         if self.max_gap < self.history_window:
@@ -185,10 +189,10 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
-        """One for each source that the lists name.
+        """A group for each source of the lists.
 
         Raises:
-            InputError: a list is none, or names one twice.
+            InputError: a list is invalid, or names a source twice.
         """
         lists = {kind: checked(cls, kind, values[kind], where) for kind in KINDS if kind in values}
         antenna = {f"lever_arm_{axis}": values.get(f"{_ANTENNA}.{axis}") for axis in "xyz"}
@@ -197,7 +201,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         }
         for topic in (GNSS_POSE, FIX_VELOCITY):
             mounted[topic] |= antenna
-        if _ENCODER not in values:  # nothing is stated of what there is not
+        if _ENCODER not in values:  # a vehicle without swing encoder
             lists.pop(SWINGS, None)
         mounted |= {topic: {"stddev": values.get(_ENCODER)} for topic in lists.get(SWINGS, ())}
         mounted = {
@@ -208,10 +212,9 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     @classmethod
     def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-        """Values with others over them; with other lists of sources, the groups of those that went go too.
+        """Values with others over them; groups of sources that are no longer listed go.
 
-        A vehicle that is named, and has an antenna and no box for a laser, is located by its receiver where
-        nothing else is said.
+        By default a named vehicle with an antenna, and without a box for a laser, is located by its receiver.
         """
         values = super().overlaid(below, above)
         if names_vehicle(above) and "pose_sources" not in above and _is_located_by_receiver(values):
@@ -219,7 +222,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             values |= above
         if above.keys().isdisjoint(KINDS):
             return values
-        lists = [values.get(kind) for kind in KINDS]  # unchecked as yet
+        lists = [values.get(kind) for kind in KINDS]  # not checked yet
         there = {
             group_name(str(topic)) for topics in lists if isinstance(topics, Sequence) for topic in topics
         }
@@ -230,79 +233,79 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         }
 
     def of_kind(self, kind: str) -> dict[str, Any]:
-        """Topic → what is stated of it, of the sources of one of the lists of ``KINDS`` that are in use."""
+        """Topic → parameters of the sources in use of one list of ``KINDS``."""
         if kind == SWINGS and not (self.swings and self.vehicle.has_swing_encoder):
             return {}
         return {topic: self.sources[group_name(topic)] for topic in named(getattr(self, kind))}
 
     def poses(self) -> dict[str, PoseSource]:
-        """By topic."""
+        """Topic → pose source."""
         return self.of_kind("pose_sources")
 
     def gyros(self) -> dict[str, YawRateSource]:
-        """By topic."""
+        """Topic → gyro."""
         return self.of_kind("yaw_rate_sources")
 
     def angles(self) -> dict[str, SwingSource]:
-        """By topic, the sensors of the swing."""
+        """Topic → sensor of the swing."""
         return self.of_kind(SWINGS)
 
     def mounted(self) -> dict[str, Mounted]:
-        """By topic, what may sit on the upper structure."""
+        """Topic → source that may be on the upper structure."""
         return {**self.poses(), **self.gyros(), **self.compasses(), **self.velocities()}
 
     @property
     def swings(self) -> bool:
-        """Whether anything sits on the upper structure, whose angle then is a part of the state."""
+        """Whether a sensor is on the upper structure, so that the swing angle is a state."""
         return any(source.above for source in self.mounted().values())
 
     def initial_swing(self) -> tuple[float, float]:
-        """Mean and variance of its angle at the start; a sensor that is still to tell it knows it better."""
+        """Mean and variance of the swing angle at the start; with a sensor of the swing it is uniform."""
         stddev = self.swing.initial_angle_stddev
         return self.swing.initial_angle, (max(stddev, math.pi) if self.angles() else stddev) ** 2
 
     @property
     def measures_height(self) -> bool:
-        """Whether altitudes of fixes are wanted."""
+        """Whether altitudes of fixes are used."""
         return any(pose.use_altitude for pose in self.poses().values())
 
     @property
     def leans(self) -> bool:
-        """Whether a sensor of poses sits so high that what the tilt is off by shows in them."""
+        """Whether the tilt error affects a pose source, by the height of its lever arm."""
         return self.tilt_source is not None and any(pose.lever_arm_z for pose in self.poses().values())
 
     @property
     def tilt_source(self) -> str | None:
-        """Topic of the IMU that tells the attitude; None: the ground counts as flat."""
+        """Topic of the IMU of the attitude; None: the ground is assumed to be flat."""
         imus = self.gyros().items()
         oriented = [topic for topic, imu in imus if imu.use_orientation]
         able = [*oriented, *(topic for topic, imu in imus if imu.use_acceleration)]
         return able[0] if able and self.use_attitude else None
 
     def compasses(self) -> dict[str, HeadingSource]:
-        """By topic."""
+        """Topic → heading source."""
         return self.of_kind("heading_sources")
 
     def yaw_offsets(self) -> dict[str, float]:
-        """By topic of a source of headings or swing angles: the standard deviation of their offset, rad."""
+        """Topic of a source of headings or swing angles → standard deviation of its offset, rad."""
         compasses = {name: compass.yaw_offset_stddev for name, compass in self.compasses().items()}
         poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.has_yaw_offset}
         return compasses | poses | {name: angle.yaw_offset_stddev for name, angle in self.angles().items()}
 
     def odometries(self) -> dict[str, OdometrySource]:
-        """By topic."""
+        """Topic → odometry."""
         return self.of_kind("odometry_sources")
 
     def velocities(self) -> dict[str, VelocitySource]:
-        """By topic."""
+        """Topic → velocity source."""
         return self.of_kind("velocity_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
-        """Of each source but the sprockets, by topic."""
+        """Topic → timeout of each source but the sprockets, ns."""
         return {topic: source.timeout_ns for topic, source in self._by_topic().items()}
 
     def frames_of_sources(self) -> dict[str, str]:
-        """The only frame that messages of a source may be in, by topic, of those that have one."""
+        """Topic → the only accepted frame of its messages, where one is stated."""
         return {topic: source.frame_id for topic, source in self._by_topic().items() if source.frame_id}
 
     def _by_topic(self) -> dict[str, Source]:
@@ -312,7 +315,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         """These parameters with other values; dotted names.
 
         Raises:
-            InputError: a name is unknown or a value refused.
+            InputError: a name is unknown or a value invalid.
         """
         return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
 
@@ -322,8 +325,8 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         return self.map_frame, self.frame_prefix + self.odom_frame, self.frame_prefix + self.base_frame
 
     def initial_pose(self) -> tuple[FloatArray, FloatArray]:
-        """(3,) x, y, heading to start from, and (3, 3) covariance."""
-        waits = self.start == "first_fix" and bool(self.compasses())  # for one of these to say the heading
+        """Initial pose (3,) x, y, heading, and its covariance (3, 3)."""
+        waits = self.start == "first_fix" and bool(self.compasses())  # for a heading source
         yaw_stddev = math.pi if waits else self.initial_yaw_stddev or _YAW_STDDEVS[self.start]
         deviations = (self.initial_position_stddev, self.initial_position_stddev, yaw_stddev)
         pose = np.array((self.initial_x, self.initial_y, self.initial_yaw))

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that do not move against each other, as /tf_static has them: how a sensor's frame is turned.
+"""Fixed frames of /tf_static: rotation of a sensor frame.
 
-q_pc   turns vectors of the child's frame into the parent's, x, y, z, w
+q_pc   rotation of vectors from the child frame into the parent frame, x, y, z, w
 """
 
 import math
@@ -16,20 +16,20 @@ _LONGEST = 100  # links from one frame to another
 
 
 class StaticFrames:
-    """A forest of frames; what comes later of a child replaces what came before."""
+    """A forest of frames; a later transform of a child replaces an earlier one."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, FloatArray]] = {}
 
     def add(self, parent: str, child: str, turn: Sequence[float]) -> None:
-        """One link, with q_pc (4,) of any length; one that turns nothing into a rotation is left out."""
+        """Add a link with q_pc (4,) of any length; one without a length is left out."""
         q = np.array(turn, np.float64)
         norm = float(np.linalg.norm(q))
         if math.isfinite(norm) and norm > 0.0:
             self._parents[_plain(child)] = (_plain(parent), q / norm)
 
     def angles(self, base: str, frame: str) -> tuple[float, float, float] | None:
-        """Roll, pitch and yaw (ZYX) of ``frame`` in ``base``, rad; None where nothing joins the two."""
+        """Roll, pitch and yaw (ZYX) of ``frame`` in ``base``, rad; None: not connected."""
         to_base, to_frame = dict(self._above(base)), dict(self._above(frame))
         common = next((name for name in to_frame if name in to_base), None)
         if common is None:
@@ -43,7 +43,7 @@ class StaticFrames:
         return roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     def _above(self, frame: str) -> Iterator[tuple[str, FloatArray]]:
-        """The frame and all above it, each with what turns the frame's vectors into its own."""
+        """The frame and its ancestors, each with the rotation from the frame into it."""
         name, q = _plain(frame), np.array((0.0, 0.0, 0.0, 1.0))
         for _ in range(_LONGEST):
             yield name, q

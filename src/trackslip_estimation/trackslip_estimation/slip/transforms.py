@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What /tf says of an estimate: map → odom → base_link (REP-105)."""
+"""Transforms of an estimate on /tf: map → odom → base_link (REP-105)."""
 
 import math
 from typing import Any
@@ -27,7 +27,7 @@ def blank_transforms(make: Make, frames: Frames) -> Any:
 
 
 def fill_transforms(message: Any, estimate: Estimate, local: Estimate) -> None:
-    """Put an estimate, and its pose in odom, into the message."""
+    """Fill the message with an estimate and its pose in odom."""
     turn = estimate.pose[2] - local.pose[2]
     level = (0.0, 0.0, 0.0)
     roll, pitch, height = level if local.outputs.tilt is None else local.outputs.tilt.tilt.tolist()
