@@ -92,8 +92,8 @@ class Mutator:
         marked, plain = make(topic.type_name, **fields), make(topic.type_name, **fields)
         _fill(marked, len(topic.names), lambda _, n: np.full(n, _SENTINEL))
         _fill(plain, len(topic.names), _plain)
-        self._raw, wanted = bytes(serialize_message(marked)), struct.pack("<d", _SENTINEL)
-        self._places = [at for at in range(len(self._raw)) if self._raw.startswith(wanted, at)]
+        self._raw, requested = bytes(serialize_message(marked)), struct.pack("<d", _SENTINEL)
+        self._places = [at for at in range(len(self._raw)) if self._raw.startswith(requested, at)]
         raw = bytes(serialize_message(plain))
         self._plain = [struct.unpack_from("<d", raw, at)[0] for at in self._places]
         self._topic, self._rng, self._packed = topic, rng, packed_topic(self._kind)
@@ -214,8 +214,8 @@ def fuzz_slip(count: int, seed: int = 0) -> Findings:
         for given in good:
             report, estimate = estimator.process(given)
             watch.add(report)
-            wanted = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.WAITING)
-            if not isinstance(given, YawRate) and report.outcome not in wanted and estimator.started:
+            requested = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.WAITING)
+            if not isinstance(given, YawRate) and report.outcome not in requested and estimator.started:
                 faults.append(f"period {k}: a good measurement of {report.source} is {report.outcome.name}")
             _look_at(estimate, local, k, faults)
         for name, mutator in mutators.items():

@@ -245,11 +245,11 @@ def main() -> int:
     """Make random steps on all cores; returns the exit code, 1 where anything was found."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("steps", type=int, nargs="?", default=10_000_000, help="(default: %(default)s)")
-    wanted = parser.parse_args().steps
+    requested = parser.parse_args().steps
     steps, least = 0, 0.0
     outcomes, faults = np.zeros(len(Outcome), np.int64), 0
     with ProcessPoolExecutor() as pool:
-        for found in pool.map(episode, range(-(-wanted // STEPS)), chunksize=8):
+        for found in pool.map(episode, range(-(-requested // STEPS)), chunksize=8):
             steps, outcomes, least = steps + found.steps, outcomes + found.outcomes, min(least, found.least)
             for fault in found.faults[: max(_SHOWN - faults, 0)]:
                 print(f"FOUND {fault}", flush=True)

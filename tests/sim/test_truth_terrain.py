@@ -256,9 +256,9 @@ def test_moves_along_the_ground_by_its_rates(
         move(pose, velocity, velocity, ground, side)
         places.append(lying(pose, terrain))
     before, after = places
-    way = np.array((after.x - before.x, after.y - before.y, after.z - before.z)) / (2.0 * step)
+    direction = np.array((after.x - before.x, after.y - before.y, after.z - before.z)) / (2.0 * step)
     here = lying(np.array((x, y, yaw)), terrain).rotation()
-    np.testing.assert_allclose(here.T @ way, (v[0], v[1], 0.0), atol=1e-4)
+    np.testing.assert_allclose(here.T @ direction, (v[0], v[1], 0.0), atol=1e-4)
     turned = here.T @ (after.rotation() - before.rotation()) / (2.0 * step)
     shape_at(x, y, ground, shape)
     expected = (*body_rates(shape, yaw, *v), v[2])

@@ -40,7 +40,7 @@ LEAST_HITS = 34  # of 40: fewer have a probability of 0.3 % where 95 % are right
 class Made:
     """What a drive is made with."""
 
-    way: float = 0.1575  # r (1 − i₀), m
+    per_radian: float = 0.1575  # r (1 − i₀), m
     efficiency: float = 0.45  # κ
     scale: float = 0.985  # along the unit's z axis
     bias: float = 0.01  # rad/s
@@ -65,7 +65,7 @@ def recorded(made: Made, seed: int) -> Recording:
         speeds[k] = now
     t = np.arange(len(speeds)) * dt
     rate = made.efficiency * RADIUS * (speeds[:, 1] - speeds[:, 0]) / TREAD
-    speed = made.way * speeds.mean(axis=1) - 0.2 * RADIUS * np.abs(speeds[:, 1] - speeds[:, 0])
+    speed = made.per_radian * speeds.mean(axis=1) - 0.2 * RADIUS * np.abs(speeds[:, 1] - speeds[:, 0])
     heading = np.cumsum(rate) * dt
     path = np.column_stack((np.cumsum(speed * np.cos(heading)), np.cumsum(speed * np.sin(heading)))) * dt
     angles = np.round(np.cumsum(speeds, axis=0) * dt / COUNT) * COUNT
@@ -102,10 +102,10 @@ TRUE: Mapping[str, Callable[[Made], float]] = {
     "imu_pitch": lambda m: m.pitch,
     "left_pressure_offset": lambda m: m.offsets[0],
     "right_pressure_offset": lambda m: m.offsets[1],
-    "effective_rolling_radius": lambda m: m.way,
+    "effective_rolling_radius": lambda m: m.per_radian,
     "turning_efficiency": lambda m: m.efficiency,
     "effective_tread": lambda m: TREAD / m.efficiency,
-    "common_slip": lambda m: 1.0 - m.way / RADIUS,
+    "common_slip": lambda m: 1.0 - m.per_radian / RADIUS,
 }
 WIDEST = {"gyro_bias": 2e-3, "gyro_scale": 0.02, "pose_delay": 0.06, "imu_roll": 0.02, "imu_pitch": 0.02}
 WIDEST |= dict.fromkeys(("left_pressure_offset", "right_pressure_offset"), 1e4)

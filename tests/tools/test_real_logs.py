@@ -108,13 +108,13 @@ def test_after_ten_metres_it_matters_not_which_heading_was_assumed(
 def after_ten_metres(bag: Path, reference: Path, robot: str, output: Path, *options: str) -> float:
     """RMSE of the position from where the reference has gone 10 m, m."""
     replay(bag, robot, output.parent, *options, "--output", str(output))
-    t, way = columns(reference, "/reference_pose", PoseFields)
+    t, path = columns(reference, "/reference_pose", PoseFields)
     estimate_t, estimate = columns(output, "/odometry", OdometryFields)
     inside = (t >= estimate_t[0]) & (t <= estimate_t[-1])
-    t, way = t[inside], way[inside]
-    far = np.append(0.0, np.cumsum(np.hypot(*np.diff(way[:, :2], axis=0).T))) > 10.0
+    t, path = t[inside], path[inside]
+    far = np.append(0.0, np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))) > 10.0
     at = np.column_stack([np.interp(t[far], estimate_t, estimate[:, k]) for k in range(2)])
-    return float(np.sqrt(np.mean(np.sum(np.square(at - way[far, :2]), axis=1))))
+    return float(np.sqrt(np.mean(np.sum(np.square(at - path[far, :2]), axis=1))))
 
 
 def first_heading(bag: Path, robot: str) -> float:

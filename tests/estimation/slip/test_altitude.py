@@ -58,8 +58,8 @@ def drive(
     turn = Rotation.from_euler("ZYX", (0.4, tilt[1], tilt[0]))
     force = turn.inv().apply((0.0, 0.0, GRAVITY)) + np.array((BIAS, 0.0, 0.0))
     for k in range(round(seconds * 20)):
-        stamp_ns, way = (k + 1) * S // 20, 0.4 * max(k * 0.05 - 5.0, 0.0)
-        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (way / R, way / R)))
+        stamp_ns, distance = (k + 1) * S // 20, 0.4 * max(k * 0.05 - 5.0, 0.0)
+        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
         felt = tuple((force + rng.normal(0.0, 0.05, 3)).tolist())
         rates = rng.normal(0.0, 0.003, 3).tolist()
         imu = YawRate(
@@ -67,7 +67,7 @@ def drive(
         )
         found.append(imu)
         if k % 10 == 0:
-            place = turn.apply((way, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN)
+            place = turn.apply((distance, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN)
             x, y, z = (place + rng.normal(0.0, (0.01, 0.01, STDDEV))).tolist()
             altitude, variance = shown(k * 0.05, z)
             pose = np.array((x, y, 0.4))
@@ -83,10 +83,10 @@ def with_time_correlated_errors(rate: int, seed: int) -> list[Measurement]:
     for k, m in enumerate(m for m in drive(tilt=(0.0, 0.0)) if not isinstance(m, PoseFix)):
         found.append(m)
         if k % (40 // rate) == 1:  # sprockets and the IMU come at 20 Hz
-            way = 0.4 * max(m.stamp_ns / S - 5.05, 0.0)
+            distance = 0.4 * max(m.stamp_ns / S - 5.05, 0.0)
             error = left * error + rng.normal(0.0, math.sqrt(0.5 * (1.0 - left**2)), 3) * stddevs
             white = rng.normal(0.0, math.sqrt(0.5), 3) * stddevs
-            place = turn.apply((way, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN) + error + white
+            place = turn.apply((distance, 0.0, 0.0)) + turn.apply(ANTENNA) + (0.0, 0.0, BEGIN) + error + white
             pose, R = np.array((*place[:2], 0.4)), np.diag((1e-4, 1e-4, 1e-4))
             found.append(PoseFix(RECEIVER, m.stamp_ns, pose, R, float(place[2]), STDDEV**2))
     return found

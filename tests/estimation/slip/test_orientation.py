@@ -77,8 +77,8 @@ def drive(state: Any = None, seconds: float = 20.0) -> list[Measurement]:
     force = machine().inv().apply((0.0, 0.0, GRAVITY)) + np.array((BIAS, BIAS, 0.0))
     own = np.diag((STDDEV**2,) * 3).ravel(), 1.0
     for k in range(round(seconds * 20)):
-        stamp_ns, way = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
-        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (way / R, way / R)))
+        stamp_ns, distance = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
+        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
         shown = machine() * Rotation.from_rotvec(rng.normal(0.0, STDDEV, 3))
         covariance, size = own if state is None else state(k * 0.05)
         felt = force + rng.normal(0.0, 0.05, 3)
@@ -86,7 +86,7 @@ def drive(state: Any = None, seconds: float = 20.0) -> list[Measurement]:
         assert isinstance(measured, YawRate)
         found.append(measured)
         if k % 20 == 0:
-            along = way * math.cos(PITCH)
+            along = distance * math.cos(PITCH)
             pose = np.array((along * math.cos(0.4), along * math.sin(0.4), 0.4))
             found.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
     return found

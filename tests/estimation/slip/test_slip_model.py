@@ -149,9 +149,9 @@ def test_heading_innovation_takes_the_short_way_round(filter_: str) -> None:
     at = Gaussian(state(yaw=3.1), np.eye(SIZE) * 1e-4)
     fix = pose_measured(np.array((0.0, 0.0, -3.1)), np.eye(3) * 1e-4, True)
     found = filter_step(config_of(GIVEN, filter=filter_), at, measured(0.0, 0.0), 0.0, STRAIGHT, fix)
-    way = 2 * math.pi - 6.2
-    assert found.nis == pytest.approx(way**2 / 2e-4)
-    assert wrap(found.updated.mean[YAW] - 3.1) == pytest.approx(way / 2.0)
+    turn = 2 * math.pi - 6.2
+    assert found.nis == pytest.approx(turn**2 / 2e-4)
+    assert wrap(found.updated.mean[YAW] - 3.1) == pytest.approx(turn / 2.0)
 
 
 @given(states, speeds, speeds)

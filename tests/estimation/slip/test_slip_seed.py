@@ -105,8 +105,8 @@ def test_a_seed_mends_what_the_gyro_cannot_see(drive: Callable[..., Any], model:
     errors = [np.abs(e.estimate().outputs.slips[:2].mean() - 0.04) for e in (blind, mended)]
     assert errors[0] > 0.02
     assert errors[1] < 0.02  # some of it the model takes for a velocity error, as real tracks have
-    ways = [abs(e.estimate().pose[0] - true[0]) for e in (blind, mended)]
-    assert ways[1] < 0.6 * ways[0]
+    distances = [abs(e.estimate().pose[0] - true[0]) for e in (blind, mended)]
+    assert distances[1] < 0.6 * distances[0]
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -53,15 +53,15 @@ def drive(heading: float, slope: float, seconds: float = 20.0, antenna: float = 
         (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
     )
     for k in range(round(seconds * 20)):
-        stamp_ns, way = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
+        stamp_ns, distance = (k + 1) * 50 * MS, 0.4 * max(k * 0.05 - 5.0, 0.0)
         f_x, f_y, f_z = (force + rng.normal(0.0, 0.05, 3)).tolist()
         p, q, r = rng.normal(0.0, 0.003, 3).tolist()
-        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (way / R, way / R)))
+        found.append(Sprockets("sprockets", stamp_ns, 0.0, 0.0, (distance / R, distance / R)))
         found.append(
             YawRate("imu/data_raw", stamp_ns, r, 9e-6, (p, q), (9e-6, 9e-6), (f_x, f_y, f_z), 0.0025)
         )
         if k % 20 == 0:
-            pose = np.array((*(way * math.cos(pitch) * np.array((c, s)) + offset), heading))
+            pose = np.array((*(distance * math.cos(pitch) * np.array((c, s)) + offset), heading))
             found.append(PoseFix("box_pose", stamp_ns, pose, np.diag((4e-4, 4e-4, 1e-4))))
     return found
 
@@ -81,11 +81,11 @@ def test_up_down_and_across_a_slope_the_way_is_the_horizontal_one(heading: float
     slope = math.radians(15.0)
     roll, pitch = across(heading, slope)
     end, outcomes = end_of(drive(heading, slope))
-    way = 0.4 * 14.95
+    distance = 0.4 * 14.95
     tilt = end.outputs.tilt
     np.testing.assert_allclose(tilt.tilt[:2], (roll, pitch), atol=math.radians(0.3))
-    assert abs(tilt.tilt[2] - way * math.sin(-pitch)) < 0.01 * way
-    expected = way * math.cos(pitch) * np.array((math.cos(heading), math.sin(heading)))
+    assert abs(tilt.tilt[2] - distance * math.sin(-pitch)) < 0.01 * distance
+    expected = distance * math.cos(pitch) * np.array((math.cos(heading), math.sin(heading)))
     np.testing.assert_allclose(end.pose[:2], expected, atol=0.03)
     assert Outcome.GATED not in outcomes
 

@@ -119,8 +119,8 @@ def test_standing_and_slewing_turns_the_undercarriage_by_no_more_than_is_stated(
 ) -> None:
     """To and fro by nearly a turn; then it drives off, and heading and swing are found again."""
     swings = [Part(8.0, swing_to=target) for _ in range(2 * minutes) for target in (3.0, -3.0, 2.0, 0.0)]
-    way = [Part(6.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(6.0, 2.0, 2.0)]
-    truth = record([Part(2.0), *way[:1], Part(2.0), *swings, *way], Cab(encoder=encoder, fix_hertz=1.0))
+    path = [Part(6.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(6.0, 2.0, 2.0)]
+    truth = record([Part(2.0), *path[:1], Part(2.0), *swings, *path], Cab(encoder=encoder, fix_hertz=1.0))
     found = errors(estimates(truth.measurements, load_slip_parameters(WITH if encoder else WITHOUT)), truth)
     standing = found[(found[:, 0] > 10.0) & (found[:, 0] < 10.0 + 64.0 * minutes)]
     assert (np.abs(standing[:, 3]) < standing[:, 6]).all()

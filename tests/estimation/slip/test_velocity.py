@@ -264,18 +264,18 @@ def _mower() -> tuple[Drive, FloatArray, dict[str, object]]:
         z = v[k] * np.array((math.cos(headings[k]), math.sin(headings[k]))) + STDDEV * rng.standard_normal(2)
         found.append(VelocityFix(SOURCE, stamps[k] + 2000, z, STDDEV**2 * np.eye(2)))
     found.sort(key=lambda m: m.stamp_ns)
-    way = np.concatenate(([0.0], np.cumsum(np.abs(v[1:]) * np.diff(t))))
-    return Drive(found, t - 1.0, headings), way, log.vehicle
+    distance = np.concatenate(([0.0], np.cumsum(np.abs(v[1:]) * np.diff(t))))
+    return Drive(found, t - 1.0, headings), distance, log.vehicle
 
 
 @pytest.mark.skipif(not is_present("mower"), reason="the log is not in the shared folder")
 def test_mower_finds_heading_and_slip_from_course_alone() -> None:
-    truth, way, vehicle = _mower()
+    truth, distance, vehicle = _mower()
     lever = {f"sources.{SOURCE}.lever_arm_{axis}": 0.0 for axis in "xy"}
     found, _ = run(truth.measurements, with_velocities(**vehicle, **lever))
-    moving = float(truth.t[np.searchsorted(way, 0.05)])
+    moving = float(truth.t[np.searchsorted(distance, 0.05)])
     assert abs(found[found[:, 0] > moving + 2.0][0, 3]) < 0.01  # i₀: tracks and Doppler are of one speed
-    after = np.interp(found[:, 0], truth.t, way) > 10.0
+    after = np.interp(found[:, 0], truth.t, distance) > 10.0
     errors = heading_errors(found, truth)[after]
     assert abs(errors[0]) < 0.05
     assert np.quantile(np.abs(errors), 0.95) < 0.05

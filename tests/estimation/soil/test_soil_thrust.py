@@ -95,9 +95,9 @@ def test_the_variance_is_consistent_where_it_is_open_who_drives() -> None:
     pressures, speed = np.full(2, 50 * BAR), P.thrust.speed_stddev
     for true_speed in (0.0, 0.5 * speed, 5.0 * speed, -5.0 * speed):
         found = meter.measure(pressures, np.full(2, true_speed))
-        for way in (1.0, -1.0):
-            true = float(thrust_of_pressure(50 * BAR, way, P.vehicle.whole()))
-            if true_speed * way >= 0.0 or abs(true_speed) < speed:
+        for direction in (1.0, -1.0):
+            true = float(thrust_of_pressure(50 * BAR, direction, P.vehicle.whole()))
+            if true_speed * direction >= 0.0 or abs(true_speed) < speed:
                 assert (np.abs(found["force"] - true) < 3.0 * np.sqrt(found["variance"])).all()
     standing, driving = (meter.measure(pressures, np.full(2, w))["variance"] for w in (0.0, 1.0))
     assert (standing > 20.0 * driving).all()

@@ -220,10 +220,10 @@ def test_a_straight_with_a_gap_gives_nothing_of_the_gap(spoil: str) -> None:
     """Without the thrusts the distance so far counts; a sample that is not usable ends it uncounted."""
     strength = new_strength()
     before = strength.posterior.effective_samples
-    way = STEP * SPEED * (1.0 - 0.0072)
+    distance = STEP * SPEED * (1.0 - 0.0072)
     for k in range(10):
-        strength.update(sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(k * way)))
-    broken = sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(10 * way))
+        strength.update(sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(k * distance)))
+    broken = sample(0.0072, FORCE, Motion.STRAIGHT, pose_at(10 * distance))
     none = np.full(2, np.nan)
     broken = replace(broken, thrusts=none) if spoil == "thrust" else replace(broken, tracks=none)
     assert strength.update(broken) is (SampleOutcome.USED if spoil == "thrust" else None)

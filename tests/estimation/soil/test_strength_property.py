@@ -69,13 +69,13 @@ def test_left_and_right_turns_give_the_same(
     grids = []
     for mirrored in (False, True):
         strength = Strength(SMALL, P.vehicle.whole())
-        way = np.array((-1.0, 1.0, -1.0)) if reverse else np.array((1.0, -1.0, -1.0))
+        direction = np.array((-1.0, 1.0, -1.0)) if reverse else np.array((1.0, -1.0, -1.0))
         order = slice(None) if reverse else slice(None, None, -1)
         sign = -1.0 if reverse else 1.0
         sample = Sample(
             P.strength.interval,
             sign * tracks[order] if mirrored else tracks,
-            way * twist if mirrored else twist,
+            direction * twist if mirrored else twist,
             np.diag((1e-5, 1e-5, 1e-5)),
             sign * thrusts[order] if mirrored else thrusts,
             np.full(2, 100.0),

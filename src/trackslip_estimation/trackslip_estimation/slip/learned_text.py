@@ -86,7 +86,7 @@ class Finding(NamedTuple):
             v=f"{round(shown, digits) + 0.0:.{digits}f}",  # no −0
             a=f"{abs(shown):.{digits}f}",
             of=self.name.partition(".")[2],
-            way=form.directions[int(shown < 0.0)],
+            distance=form.directions[int(shown < 0.0)],
             s=f"{stddev:.{digits}f}",
         )
 

@@ -220,8 +220,8 @@ def _learn_track_error(
     variance = (sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]) / elapsed**2
     left, right = state.speeds.left, state.speeds.right
     _, sideways, turning = by_track_error(state, MeanSpeeds(left, right, elapsed), c)
-    way = c.rolling_radius * (left + right) / 2.0 * elapsed
-    by_tracks = sideways + way * way * turning / 3.0
+    distance = c.rolling_radius * (left + right) / 2.0 * elapsed
+    by_tracks = sideways + distance * distance * turning / 3.0
     learn_from_speed(state.adaptation, aside, variance, by_tracks, state.motion.motion == _STANDING, c)
 
 

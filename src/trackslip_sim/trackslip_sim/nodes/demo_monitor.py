@@ -66,7 +66,7 @@ class DemoMonitor(Node):
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
         self.at_work: set[str] = set()  # nodes whose last word was no error: drivers whose port is open
-        self._recorder_hears: dict[str, str] = {}  # topic → publishers that the recorder is connected with
+        self._recorder_publishers: dict[str, str] = {}  # topic → matched publishers
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
         self._emulator = RemoteLifecycle(self, self._spinner, "emulator")
@@ -97,7 +97,7 @@ class DemoMonitor(Node):
             publishers = self.get_publishers_info_by_topic(name)
             infos = publishers + self.get_subscriptions_info_by_topic(name)
             missing |= {f"{topic}: {node}" for node in nodes - {info.node_name for info in infos}}
-            if publishers and self._recorder_hears.get(name, "0") == "0":
+            if publishers and self._recorder_publishers.get(name, "0") == "0":
                 missing.add(f"{topic}: record")
             if publishers and topic in self._watched and not self._watched[topic].get_publisher_count():
                 missing.add(f"{topic}: demo")
@@ -136,7 +136,7 @@ class DemoMonitor(Node):
             change = self.at_work.discard if status.level == DiagnosticStatus.ERROR else self.at_work.add
             change(status.name)
             if status.name == "record: publishers":
-                self._recorder_hears = {pair.key: pair.value for pair in status.values}
+                self._recorder_publishers = {pair.key: pair.value for pair in status.values}
             if status.name == "emulator":
                 self._read_emulator({pair.key: pair.value for pair in status.values}.items())
 

@@ -34,7 +34,7 @@ from trackslip_tools.calibration.spans import blocks, spans, unbroken
 LEAST_TURN = 1.0  # rad in all, below which turns determine nothing
 _LARGEST_DELAY = 1.0  # s
 _WIDEST_DELAY = 0.1  # s, half of an interval that is worth nothing
-_DOUBTFUL = 0.3  # rad, claimed of a heading that is none
+_UNCERTAIN = 0.3  # rad, claimed of a heading that is none
 _OUTLIER = 5.0  # robust standard deviations
 _FLOOR = 5e-4  # rad, no heading is better
 _SHORTEST = 0.5  # s, of a turn
@@ -161,7 +161,7 @@ def _pair(recording: Recording) -> _Pair | None:
     if len(gyro.t) < 4:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
-    certain = inside & (shown[:, 1] <= _DOUBTFUL**2)
+    certain = inside & (shown[:, 1] <= _UNCERTAIN**2)
     t, headings, variances = t[certain], shown[certain, 0], np.maximum(shown[certain, 1], _FLOOR**2)
     if len(t) < 4:
         return None

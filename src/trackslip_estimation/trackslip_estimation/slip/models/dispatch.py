@@ -212,8 +212,8 @@ def linearize(
     turns = has_velocity_errors(c) and drive.motion.motion == _IS_TURNING
     slope.set_slope_noise(Q, dt, turns, drive.attitude.level)
     if c.model == _TURNING and drive.attitude.level.tilted == 1:
-        way = slope.track_speed((left, right), c) * dt
-        turning.set_slope_noise(Q, way, drive.attitude.level.downhill_y)
+        distance = slope.track_speed((left, right), c) * dt
+        turning.set_slope_noise(Q, distance, drive.attitude.level.downhill_y)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos

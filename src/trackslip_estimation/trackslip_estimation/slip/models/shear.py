@@ -37,17 +37,17 @@ def build_up(state: State, dt: float, c: Config) -> None:
         return
     for side in range(2):
         speed = state.speeds.left if side == 0 else state.speeds.right
-        way = c.rolling_radius * abs(speed) * dt
+        distance = c.rolling_radius * abs(speed) * dt
         missing = math.copysign(1.0, speed) - built[side]
-        built[side] -= missing * math.expm1(-way / c.velocity_errors.start_shear)
+        built[side] -= missing * math.expm1(-distance / c.velocity_errors.start_shear)
 
 
 @compiled
 def starts(drive: State, c: Config) -> bool:
     """Whether a track that turns has hardly sheared the soil yet."""
     left, right = lost_speeds(drive, c)
-    way = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
-    return bool(abs(left) > _BUILT * way[0] or abs(right) > _BUILT * way[1])
+    distance = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
+    return bool(abs(left) > _BUILT * distance[0] or abs(right) > _BUILT * distance[1])
 
 
 @compiled

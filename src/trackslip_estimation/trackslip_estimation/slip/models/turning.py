@@ -121,9 +121,9 @@ def couple(P: FloatArray, variance: float) -> None:
 
 
 @compiled
-def set_slope_noise(Q: FloatArray, way: float, across: float) -> None:
+def set_slope_noise(Q: FloatArray, distance: float, across: float) -> None:
     """What ε changes by, ``displacement`` m along a slope whose sine is ``across``."""
-    Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * way
+    Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * distance
 
 
 @compiled

@@ -230,9 +230,13 @@ def _weigh_slip(
     if off * off <= variance:
         before.slip_distance, before.slip_ns = 0.0, since_ns
     elif off * off > c.ground.significant**2 * variance:
-        way = before.slip_distance if state.fixed_ns < before.slip_ns else 0.0
+        distance = before.slip_distance if state.fixed_ns < before.slip_ns else 0.0
         by = np.zeros(P.shape[0])
-        by[COMMON_SLIP], by[X], by[Y] = off, -off * way * math.cos(x[YAW]), -off * way * math.sin(x[YAW])
+        by[COMMON_SLIP], by[X], by[Y] = (
+            off,
+            -off * distance * math.cos(x[YAW]),
+            -off * distance * math.sin(x[YAW]),
+        )
         P += np.outer(by, by)
         _agree_on_nothing(before, since_ns)
 
