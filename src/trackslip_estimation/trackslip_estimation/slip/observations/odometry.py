@@ -231,12 +231,8 @@ def _weigh_slip(
         before.slip_distance, before.slip_ns = 0.0, since_ns
     elif off * off > c.ground.significant**2 * variance:
         distance = before.slip_distance if state.fixed_ns < before.slip_ns else 0.0
-        by = np.zeros(P.shape[0])
-        by[COMMON_SLIP], by[X], by[Y] = (
-            off,
-            -off * distance * math.cos(x[YAW]),
-            -off * distance * math.sin(x[YAW]),
-        )
+        by, ahead = np.zeros(P.shape[0]), -off * distance
+        by[COMMON_SLIP], by[X], by[Y] = off, ahead * math.cos(x[YAW]), ahead * math.sin(x[YAW])
         P += np.outer(by, by)
         _agree_on_nothing(before, since_ns)
 
