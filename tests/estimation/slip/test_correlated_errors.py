@@ -164,7 +164,7 @@ def test_another_quality_has_another_error(stddev: float, variance: float) -> No
     update, prior, requested = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
     prepare_offset(state, update, prior, SOURCE, stddev**2 * np.eye(2), False, C)
     assert state["offsets"]["variance"][0] == pytest.approx(variance)
-    assert update["renewed"] == 3 << SENSOR_ERRORS
+    assert update["reset_states"] == 3 << SENSOR_ERRORS
     requested[OFFSET], requested[:, OFFSET], requested[OFFSET, OFFSET] = 0.0, 0.0, variance * np.eye(2)
     np.testing.assert_allclose(state["covariance"], requested)
     np.testing.assert_allclose(prior["covariance"], requested)
