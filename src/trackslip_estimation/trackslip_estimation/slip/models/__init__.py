@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Filters over a state with a mean and a covariance; they know nothing of the vehicle."""
+"""Motion models of the slip filter, and the effects that they share: slope, shear of the soil, swing."""

@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The one place that chooses between the motion models; a new one is named here and in its own file.
+"""Selects between the motion models; a new model needs its own module and a branch in the functions here.
 
-    x, P       state of the model that c.model names                 (n,), (n, n)
-    f, F       where the state is after dt seconds, its Jacobian     (n,), (n, n)
+    x, P       mean and covariance of the model named by c.model     (n,), (n, n)
+    f, F       state after dt seconds, its Jacobian                  (n,), (n, n)
     Q          process noise of a step                               (n, n)
     ω_L, ω_R   sprocket speeds ``left`` and ``right``                rad/s
-    drive      record with ``speeds``, ``motion``, ``adaptation``: what the sprockets did, and how they err;
-               ``attitude``: how the ground lies
+    drive      record of the state; used: ``speeds`` and ``motion`` of the sprockets, their errors
+               (``adaptation``, ``shear``), and the ``attitude`` on the ground
     c          record of ``config.CONFIG``
 
-Noise densities are in continuous time, so that splitting a step does not change what it adds. F is diagonal
-below the pose, but for what the swing moves.
+Noise densities are in continuous time, so that splitting a step does not change the noise that it adds. F is
+diagonal below the pose, except for the swing.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _IS_TURNING = int(Motion.TURNING)
 _FREE_SLIPS, _TURNING, _ICR = free_slips.CODE, turning.CODE, icr.CODE
 
 CONSTANTS = [
-    ("velocity_errors", speed.CONSTANTS),  # of the model that is chosen
+    ("velocity_errors", speed.CONSTANTS),  # of the selected model
     ("turning", turning.CONSTANTS),
     ("free_slips", free_slips.CONSTANTS),
     ("swing", SWING_CONSTANTS),
@@ -57,17 +57,19 @@ CONSTANTS = [
 
 @dataclass(frozen=True, kw_only=True)
 class ModelParameters(Parameters):
-    """Which model, and the noise of each."""
+    """The motion model, and the parameters of each."""
 
     model: str = parameter(
-        "motion model: sub-model 1b, its ICR form, or the thesis' (3.23)", choices=tuple(MODELS)
+        "motion model: turning efficiency (sub-model 1b), its ICR form, or the free slips of the "
+        "thesis (3.23)",
+        choices=tuple(MODELS),
     )
     turning: TurningNoise
     icr: IcrNoise
     noise: SlipNoise
 
     def noise_of(self, model: str) -> Any:
-        """The noise of a model: of the field that its module names, or that is named as it."""
+        """The parameters of a model: the field named by its module's ``NOISE``, or by the model's name."""
         return getattr(self, getattr(MODELS[model], "NOISE", model))
 
 
@@ -95,7 +97,7 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> Float
 def body_twist(
     x: FloatArray, left: float, right: float, drive: State, c: Config
 ) -> tuple[float, float, float]:
-    """``twist`` on the ground as it lies, in the machine's axes."""
+    """``twist`` with the sliding that gravity adds on tilted ground, along the machine's axes."""
     return slope.slide(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
 
 
@@ -111,7 +113,7 @@ def body_jacobian(x: FloatArray, left: float, right: float, drive: State, c: Con
 def horizontal_twist(
     x: FloatArray, left: float, right: float, drive: State, c: Config
 ) -> tuple[float, float, float]:
-    """What of it is horizontal: speeds along the heading and to its left, and rate of the heading."""
+    """Horizontal part of ``body_twist``: speeds along the heading and to its left, rate of the heading."""
     return slope.horizontal(body_twist(x, left, right, drive, c), drive.attitude.level)
 
 
@@ -119,7 +121,7 @@ def horizontal_twist(
 def slips(
     x: FloatArray, twist_: tuple[float, float, float], left: float, right: float, c: Config
 ) -> FloatArray:
-    """(3,) left slip, right slip, slip angle, where the twist is ``twist_``."""
+    """(3,) left slip, right slip, slip angle for the twist ``twist_``."""
     if c.model == _FREE_SLIPS:
         return free_slips.slips(x)
     return speed.slips(x, twist_, left, right, c)
@@ -129,7 +131,7 @@ def slips(
 def slips_jacobian(
     x: FloatArray, twist_: tuple[float, float, float], J: FloatArray, speeds: tuple[float, float], c: Config
 ) -> FloatArray:
-    """(3, n) derivative of ``slips`` by the state, where that of the twist is J."""
+    """(3, n) derivative of ``slips`` by the state; J: derivative of the twist."""
     if c.model == _FREE_SLIPS:
         return free_slips.slips_jacobian(J.shape[1])
     return speed.slips_jacobian(x, twist_, J, speeds, c)
@@ -137,30 +139,30 @@ def slips_jacobian(
 
 @compiled
 def has_velocity_errors(c: Config) -> bool:
-    """Whether speed and yaw rate beyond the equations are states."""
+    """Whether the model has the velocity errors m_v and m_ω as states."""
     return bool(c.model != _FREE_SLIPS)
 
 
 @compiled
 def couple(P: FloatArray, variance: float, c: Config) -> None:
-    """What else of P (n, n) follows from a ``variance`` that the first of the turning pair has, in place."""
+    """Add to P (n, n), in place, what a ``variance`` added to the first turn state implies for the second."""
     if c.model == _TURNING:
         turning.couple(P, variance)
 
 
 @compiled
 def _persistence(dt: float, drive: State, c: Config) -> tuple[float, float]:
-    """Share of the velocity errors that is left after dt, and the mean share over it."""
+    """Share of the velocity errors that is left after dt, and its mean over dt."""
     return speed.persistence(dt, drive.motion.motion, c) if has_velocity_errors(c) else (1.0, 1.0)
 
 
 @compiled
 def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
-    """f: the heading halfway through the step turns the velocity into the site frame."""
+    """f; the heading at the middle of the step rotates the velocity into the site frame."""
     kept, share = _persistence(dt, drive, c)
     moved = x.copy()
     if has_velocity_errors(c):
-        for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):  # as they are on average over the step
+        for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):  # their mean over the step
             moved[i] *= share
     v_x, v_y, rate = horizontal_twist(moved, drive.speeds.left, drive.speeds.right, drive, c)
     halfway = x[YAW] + rate * dt / 2.0
@@ -180,7 +182,7 @@ def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
 
 @compiled
 def error_left(i: int, dt: float, c: Config) -> float:
-    """Share of the number ``i`` of the state, an error of a sensor, that is left after dt."""
+    """Share of state ``i``, the error of a sensor, that is left after dt."""
     return math.exp(-dt / c.error_times[i]) if c.error_times[i] > 0.0 else 1.0
 
 
@@ -188,10 +190,10 @@ def error_left(i: int, dt: float, c: Config) -> float:
 def linearize(
     x: FloatArray, P: FloatArray, drive: State, dt: float, c: Config
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """f, F and Q of a step, worked out together.
+    """f, F and Q of a step, computed together.
 
-    Q has each state's random walk and the velocity errors', and for sprocket speeds that are inputs their
-    noise (3.21). P, what is known of x, or zeros, matters where Q depends on x. All have the size of x.
+    Q has the random walks of the states, the velocity errors and, for sprocket speeds that are inputs, their
+    noise (3.21). P, the covariance of x or zeros, matters where Q depends on x. All have the size of x.
     """
     n = x.size
     F, Q, moved = np.zeros((n, n)), np.zeros((n, n)), x.copy()
@@ -248,7 +250,7 @@ def linearize(
 
 @inlined
 def _integrate(J: FloatArray, direction: tuple[float, float], moved: tuple[float, float], dt: float) -> None:
-    """J (3, k), the mean twist by anything, becomes the pose after ``dt`` by that.
+    """Turn J (3, k), a derivative of the mean twist, into that of the pose after ``dt``; in place.
 
     ``direction``: cosine and sine of the mean heading, times dt; ``moved``: east and north, m.
     """
@@ -269,7 +271,7 @@ def _add_velocity_errors(
     growth: tuple[float, float, float],
     persistence: tuple[float, float],
 ) -> None:
-    """What F and Q have of the velocity errors, whose mean over the step moves the pose by G (3, n)."""
+    """Enter the velocity errors into F and Q; G (3, n): derivative of the pose by their mean over a step."""
     of_mean, of_both, of_end = growth
     kept, share = persistence
     for k in range(SPEED_ERROR, YAW_RATE_ERROR + 1):

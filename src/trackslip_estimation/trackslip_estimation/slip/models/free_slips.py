@@ -46,7 +46,7 @@ PARTS = (
 
 
 class FreeSlipsConstants(Record):
-    """(3.21), √s."""
+    """Multiplicative noise of the sprocket speeds (3.21), √s."""
 
     encoder: float
 
@@ -59,10 +59,16 @@ class SlipNoise(Parameters):
     """Initial uncertainty and process noise of the sub-model."""
 
     encoder: float = parameter("multiplicative noise of the sprocket speeds (3.21)", unit="√s", ge=0.0)
-    slip_steady: float = parameter("slip, speeds similar and steady (3.22)", unit="1/√s", ge=0.0)
-    slip_moving: float = parameter("slip, speeds differ or change (3.22)", unit="1/√s", ge=0.0)
-    slip_angle_steady: float = parameter("slip angle, straight", unit="rad/√s", ge=0.0)
-    slip_angle_turning: float = parameter("slip angle, turning", unit="rad/√s", ge=0.0)
+    slip_steady: float = parameter(
+        "random walk of the slips while speeds are similar and steady (3.22)", unit="1/√s", ge=0.0
+    )
+    slip_moving: float = parameter(
+        "random walk of the slips while speeds differ or change (3.22)", unit="1/√s", ge=0.0
+    )
+    slip_angle_steady: float = parameter(
+        "random walk of the slip angle in straight motion", unit="rad/√s", ge=0.0
+    )
+    slip_angle_turning: float = parameter("random walk of the slip angle in turns", unit="rad/√s", ge=0.0)
     gyro_bias: float = parameter("random walk of the gyro bias", unit="rad/s/√s", ge=0.0)
     initial_slip: float = parameter("standard deviation of the slips at the start", gt=0.0)
     initial_slip_angle: float = parameter(
@@ -74,7 +80,7 @@ class SlipNoise(Parameters):
 
 
 def prior(n: SlipNoise, tread: float) -> Prior:
-    """Unknown slips about zero, whatever the tread."""
+    """Prior with zero slips; independent of the tread."""
     del tread
     stddev = np.zeros(SIZE)
     stddev[LEFT_SLIP] = stddev[RIGHT_SLIP] = n.initial_slip

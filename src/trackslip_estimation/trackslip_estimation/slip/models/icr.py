@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracks' instantaneous centres of rotation (Martínez & Mandow; Pentzer 2014) as states.
 
-    y_L, y_R   where each track would have to run not to slip, left of C    m     r ω_j (1 − i₀) = v − ω y_j
+    y_L, y_R   lateral places of both centres, left of C    m     r ω_j (1 − i₀) = v − ω y_j
 
-Symbols else: ``speed``. Without slip y_L = B/2 and y_R = −B/2. Suits wheels, whose centres stay put; those of
-tracks change sides with the sense of the turn, and run away on weak soil.
+Other symbols: ``speed``. Without slip y_L = B/2 and y_R = −B/2. The model suits wheels, whose centres stay
+constant. The centres of tracks swap with the sense of the turn, and grow without bound on weak soil.
 """
 
 from __future__ import annotations
@@ -39,20 +39,22 @@ PARTS = (
     *speed.PARTS,
     Part("centres", slice(LEFT_CENTRE, RIGHT_CENTRE + 1), "m, m", "y_L and y_R, left of C"),
 )
-_NARROWEST = 0.1  # m between the two centres, however little the vehicle resists to turn
+_NARROWEST = 0.1  # m, least distance between the two centres
 
 
 @dataclass(frozen=True, kw_only=True)
 class IcrNoise(SpeedNoise):
-    """Numbers of the ICR model."""
+    """Parameters of the ICR model."""
 
-    centre: float = parameter("y_L and y_R, while turning", unit="m/√s", ge=0.0)
+    centre: float = parameter("random walk of y_L and y_R, while turning", unit="m/√s", ge=0.0)
     initial_centre: float = parameter("y_L = −y_R before the first turn", unit="m", gt=0.0)
-    initial_centre_stddev: float = parameter("its standard deviation", unit="m", gt=0.0)
+    initial_centre_stddev: float = parameter(
+        "standard deviation of y_L and y_R before the first turn", unit="m", gt=0.0
+    )
 
 
 def prior(n: IcrNoise, tread: float) -> Prior:
-    """At rest, with typical centres and no slip."""
+    """Prior at rest, with typical centres and no slip."""
     start = speed.prior(n, tread)
     start.mean[LEFT_CENTRE], start.mean[RIGHT_CENTRE] = n.initial_centre, -n.initial_centre
     start.stddev[LEFT_CENTRE] = start.stddev[RIGHT_CENTRE] = n.initial_centre_stddev
@@ -60,7 +62,7 @@ def prior(n: IcrNoise, tread: float) -> Prior:
 
 
 def process_noise_density(n: IcrNoise, motion: MotionState) -> FloatArray:
-    """(SIZE,) per √s: the centres move in turns only."""
+    """(SIZE,) per √s: the centres walk in turns only."""
     density = speed.process_noise_density(n, motion)
     if motion.motion is Motion.TURNING:
         density[LEFT_CENTRE] = density[RIGHT_CENTRE] = n.centre * noise_scale(n, motion)
@@ -74,7 +76,7 @@ def velocity_error_constants(n: IcrNoise) -> dict[str, float]:
 
 @compiled
 def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
-    """v in m/s and ω in rad/s but for the velocity errors: r ω_j (1 − i₀) = v − ω y_j solved for them."""
+    """v in m/s and ω in rad/s without the velocity errors, from r ω_j (1 − i₀) = v − ω y_j."""
     hold = c.rolling_radius * (1.0 - x[COMMON_SLIP])
     rate = hold * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _NARROWEST)
     return hold * (left + right) / 2.0 + rate * (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0, rate

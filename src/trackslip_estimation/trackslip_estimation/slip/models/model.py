@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all motion models have in common: the first numbers of the state, and how a model describes itself.
+"""States that all motion models share, and the records by which a model describes itself.
 
-A model is a module of this folder. It names the numbers of its state, each with its unit, gives their prior
-and the density of their process noise, and has its equations as compiled functions; ``dispatch`` chooses
-between the models.
+A model is a module of this folder. It names its states, each with its unit, and gives their prior, the
+density of their process noise, and its equations as compiled functions; ``dispatch`` selects the model.
 """
 
 from typing import NamedTuple
@@ -12,18 +11,18 @@ from typing import NamedTuple
 from trackslip_common.arrays import FloatArray
 
 X, Y, YAW, GYRO_BIAS = range(4)  # site frame, m, m, rad; rad/s
-GYRO_SCALE, FIX_DELAY = 10, 11  # behind the numbers that each model has of its own
-DOWNHILL = 12  # of the models that know how the vehicle turns
+GYRO_SCALE, FIX_DELAY = 10, 11  # behind the states of each model
+DOWNHILL = 12  # k of the models with turn states
 POSE = slice(X, YAW + 1)
-UNDERCARRIAGE_SIZE = 14  # numbers of a machine that nothing swings on, and no source of which errs by itself
+UNDERCARRIAGE_SIZE = 14  # states without swing and sensor errors
 SWING, SWING_RATE = (
     UNDERCARRIAGE_SIZE,
     UNDERCARRIAGE_SIZE + 1,
 )  # σ of the upper structure (``swing``) and σ̇, rad, rad/s
-SENSOR_ERRORS = SWING_RATE + 1  # of sources that have errors of their own (``source_states``)
+SENSOR_ERRORS = SWING_RATE + 1  # first sensor error (``source_offsets``)
 MOST_SENSOR_ERRORS = 18
-SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; what a model has not is zero
-SPEED_TIME = 1.0  # s, for which a speed lasts that nothing shows
+SIZE = SENSOR_ERRORS + MOST_SENSOR_ERRORS  # of every state record; unused states are zero
+SPEED_TIME = 1.0  # s, correlation time of an unobserved speed
 
 
 class Part(NamedTuple):
@@ -31,7 +30,7 @@ class Part(NamedTuple):
 
     name: str
     at: slice
-    unit: str  # of each number, divided by commas
+    unit: str  # of each state, separated by commas
     meaning: str
 
 
@@ -44,7 +43,7 @@ COMMON = (
 
 
 class Prior(NamedTuple):
-    """What is known at the start, but for the pose."""
+    """Mean and standard deviation of the states at the start, except for the pose."""
 
     mean: FloatArray  # (SIZE,)
     stddev: FloatArray  # (SIZE,)

@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Soil that the tracks shear before the machine moves; compiled.
+"""Shear of the soil under the tracks before the machine moves; compiled.
 
     ω_j    sprocket speed                                                rad/s
-    s_j    share of the soil's shear that track j has built up, with its
-           sense: 0 where it stands, sgn ω_j once it has run on          −1 … 1
-    K₀     way of a track over which that happens, ``start_shear``       m
+    s_j    share of the soil's shear that track j has built up, signed:
+           0 at standstill, approaches sgn ω_j as the track runs         −1 … 1
+    K₀     track distance over which s_j approaches it by 1 − 1/e,
+           ``start_shear``                                               m
 
-A track thrusts as far as it has sheared the soil under it (3.3). From a standstill, and when it turns back,
-it runs on the spot for a centimetre or two until it thrusts as much as the machine resists and its
-acceleration takes; K is not known here. So a share 1 − s_j sgn ω_j of a track's speed may be an error.
+The thrust of a track grows with its shear of the soil (3.3). After a standstill or a reversal a track runs on
+the spot for a centimetre or two, until its thrust balances the resistance and accelerates the machine. K is
+not known here. So a share 1 − s_j sgn ω_j of a track's speed may be an error.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 _STANDING = int(Motion.STANDING)
-_BUILT = 1e-4  # of the shear is missing where it counts as built up: after nine times K₀
+_BUILT = 1e-4  # missing share at which the shear counts as built up: after nine times K₀
 
 
 @compiled
 def build_up(state: State, dt: float, c: Config) -> None:
-    """s ``dt`` s later, with the state's speeds and motion."""
+    """Update s after ``dt`` s at the state's speeds and motion."""
     built = state.shear
     if state.motion.motion == _STANDING:
         built[0] = built[1] = 0.0
@@ -44,7 +45,7 @@ def build_up(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def starts(drive: State, c: Config) -> bool:
-    """Whether a track that turns has hardly sheared the soil yet."""
+    """Whether a track turns and the shear under it is not built up yet."""
     left, right = lost_speeds(drive, c)
     distance = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
     return bool(abs(left) > _BUILT * distance[0] or abs(right) > _BUILT * distance[1])
@@ -52,17 +53,17 @@ def starts(drive: State, c: Config) -> bool:
 
 @compiled
 def lost_speeds(drive: State, c: Config) -> tuple[float, float]:
-    """What of the left and the right track's speed may go into the soil, m/s."""
+    """Parts of the left and the right track's speed that the shear of the soil may absorb, m/s."""
     left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
     return left - abs(left) * drive.shear[0], right - abs(right) * drive.shear[1]
 
 
 @compiled
 def lost_variances(drive: State, c: Config) -> tuple[float, float]:
-    """Of what that takes from v, (m/s)², and from ω times B, alike in both tracks but for a share.
+    """Variances by the lost speeds: of v, and of ω times B, (m/s)².
 
-    Lasting for τ, the errors move a machine that starts or turns back by K₀, one standard deviation, and by
-    no more than its tracks go.
+    Both tracks lose speed alike, up to the share ``yaw_rate_ratio``. With correlation time τ, one standard
+    deviation moves a machine that starts or reverses by K₀, and by no more than the track distance.
     """
     e, (left, right) = c.velocity_errors, lost_speeds(drive, c)
     both = (left + right) / 2.0

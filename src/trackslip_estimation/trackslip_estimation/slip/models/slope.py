@@ -1,23 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A motion along tilted ground: what gravity adds to it, and what of it is horizontal; compiled.
+"""Motion along tilted ground: the sliding that gravity adds, and the horizontal part; compiled.
 
-    k        speed downhill over that of the tracks, by the sine of the slope     1
-    U        mean of the tracks' speeds, forward or not                           m/s
+    k        downhill speed over track speed, per sine of the slope               1
+    U        mean of the absolute track speeds                                    m/s
     φ, θ     roll, pitch; level: the record of ``attitude`` that holds what of them is needed
-
     T        |D| of a turn that is not gentle                                     m/s
 
     v_x += (k U + 1.0 T) sin θ        v_y −= (k U + 0.35 T) sin φ cos θ
 
-Tracks hold a machine on a slope by sliding: with a force of their weight times sin θ more or less along
-them (uphill they slip more), sin φ across (it crabs downhill, without a turn). As long as the soil is
-far from its strength the shear is alike in both directions, and so is k; it grows as the strength comes
-near. In a turn all of the shear is mobilised, and slides whichever way is downhill: by how much hardly
-depends on the soil (both factors are measured on the shear truth at 15°, on sand, sandy loam and dry
-clay; ± 0.5). How the machine turns changes with its direction on the slope, too: κ, η and x_I walk
-there. Near the strength the tracks spin uphill and roll downhill: what k says in one direction holds
-in another the less, the larger k is (``update_direction``). Horizontal is
+Tracks hold a machine on a slope by sliding. Along the tracks the force is the weight times sin θ (they slip
+more uphill); across them it is the weight times sin φ (the machine crabs downhill, without a turn). Far below
+the strength of the soil the shear, and so k, is alike in both directions; k grows near the strength. In a
+turn all of the shear is mobilised, and the machine slides downhill in any direction. This sliding hardly
+depends on the soil: both factors are measured on the shear truth at 15°, on sand, sandy loam and dry clay;
+± 0.5. The turning behaviour changes with the direction on the slope: κ, η and x_I have process noise there.
+Near the strength the tracks spin uphill and roll downhill: the larger k is, the less it holds in another
+direction (``update_direction``). The horizontal motion is
 
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
 """
@@ -39,17 +38,17 @@ if TYPE_CHECKING:
 
 Twist = tuple[float, float, float]
 
-_GENTLE = 0.05  # sine of a slope that shows k half
-_GENTLE_TURN = 0.1  # |D| over U of a turn that counts half
-_AHEAD, _ASIDE = 1.0, 0.35  # of T
-_TURNED = 0.1  # change of what the tracks drive down, as a sine, that makes k another one
-_OTHER = 0.5  # of k, by which it then is, by the sine of the slope
-_WALKS = 0.5, 0.75, 0.25  # of κ, η and x_I in turns, by the sine of the slope: 1/√s, 1/√s, m/√s
+_GENTLE = 0.05  # sine of a slope on which k has half of its process noise
+_GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
+_AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
+_TURNED = 0.1  # change of the sine of the slope driven down at which k is inflated
+_OTHER = 0.5  # standard deviation then added, as a share of k, per change over the sine of the slope
+_WALKS = 0.5, 0.75, 0.25  # random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
 
 
 @compiled
 def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level, c: Config) -> Twist:
-    """The twist with what gravity adds; ``speeds`` are those of the sprockets, rad/s."""
+    """The twist with the sliding that gravity adds; ``speeds`` are those of the sprockets, rad/s."""
     if level.tilted == 0:
         return twist
     by, T = x[DOWNHILL] * track_speed(speeds, c), turn_speed(speeds, c)
@@ -59,7 +58,7 @@ def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level
 
 @compiled
 def slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Level, c: Config) -> None:
-    """J (3, n), the derivative of the twist, with that of what gravity adds."""
+    """Set the derivatives by k in J (3, n), the derivative of the twist; in place."""
     if level.tilted == 1:
         J[0, DOWNHILL] = track_speed(speeds, c) * level.downhill_x
         J[1, DOWNHILL] = track_speed(speeds, c) * level.downhill_y
@@ -67,14 +66,14 @@ def slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Level, c: 
 
 @compiled
 def track_speed(speeds: tuple[float, float], c: Config) -> float:
-    """U."""
+    """U, m/s."""
     U: float = c.rolling_radius * (abs(speeds[0]) + abs(speeds[1])) / 2.0
     return U
 
 
 @compiled
 def turn_speed(speeds: tuple[float, float], c: Config) -> float:
-    """T; the rounding of the counts is no turn."""
+    """T, m/s; nearly zero for a |D| within the rounding of the counts."""
     D, U = c.rolling_radius * abs(speeds[1] - speeds[0]), track_speed(speeds, c)
     return D * D / (D + _GENTLE_TURN * U) if D > 0.0 else 0.0
 
@@ -91,7 +90,7 @@ def horizontal(twist: Twist, level: Level) -> Twist:
 
 @compiled
 def horizontal_jacobian(J: FloatArray, level: Level) -> None:
-    """J (3, n) of the twist becomes that of ``horizontal``."""
+    """Turn J (3, n) of the twist into that of ``horizontal``, in place."""
     if level.tilted == 0:
         return
     for k in range(J.shape[1]):
@@ -102,7 +101,7 @@ def horizontal_jacobian(J: FloatArray, level: Level) -> None:
 
 @compiled
 def update_direction(state: State) -> None:
-    """Where the tracks drive down what they drove up, or aside, k is another one: the softer, the more."""
+    """Inflate the variance of k where the slope along the direction of travel changes; more for larger k."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
     if V == 0.0 or level.tilted == 0:
         return
@@ -117,7 +116,10 @@ def update_direction(state: State) -> None:
 
 @compiled
 def set_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None:
-    """What the heading errs by as roll and gyro err; k, which shows on slopes only, changes there only."""
+    """Add noise of the heading by errors of roll and gyro to Q, and of κ, η and x_I in turns.
+
+    The noise of k is scaled down on level ground, where k is not observable.
+    """
     slope = level.downhill_x**2 + level.downhill_y**2
     Q[DOWNHILL, DOWNHILL] *= slope / (slope + _GENTLE**2)
     Q[YAW, YAW] += level.turn_variance * dt

@@ -1,32 +1,32 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the models share that know how the vehicle turns: two equations for its speeds, and their errors.
+"""Common part of the models with turn states: two equations for v and ω, and the velocity errors.
 
 x, y, φ    position of the track-contact centre C, heading            m, m, rad (site frame)
 b_g, s_g   bias and scale of the yaw-rate gyro; s_g − 1 is the state  rad/s, 1
 δ          delay of fixes, as a multiple of their source's stamp error 1
 m_v, m_ω   velocity errors: v and ω beyond a model's two equations    m/s, rad/s
-a, b       how the vehicle turns: each model has its own pair
+a, b       turn states: each model has its own pair
 i₀         slip common to both tracks                                 1
 x_I        centre of rotation ahead of C, v_y = −ω x_I                m
 v, ω       speed of C along x, yaw rate                               m/s, rad/s
-i_L, i_R   1 − (v ∓ ω B/2)/(r ω_j), what follows for the slips        1
+i_L, i_R   resulting slips, 1 − (v ∓ ω B/2)/(r ω_j)                   1
 V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
-d          how far the sprockets' speeds depart from their mean       m/s
-s          track error (``adaptation``): share of U that adds to σ²   1
-U          2V² + D²/2 + w d², a track's speed squared, twice          (m/s)²
+d          largest departure of the track speeds from their mean      m/s
+s          track error (``adaptation``), as a share of a track's speed 1
+U          2V² + D²/2 + w d²: both track speeds squared, and w d²     (m/s)²
 τ, σ       correlation time of the velocity errors, their size        s, m/s
 ρ          e^(−dt/τ)                                                  1
 
-Velocity errors are first-order Gauss–Markov: ṁ = −m/τ + noise, of size σ in v and σ/B in ω. Measured on the
-shear truth, σ is a small share of V and D while the machine goes steadily (in ω less than in v, as both
-tracks ring alike), and a large share of d while its speed changes: the vehicle answers its tracks with a lag,
-rings on the soil, and has the rest settled within tenths of a second. All this is larger on a soil that
-yields more, which i₀ shows: σ² grows with 1 + (i₀/i_y)². It is the jump hypothesis (3.22) in numbers. A start
-adds what the tracks shear of the soil first (``shear``). Real tracks err by more: each by a share s of its
-speed, which adds s² U/4 in v and s² U in ω B, lets i₀ change and the machine go sideways. When the sprockets
-are silent the motion is UNKNOWN; V and D are then 0, the velocity errors are the speeds themselves
-(``coasting``).
+Velocity errors are first-order Gauss–Markov processes: ṁ = −m/τ + noise, of size σ in v and σ/B in ω.
+Measured on the shear truth, σ is a small share of V and D at steady speed. It is smaller in ω than in v,
+since both tracks oscillate in phase. While the speed changes, σ is a large share of d: the vehicle follows
+its tracks with a lag, oscillates on the soil, and settles within tenths of a second. On a soil that yields
+more, the errors and i₀ are larger: σ² grows with 1 + (i₀/i_y)². This quantifies the jump hypothesis (3.22). A
+start adds the shear of the soil (``shear``). Real tracks have larger errors: a share s of each track's speed
+adds s² U/4 to the variance of v and s² U to that of ω B; it also lets i₀ walk and the machine move sideways.
+While the sprockets are silent the motion is UNKNOWN: V and D are 0, and the velocity errors are the speeds
+themselves (``coasting``).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ PARTS = (
 
 
 class SpeedConstants(Record):
-    """Parameters of the velocity errors."""
+    """Constants of the velocity errors in compiled code."""
 
     straight: float  # share of V
     turning: float  # share of D
@@ -85,44 +85,50 @@ class SpeedConstants(Record):
     yaw_rate_ratio: float
     time: float  # τ, s
     start_shear: float  # m
-    first_variance: float  # of the turning pair, on ground not known yet
+    first_variance: float  # of the turn states, on unknown ground
     second_variance: float
-    slip_variance: float  # of i₀
+    slip_variance: float  # of i₀, on unknown ground
 
 
 CONSTANTS = dtype_of(SpeedConstants)
 
-_DELAY_WALK = 0.1  # 1/√s: the machine answers its tracks late, and that is not always the same
-_SLOWEST = 0.02  # m/s of track or vehicle, below which slip and slip angle say nothing
-_CREEP = _SLOWEST / 2.0  # m/s, of a track below that
+_DELAY_WALK = 0.1  # 1/√s, random walk of δ: the machine lags behind its tracks by a varying time
+_SLOWEST = 0.02  # m/s, least speed of track or vehicle at which slip and slip angle are defined
+_CREEP = _SLOWEST / 2.0  # m/s, largest assumed speed of a slower track
 _SILENT, _STANDING, _TURNING = int(Motion.UNKNOWN), int(Motion.STANDING), int(Motion.TURNING)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedNoise(Parameters):
-    """Initial uncertainty, process noise, and how well a model's two equations hold."""
+    """Prior, process noise, and errors of a model's two equations."""
 
-    common_slip: float = parameter("common slip i₀, while driving", unit="1/√s", ge=0.0)
-    rotation_offset: float = parameter("centre of rotation x_I, while turning", unit="m/√s", ge=0.0)
+    common_slip: float = parameter("random walk of the common slip i₀, while driving", unit="1/√s", ge=0.0)
+    rotation_offset: float = parameter(
+        "random walk of the centre of rotation x_I, while turning", unit="m/√s", ge=0.0
+    )
     gyro_bias: float = parameter("random walk of the gyro bias", unit="rad/s/√s", ge=0.0)
-    straight_velocity_error: float = parameter("share of V that the equations leave out, straight on", ge=0.0)
-    turning_velocity_error: float = parameter("share of D that the equations leave out, in turns", ge=0.0)
-    changing_velocity_error: float = parameter("share of d that the equations leave out", ge=0.0)
-    standing_velocity_error: float = parameter("track speed that counts as none", unit="m/s", gt=0.0, le=1.0)
-    yielding_slip: float = parameter("i₀ of a soil on which velocity errors have twice the variance", gt=0.0)
-    yaw_rate_error_ratio: float = parameter("steady error of ω times B, over that of v", ge=0.0)
+    straight_velocity_error: float = parameter("velocity error in straight motion, as a share of V", ge=0.0)
+    turning_velocity_error: float = parameter("velocity error in turns, as a share of D", ge=0.0)
+    changing_velocity_error: float = parameter("velocity error while speeds change, as a share of d", ge=0.0)
+    standing_velocity_error: float = parameter(
+        "velocity error at standstill: track speed that counts as zero", unit="m/s", gt=0.0, le=1.0
+    )
+    yielding_slip: float = parameter("i₀ of a soil that doubles the variance of the velocity errors", gt=0.0)
+    yaw_rate_error_ratio: float = parameter("ratio of the steady error of ω times B to that of v", ge=0.0)
     velocity_error_time: float = parameter("correlation time τ of the velocity errors", unit="s", gt=0.0)
     start_shear: float = parameter(
-        "way of a track that may go into the soil before the machine starts or turns back", unit="m", gt=0.0
+        "track distance that the soil may absorb before the machine starts or reverses", unit="m", gt=0.0
     )
-    settling: float = parameter("noise_scale of x_I and the turning pair while speeds change", ge=1.0)
+    settling: float = parameter(
+        "factor of the process noise of x_I and the turn states while speeds change", ge=1.0
+    )
     initial_common_slip_stddev: float = parameter("standard deviation of i₀ at the start", gt=0.0)
     initial_rotation_offset_stddev: float = parameter(
         "standard deviation of x_I at the start", unit="m", gt=0.0
     )
     downhill_slip: float = parameter("random walk of k, while driving on a slope", unit="1/√s", ge=0.0)
     initial_downhill_slip: float = parameter("k before the first slope", ge=0.0)
-    initial_downhill_slip_stddev: float = parameter("its standard deviation", ge=0.0)
+    initial_downhill_slip_stddev: float = parameter("standard deviation of k before the first slope", ge=0.0)
     initial_gyro_bias_stddev: float = parameter(
         "standard deviation of b_g at the start", unit="rad/s", gt=0.0
     )
@@ -130,7 +136,7 @@ class SpeedNoise(Parameters):
 
 
 def prior(n: SpeedNoise, tread: float) -> Prior:
-    """At rest, with no slip; the model adds its turning pair."""
+    """Prior at rest, with no slip; the model adds its turn states."""
     stddev = np.zeros(SIZE)
     stddev[SPEED_ERROR], stddev[YAW_RATE_ERROR] = n.standing_velocity_error, n.standing_velocity_error / tread
     stddev[COMMON_SLIP] = n.initial_common_slip_stddev
@@ -143,7 +149,7 @@ def prior(n: SpeedNoise, tread: float) -> Prior:
 
 
 def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
-    """(SIZE,) per √s: how the vehicle turns shows in turns only, and changes there only; i₀ while driving."""
+    """(SIZE,) per √s: b_g and δ walk always, i₀ and k except at standstill, x_I in turns only."""
     density = np.zeros(SIZE)
     density[GYRO_BIAS], density[FIX_DELAY] = n.gyro_bias, _DELAY_WALK
     if motion.motion is not Motion.STANDING:
@@ -154,12 +160,12 @@ def process_noise_density(n: SpeedNoise, motion: MotionState) -> FloatArray:
 
 
 def noise_scale(n: SpeedNoise, motion: MotionState) -> float:
-    """How much faster than in steady turns that changes which shows in turns."""
+    """Factor of the process noise of x_I and the turn states: 1 at steady speeds."""
     return n.settling if motion.changing else 1.0
 
 
 def constants(n: SpeedNoise, pair_stddev: tuple[float, float]) -> dict[str, float]:
-    """The fields of ``CONSTANTS``; ``pair_stddev`` is that of the turning pair at the start."""
+    """The fields of ``CONSTANTS``; ``pair_stddev`` is that of the turn states at the start."""
     return {
         "straight": n.straight_velocity_error,
         "turning": n.turning_velocity_error,
@@ -184,7 +190,7 @@ def twist(x: FloatArray, v: float, rate: float) -> tuple[float, float, float]:
 
 @compiled
 def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
-    """Completes J (3, n), which has a model's derivatives of v and ω in its first and last row."""
+    """Complete J (3, n), which has a model's derivatives of v and ω in its first and last row; in place."""
     J[0, SPEED_ERROR] = J[2, YAW_RATE_ERROR] = 1.0
     for k in range(x.size):
         J[1, k] = -x[ROTATION_OFFSET] * J[2, k]
@@ -193,7 +199,7 @@ def complete_jacobian(x: FloatArray, rate: float, J: FloatArray) -> None:
 
 @compiled
 def _error_time(motion: int, c: Config) -> float:
-    """τ, s; of silent sprockets that of the speeds themselves."""
+    """τ, s; while the sprockets are silent, that of the speeds themselves."""
     return SPEED_TIME if motion == _SILENT else c.velocity_errors.time
 
 
@@ -209,17 +215,17 @@ def persistence(dt: float, motion: int, c: Config) -> tuple[float, float]:
 
 @compiled
 def error_growth(dt: float, motion: int, c: Config) -> tuple[float, float, float]:
-    """What dt adds to an error of size 1: variance of its mean over dt, covariance with its end, variance."""
+    """Growth of a unit error in dt: variance of its mean over dt, covariance with its end, end variance."""
     a = dt / _error_time(motion, c)
     if a <= 0.0:
         return 0.0, 0.0, 0.0
     lost = -math.expm1(-a)  # 1 − ρ
-    if a < 1e-2:  # the closed form cancels
+    if a < 1e-2:  # cancellation in the closed form
         mean = a * (2.0 / 3.0 - a / 2.0)
     else:
         mean = (2.0 * a - 4.0 * lost + 1.0 - (1.0 - lost) ** 2) / (a * a)
     end, both = 1.0 - (1.0 - lost) ** 2, lost * lost / a
-    if end > 0.0:  # given both ends, a machine with inertia strays less between them than Markov's
+    if end > 0.0:  # inertia: between given ends, the mean varies less than a Markov process
         known = both * both / end
         mean = known + (mean - known) * a * a / (1.0 + a * a)
     return mean, both, end
@@ -227,9 +233,9 @@ def error_growth(dt: float, motion: int, c: Config) -> tuple[float, float, float
 
 @compiled
 def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tuple[float, float]:
-    """Of m_v, (m/s)², and of m_ω, (rad/s)²; expected, as far as i₀ is known.
+    """Variances of m_v, (m/s)², and of m_ω, (rad/s)²; their expectation over i₀.
 
-    Speeds that are only taken to go on may have changed since (``coasting``).
+    They grow while sprocket speeds are extrapolated, since these may have changed (``coasting``).
     """
     e, speeds, motion = c.velocity_errors, drive.speeds, drive.motion
     if motion.motion == _SILENT:
@@ -257,7 +263,7 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
 
 @compiled
 def track_exposure(drive: State, c: Config) -> float:
-    """U."""
+    """U, (m/s)²."""
     left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
     U: float = left * left + right * right + c.adaptation.changing_weight * departure(drive, c) ** 2
     return U
@@ -265,15 +271,15 @@ def track_exposure(drive: State, c: Config) -> float:
 
 @compiled
 def departure(drive: State, c: Config) -> float:
-    """How far the tracks' speeds are from their recent mean, m/s."""
+    """d: largest difference of the track speeds from their recent mean, m/s."""
     return float(c.rolling_radius * drive.motion.departure)
 
 
 @compiled
 def add_track_error(Q: FloatArray, heading: float, dt: float, drive: State, c: Config) -> None:
-    """What the tracks' errors add to Q (n, n) beside the velocity errors: a walk of i₀, and sideways motion.
+    """Add the track error beside the velocity errors to Q (n, n): a walk of i₀, and sideways motion.
 
-    Sideways it is white, over steps longer than τ.
+    The sideways speed is modelled as white noise, which holds for steps longer than τ.
     """
     n, track_variance = c.adaptation, drive.adaptation.track_variance
     if drive.motion.motion != _STANDING:
@@ -294,8 +300,8 @@ def slips(
 ) -> FloatArray:
     """(3,) i_L, i_R, α from the twist and the sprockets.
 
-    Of a track that stands all that is known is that it turns slowly: it skids where the machine drags it
-    along faster than it may creep, else it has the common slip.
+    A track below ``_SLOWEST`` turns at an unknown low speed. Its slip is the smaller of i₀ and the slip at
+    the speed ``_CREEP``, at which it skids.
     """
     v_x, v_y, rate = twist_
     found = np.zeros(3)

@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the upper structure swings: two states of a machine that has sensors above; compiled.
+"""Swing of the upper structure: two states of a machine that has sensors above; compiled.
 
     σ, σ̇    angle of the upper structure against the undercarriage, counter-clockwise    rad, rad/s
-    ω̂, a    fastest that it swings, at which it starts and brakes                        rad/s, rad/s²
-    T, q    how long such an acceleration passes for white noise, its density a² T       s, rad²/s³
-    τ, ρ    time after which σ̇ is forgotten, e^(−dt/τ)                                   s, 1
+    ω̂, a    largest swing rate, acceleration of starting and braking                     rad/s, rad/s²
+    T, q    time for which an acceleration counts as white noise, density a² T of it     s, rad²/s³
+    τ, ρ    correlation time of σ̇, e^(−dt/τ)                                             s, 1
     x_I     centre of rotation ahead of C (``speed``)                                    m
-    g       how far the centre of gravity goes back as it turns by π/2, m_u c/m          m
+    g       rearward shift of the centre of gravity as σ grows by π/2, m_u c/m           m
 
-While the tracks stand, or nobody hears of them, it may swing: σ̇ is driven by noise of density q, and its
-standard deviation without any sensor grows to ω̂, τ = 2 ω̂²/q. While they drive, the brake holds it: σ̇ goes
-to zero within ω̂/a, and stays there but for a little. One that still swings as they start to drive does so
-until it is seen to stop.
+At standstill, or while the sprockets are silent, the upper structure may swing. Noise of density q drives σ̇;
+without any sensor its standard deviation grows to ω̂, τ = 2 ω̂²/q. While the tracks drive, the brake holds the
+upper structure: σ̇ decays within ω̂/a and stays near zero. If it still swings when the tracks start, it keeps
+the free noise until its estimated rate is small.
 
-Tracks turn about where they are loaded: x_I goes with the centre of gravity, by g (cos σ' − cos σ), and errs
-by what arm and bucket do meanwhile (measured on the shear truth: x_I goes as far).
+Tracks turn about the loaded part of their contact: x_I moves with the centre of gravity by g (cos σ' − cos
+σ). Motion of arm and bucket adds an error to x_I. On the shear truth x_I moves as far as the centre of
+gravity.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class SwingConstants(Record):
-    """Parameters of the swing."""
+    """Constants of the swing in compiled code."""
 
     fastest: float  # ω̂
     free_density: float  # q
@@ -47,44 +48,49 @@ class SwingConstants(Record):
     held_density: float
     held_time: float
     balance: float  # g
-    balance_density: float  # variance of x_I by the angle swung, m²/rad
+    balance_density: float  # variance of x_I per swing angle, m²/rad
 
 
 CONSTANTS = dtype_of(SwingConstants)
 
-_SWINGS = 0.05  # rad/s, beyond which it does so whatever the tracks do
+_SWINGS = 0.05  # rad/s, swing rate beyond which the brake does not count as holding
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SwingParameters(Parameters):
-    """Of the upper structure, where sensors sit on it."""
+    """Parameters of the upper structure, for machines with sensors mounted on it."""
 
     rate: float = parameter(
-        "fastest that it swings, where the vehicle has no drive of it", unit="rad/s", gt=0.0
+        "largest swing rate, for a vehicle that states no swing drive", unit="rad/s", gt=0.0
     )
     acceleration: float = parameter(
-        "at which it starts and brakes, where the vehicle has none", unit="rad/s²", gt=0.0
+        "acceleration at which the swing starts and brakes, for a vehicle that states no swing drive",
+        unit="rad/s²",
+        gt=0.0,
     )
-    acceleration_time: float = parameter("for which that passes for white noise", unit="s", gt=0.0, le=10.0)
+    acceleration_time: float = parameter(
+        "time for which an acceleration counts as white noise", unit="s", gt=0.0, le=10.0
+    )
     held_rate: float = parameter(
-        "standard deviation of its rate while the tracks drive", unit="rad/s", ge=0.0
+        "standard deviation of the swing rate while the tracks drive", unit="rad/s", ge=0.0
     )
     balance_error: float = parameter(
-        "by which the centre of rotation errs after 1 rad, beyond what the vehicle's masses say",
+        "standard deviation of the centre of rotation after a swing of 1 rad, beyond the shift by the "
+        "vehicle's masses",
         unit="m/√rad",
         ge=0.0,
     )
     repeat_time: float = parameter(
-        "for which fixes of what sits above err alike, by its place against the swing axis: those that "
-        "follow each other faster count for less",
+        "correlation time of the errors of fixes by sensors on the upper structure, which depend on "
+        "their place about the swing axis; more frequent fixes are down-weighted",
         unit="s",
         ge=0.0,
         le=600.0,
     )
-    initial_angle: float = parameter("where it looks at the start", unit="rad", ge=-6.2832, le=6.2832)
+    initial_angle: float = parameter("swing angle at the start", unit="rad", ge=-6.2832, le=6.2832)
     initial_angle_stddev: float = parameter(
-        "its standard deviation, where no sensor of the swing tells", unit="rad", gt=0.0
+        "standard deviation of the swing angle at the start, without a swing sensor", unit="rad", gt=0.0
     )
 
 
@@ -100,32 +106,32 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 @compiled
 def is_held(drive: State) -> bool:
-    """Whether the tracks drive, so that it hardly swings."""
+    """Whether the tracks drive, so that the brake holds the upper structure."""
     return bool(drive.motion.motion == _STRAIGHT or drive.motion.motion == _TURNING)
 
 
 @compiled
 def may_swing(state: State, source: int, c: Config) -> bool:
-    """Whether a source sits above, and what it shows may be a swing."""
+    """Whether a source is mounted on the upper structure, and the upper structure is free to swing."""
     return bool(c.above[source] == 1 and not is_held(state))
 
 
 @compiled
 def is_moved_by_swing(state: State, source: int, c: Config) -> bool:
-    """Whether a source sits above, and the upper structure swings."""
+    """Whether a source is mounted on the upper structure, and the upper structure swings."""
     return bool(c.above[source] == 1 and abs(state.mean[SWING_RATE]) > _SWINGS)
 
 
 @compiled
 def _swings(rate: float) -> float:
-    """Whether it does, beyond what noise shows: from 0 to 1."""
+    """Share from 0 to 1 by which a swing rate counts as a swing rather than noise."""
     share: float = rate**4 / (rate**4 + _SWINGS**4)
     return share
 
 
 @compiled
 def _noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
-    """q and τ."""
+    """q and τ at a swing rate."""
     n, swings = c.swing, _swings(rate)
     if not is_held(drive):
         return n.free_density, n.free_time
@@ -134,7 +140,7 @@ def _noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
 
 @compiled
 def move_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Config) -> None:
-    """σ and σ̇ after ``dt`` s, into ``moved``; σ is not wrapped."""
+    """Write σ and σ̇ after ``dt`` s into ``moved`` and add the shift of x_I; σ is not wrapped."""
     tau = _noise(x[SWING_RATE], drive, c)[1]
     lost = -math.expm1(-dt / tau)
     moved[SWING] = x[SWING] + x[SWING_RATE] * lost * tau
@@ -144,7 +150,7 @@ def move_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Con
 
 @compiled
 def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, drive: State, c: Config) -> None:
-    """What F and Q have of it."""
+    """Enter the swing into F and Q of a step of ``dt`` s, in place."""
     q, tau = _noise(x[SWING_RATE], drive, c)
     lost = -math.expm1(-dt / tau)
     F[SWING, SWING_RATE], F[SWING_RATE, SWING_RATE] = lost * tau, 1.0 - lost
@@ -160,7 +166,7 @@ def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, driv
 
 @compiled
 def shear(P: FloatArray, F: FloatArray) -> None:
-    """P after what of F is not diagonal: x_I goes with σ and σ̇, σ with σ̇."""
+    """Propagate P by off-diagonal entries of F, in place: of x_I by σ and σ̇, of σ by σ̇."""
     of_angle, of_rate, seconds = (
         F[ROTATION_OFFSET, SWING],
         F[ROTATION_OFFSET, SWING_RATE],

@@ -1,25 +1,24 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sub-model 1b: not the slips are constant on a soil, but how the vehicle turns (symbols: ``speed``).
+"""Sub-model 1b: the turning behaviour, not the slip, is constant on a soil (symbols: ``speed``).
 
     κ    turning efficiency, ω = κ D/B + ε V + m_ω             1
-    ε    side asymmetry: tracks or load that are not alike     rad/m
+    ε    side asymmetry: unequal tracks or load                rad/m
     η    speed lost in a turn, v = (1 − i₀) V − η s + m_v      1
-    s    |D|/2 against the travel while both tracks run one way and the turn is no gentle one; almost
-         nothing while they counter-rotate                     m/s
-    g    |D|/2 over |V| of a turn that is gentle: s is half    1
+    s    |D|/2 with the sign of V while both tracks run in one direction and the turn is not gentle;
+         nearly zero while they counter-rotate                 m/s
+    g    |D|/2 over |V| of a gentle turn: s is half of |D|/2   1
 
-κ, η and x_I learn in turns only, i₀ and ε while driving. On level ground ε is a constant of the machine;
-across a slope the lower track carries more, and slips otherwise: there ε walks. The equations are the same in
-left and right turns: outer and inner track keep their roles. A gentle turn costs less than η
-says: on the shear truth (V − v)/(|D|/2) vanishes with D, and has half of its value at |D|/2 of 0.02 to
-0.07 V. Were it constant down to 0, the rounding of the counts, which makes D of nothing, would slow the
-machine in straight motion.
+κ, η and x_I are observable in turns only, i₀ and ε while driving. On level ground ε is a constant of the
+machine. Across a slope the lower track carries more load and slips differently: there ε walks. The equations
+are the same in left and right turns: outer and inner track keep their roles. A gentle turn loses less speed
+than η |D|/2: on the shear truth (V − v)/(|D|/2) vanishes with D, and has half of its value at |D|/2 of 0.02
+to 0.07 V. With a constant ratio, a |D| by rounding of the counts would slow the machine in straight motion.
 
-κ and η are not independent. The inner track goes at V − |D|/2, and over the ground at V − (κ + η)|D|/2: where
-κ + η is 1 it does not slip, and all slip is the outer track's. On the shear truth the sum is 0.7 to 1, of the
-Warthog 0.6 to 0.8, while κ alone is anything from 0 to 0.6. So κ and κ + η have independent priors and walks,
-and a gyro that shows less turn shows more loss of speed.
+κ and η depend on each other. The inner track goes at V − |D|/2, and over the ground at V − (κ + η)|D|/2:
+where κ + η is 1 it does not slip, and all slip is the outer track's. On the shear truth the sum is 0.7 to 1,
+of the Warthog 0.6 to 0.8, while κ alone ranges from 0 to 0.6. So κ and κ + η have independent priors and
+random walks, and a gyro that measures less turn also raises the estimated loss of speed.
 """
 
 from __future__ import annotations
@@ -56,11 +55,11 @@ PARTS = (
     Part("loss", slice(LOSS, LOSS + 1), "1", "speed lost in a turn, η"),
     Part("asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "turn to the left by the metre driven, ε"),
 )
-_ACROSS = 0.04  # of ε, by the sine of the slope across: rad/m/√m
+_ACROSS = 0.04  # random walk of ε per sine of the cross slope, rad/m/√m
 
 
 class TurningConstants(Record):
-    """Parameters of the model."""
+    """Constants of the model in compiled code."""
 
     gentle_turn: float
 
@@ -70,13 +69,17 @@ CONSTANTS = dtype_of(TurningConstants)
 
 @dataclass(frozen=True, kw_only=True)
 class TurningNoise(SpeedNoise):
-    """Numbers of the turning model."""
+    """Parameters of the turning model."""
 
-    efficiency: float = parameter("turning efficiency κ, while turning", unit="1/√s", ge=0.0)
-    loss: float = parameter("κ + η, while turning", unit="1/√s", ge=0.0)
-    gentle_turn: float = parameter("|D|/2 over V of a turn that costs half of what η says", ge=0.0)
+    efficiency: float = parameter(
+        "random walk of the turning efficiency κ, while turning", unit="1/√s", ge=0.0
+    )
+    loss: float = parameter("random walk of κ + η, while turning", unit="1/√s", ge=0.0)
+    gentle_turn: float = parameter(
+        "|D|/2 over V at which a turn loses half of the speed that η gives", ge=0.0
+    )
     initial_efficiency: float = parameter("κ before the first turn", gt=0.0, le=1.0)
-    initial_efficiency_stddev: float = parameter("its standard deviation", gt=0.0)
+    initial_efficiency_stddev: float = parameter("standard deviation of κ before the first turn", gt=0.0)
     initial_loss: float = parameter("η before the first turn", ge=0.0, le=1.0)
     initial_loss_stddev: float = parameter("standard deviation of κ + η before the first turn", gt=0.0)
     initial_asymmetry_stddev: float = parameter(
@@ -85,7 +88,7 @@ class TurningNoise(SpeedNoise):
 
 
 def prior(n: TurningNoise, tread: float) -> Prior:
-    """At rest, with typical turning and no slip."""
+    """Prior at rest, with typical turning and no slip."""
     start = speed.prior(n, tread)
     start.mean[EFFICIENCY], start.mean[LOSS] = n.initial_efficiency, n.initial_loss
     start.stddev[EFFICIENCY], start.stddev[LOSS] = n.initial_efficiency_stddev, n.initial_loss_stddev
@@ -94,7 +97,7 @@ def prior(n: TurningNoise, tread: float) -> Prior:
 
 
 def process_noise_density(n: TurningNoise, motion: MotionState) -> FloatArray:
-    """(SIZE,) per √s: κ and η change in turns only."""
+    """(SIZE,) per √s: κ and η walk in turns only."""
     density = speed.process_noise_density(n, motion)
     if motion.motion is Motion.TURNING:
         scale = noise_scale(n, motion)
@@ -114,21 +117,21 @@ def velocity_error_constants(n: TurningNoise) -> dict[str, float]:
 
 @compiled
 def couple(P: FloatArray, variance: float) -> None:
-    """To P (n, n), which has a ``variance`` of κ: η gains what κ loses."""
+    """Couple η in P (n, n) to a ``variance`` that was added to κ: κ + η keeps its variance; in place."""
     P[LOSS, LOSS] += variance
     P[EFFICIENCY, LOSS] -= variance
     P[LOSS, EFFICIENCY] -= variance
 
 
 @compiled
-def set_slope_noise(Q: FloatArray, distance: float, across: float) -> None:
-    """What ε changes by, ``displacement`` m along a slope whose sine is ``across``."""
-    Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * distance
+def set_slope_noise(Q: FloatArray, way: float, across: float) -> None:
+    """Add the random walk of ε to Q over ``way`` m of track distance on a cross slope of sine ``across``."""
+    Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * way
 
 
 @compiled
 def turn_speed_loss(V: float, D: float, c: Config) -> float:
-    """s, m/s: odd in the travel, as a turn in reverse mirrors the one forward; the cube is measured."""
+    """s, m/s: odd in V, as a turn in reverse mirrors one forward; the cube is measured."""
     half = abs(D) / 2.0
     if half == 0.0:
         return 0.0
@@ -140,7 +143,7 @@ def turn_speed_loss(V: float, D: float, c: Config) -> float:
 
 @compiled
 def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
-    """v in m/s and ω in rad/s but for the velocity errors."""
+    """v in m/s and ω in rad/s without the velocity errors."""
     V, D = c.rolling_radius * (left + right) / 2.0, c.rolling_radius * (right - left)
     v = (1.0 - x[COMMON_SLIP]) * V - x[LOSS] * turn_speed_loss(V, D, c)
     return v, x[EFFICIENCY] * D / c.tread + x[ASYMMETRY] * V
