@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The height of the machine by the altitude of a fix; compiled. Arguments as in ``update``.
+"""Update of the machine's height with the altitude of a fix; compiled. Arguments as in ``update``.
 
     z, R     altitude of the sensor above the origin of the map, its variance               m, m²
-    l        place of the sensor in base_link, as the upper structure is turned             m
+    l        place of the sensor in base_link, with the swing of the upper structure        m
     h = z_C − l_x sin θ + (l_y sin φ + l_z cos φ) cos θ
-    ż, Δt    speed at which C climbs, and time since an altitude was used                   m/s, s
-    τ, T     for which the error of a fix lasts, and a slip is off to one side              s
+    ż, Δt    climb rate of C, and time since the last altitude that was used                m/s, s
+    τ, T     correlation times of the error of a fix, and of an error of slip               s
 
-An altitude corrects the height of the attitude filter, and with it tilt and biases: a way that leads higher
-than the pitch says shows what the pitch is off by. So does a slip that is off: the height is doubted by the
-variance of ż times Δt max(2 T, Δt), and the share of R that lasts counts coth(Δt/2τ) times.
+An altitude corrects the height of the attitude filter and, through their correlation, tilt and biases. The
+difference between the climb and the pitch along the distance driven shows the error of the pitch. An error of
+slip has the same effect: it is modelled by inflating the variance of the height by that of ż times Δt max(2
+T, Δt). The time-correlated share of R counts coth(Δt/2τ) times.
 
-Inside its gate an altitude is used in full, up to the soft gate with less weight. Beyond it is refused, until
-some that agree have insisted for three timeouts of their source: then the height is another one.
+Inside its gate an altitude is used in full, up to the soft gate it is down-weighted. Beyond the soft gate it
+is rejected, until several rejected altitudes agree over three timeouts of their source. Then the variance of
+the height is inflated by the squared innovation, and the altitude is used.
 """
 
 from __future__ import annotations
@@ -44,13 +46,16 @@ if TYPE_CHECKING:
 
 _NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
 _SLIP_TIME = 10.0  # s, T
-_PERSISTS = 3  # altitudes that agree, and timeouts that they last
-_SHORTEST, _LONGEST = 1e-3, 3600.0  # s, of Δt
+_PERSISTS = 3  # least number of altitudes that agree, and of timeouts that they span
+_SHORTEST, _LONGEST = 1e-3, 3600.0  # s, bounds of Δt
 
 
 @compiled
 def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int:
-    """The height by a fix that was used; why its altitude was not: 0 where it was, or is not wanted."""
+    """Update the height with the altitude of a fix that was used.
+
+    Returns the ``AttitudeRefusal`` of a rejected altitude; 0 if it was used or is not requested.
+    """
     source, a, variance = measurement.source, state.attitude, measurement.altitude_variance
     if c.use_altitude[source] == 0 or a.known == 0 or variance >= UNOBSERVED:
         return 0
@@ -79,14 +84,14 @@ def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int
 
 @compiled
 def _rise_variance(state: State, c: Config) -> float:
-    """Of ż, (m/s)², by what the speeds of the tracks err by."""
+    """Variance of ż, (m/s)², by the uncertain velocity of C."""
     J = body_jacobian(state.mean[: c.size], state.speeds.left, state.speeds.right, state, c)
     return downward(state.attitude.level, sandwich(J, state.covariance[:]))
 
 
 @compiled
 def _expected(state: State, source: int, c: Config) -> tuple[float, FloatArray]:
-    """h, and its derivatives (1, SIZE)."""
+    """h, and its Jacobian (1, SIZE)."""
     x, y, _, _ = swung_place(state.mean[SWING], source, c)
     z, mean = c.levers[source, 2], state.attitude.mean
     sin, cos = math.sin(mean[ROLL]), math.cos(mean[ROLL])
@@ -100,7 +105,7 @@ def _expected(state: State, source: int, c: Config) -> tuple[float, FloatArray]:
 
 @compiled
 def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -> tuple[float, float]:
-    """R as stated, and as it counts after ``dt`` s."""
+    """R as stated, with floor, noise factor and lever arm; and inflated for correlation over ``dt`` s."""
     source, level = measurement.source, state.attitude.level
     stated = max(measurement.altitude_variance, c.position_floor[source] ** 2)
     stated *= state.adaptation.fix_factors[source]
@@ -118,7 +123,7 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
 def _persists(
     climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
 ) -> bool:
-    """Whether this one, outside the gate, is the last of enough that agree."""
+    """Whether this altitude, outside the gate, completes a series of altitudes that agree."""
     apart = innovation - climb.apart
     if climb.refused == 0 or apart * apart > 2.0 * c.gate_limits[1] * stated:
         climb.refused, climb.refused_ns, climb.apart = 0, measurement.stamp_ns, innovation

@@ -1,25 +1,26 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A yaw rate by a gyro: what it says of the state, and whether it is used; compiled.
+"""Update with the yaw rate of a gyro; compiled.
 
-    z     yaw rate that it shows, of the upper structure where it sits there      rad/s
+    z     measured yaw rate, of the upper structure if the gyro is mounted there  rad/s
     h     (1 + s_g) (ω + σ̇) + b_g; b_g of a further gyro is a state of its own
-    R     what the gyro states                                                    (rad/s)²
-    d²    ν²/S, and what it would be with the largest noise that may be: its least_nis
+    R     variance stated by the gyro                                             (rad/s)²
+    d²    ν²/S; least_nis: the same with the largest possible noise
 
-Inside its gate a reading is used in full; with less weight where only the largest noise that may be explains
-it; beyond that it is refused, until the gate has widened (``gate``). What passes only because the gate is
-wide says that the state was wrong: the variance of the bias, or of σ̇, is inflated by what ν shows.
+Inside its gate a reading is used in full. Where only the largest possible noise explains a reading, it is
+down-weighted. Beyond that it is rejected, until the gate has widened (``gate``). A reading that passes only
+the widened gate shows an error of the state: the variance of the bias is inflated by ν², or that of σ̇ by the
+square of the largest swing rate.
 
-In a turn a gyro may show what the machine would do on other ground: a yaw rate from none to that without
-slip. If several in a row do, and agree with each other, the ground has changed, and what was learned of
-turning and slip counts for no more than at the start. What it would do on no ground, to turn against its
-tracks, is never used: a gyro upside down shows that.
+In a turn any yaw rate between zero and that without slip is possible on some ground. If several such readings
+in a row are outside the gate and agree with each other, the ground has changed: the variances of the turn
+states and of i₀ are inflated by those at the start. A rotation against the tracks is possible on no ground.
+Such a reading is always rejected: it reveals a gyro mounted upside down.
 
 A gyro is compared with the mean speeds of the sprockets since its last reading, as far as rounding explains
-how the newest ones differ. So the rounding that one comparison sees is taken back by the next; as noise of
-the gyro it would leave the heading to the tracks. The Jacobian is taken at steady speeds: the same rounding
-in both would bias what is learned of turning.
+their difference from the newest speeds. So the rounding error of one comparison is cancelled by the next.
+Treated as noise of the gyro, the rounding error would leave the heading to the tracks. The Jacobian is taken
+at steady speeds: the same rounding error in innovation and Jacobian would bias the turn states.
 """
 
 from __future__ import annotations
@@ -53,24 +54,24 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 @compiled
 def bias_of(source: int, c: Config) -> int:
-    """Number of the state that is the bias of a gyro."""
+    """Index of the state that is the bias of a gyro."""
     own = c.source_states[source]
     return GYRO_BIAS if own < 0 else int(own)
 
 
 @compiled
 def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> float:
-    """Of a yaw rate in true units."""
+    """Variance of a yaw rate after correction of its sign and scale, (rad/s)²."""
     scale = c.rate_scale[measurement.source]
     variance = max(measurement.noise[0, 0] / (scale * scale), LEAST_VARIANCE)
-    if state.coasting:  # a gyro then shows nothing of its bias
+    if state.coasting:  # the yaw rate is unknown, so the bias is not observable
         variance += c.unseen_yaw_rate**2
     return float(variance)
 
 
 @compiled
 def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[float, float]:
-    """Of the sprockets, rad/s: their mean since the gyro's last reading, or the newest beyond rounding."""
+    """Sprocket speeds, rad/s: means since the gyro's last reading, or the newest if beyond rounding."""
     speeds = state.speeds
     if 0 < stamp_ns - state.readings[source].stamp_ns <= c.sprocket_timeout_ns:
         left, right, _ = mean_speeds_since(state, source, stamp_ns)
@@ -81,7 +82,7 @@ def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[
 
 @compiled
 def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
-    """ν (1,), H and R of a yaw rate, with the states that it leaves alone."""
+    """ν (1,), H and R of a yaw rate, and its known states (``_consider_states``)."""
     source, x = measurement.source, state.mean[: c.size]
     left, right = _speeds_since(state, source, measurement.stamp_ns, c)
     bias, scale, rate = bias_of(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
@@ -101,11 +102,10 @@ def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Obs
 
 @compiled
 def _consider_states(left: float, right: float, bias: int, c: Config) -> int:
-    """Bits of the states that a yaw rate leaves as they were, and corrects the rest as if they were known.
+    """Bits of the states that a yaw rate does not correct; the gain is that of a filter which knows them.
 
-    Of a machine that moves b_g and s_g: tracks that turn more to one side than to the other, and at one speed
-    more than at another, explain the same. Fixes show both through what they are correlated with; standing
-    shows b_g.
+    While the machine moves, a gyro does not observe b_g and s_g: a dependence of the turning on direction and
+    speed has the same effect. Fixes correct both through their correlations. At standstill b_g is observable.
     """
     if not has_velocity_errors(c):
         return 0
@@ -115,7 +115,7 @@ def _consider_states(left: float, right: float, bias: int, c: Config) -> int:
 
 @inlined
 def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
-    """See the top of the module; arguments as in ``update``."""
+    """Gate and update with a yaw rate (see the top of the module); arguments as in ``update``."""
     source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
     o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
@@ -149,7 +149,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
         copy_square(prior.covariance, P, c.size)
         return
     if least_nis > limit:
-        if may_swing(state, source, c):  # it starts or stops faster than it should: no bias
+        if may_swing(state, source, c):  # a start or stop of the swing beyond its noise, no bias
             P[SWING_RATE, SWING_RATE] += c.swing.fastest**2
         else:
             bias = bias_of(source, c)
@@ -165,7 +165,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
 def _measured_rate(
     state: State, measurement: MeasurementRecord, variance: float, c: Config
 ) -> tuple[float, float]:
-    """The machine's yaw rate by a gyro alone, rad/s, and its variance with what the tracks may err by."""
+    """Yaw rate of the machine by the gyro alone, rad/s; its variance includes bias, swing and velocity error."""
     source, x, P = measurement.source, state.mean, state.covariance
     bias, measured = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
     if c.above[source] == 1:
@@ -179,14 +179,14 @@ def _measured_rate(
 
 @compiled
 def _without_slip(left: float, right: float, c: Config) -> float:
-    """Yaw rate of the sprockets, rad/s."""
+    """Yaw rate of the machine without slip, rad/s."""
     rate: float = c.rolling_radius * (right - left) / c.tread
     return rate
 
 
 @compiled
 def _is_impossible_rate(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
-    """Whether the machine would turn against its tracks, beyond what noise and bias explain."""
+    """Whether the machine would turn against its tracks, beyond noise, bias and lag."""
     without_slip = _without_slip(left, right, c)
     allowed = c.ground.against_tracks * np.sqrt(variance) + c.ground.lag * abs(without_slip)
     return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
@@ -196,10 +196,10 @@ def _is_impossible_rate(rate: float, variance: float, left: float, right: float,
 def _has_ground_changed(
     rate: float, x: FloatArray, streak: Streak, left: float, right: float, c: Config
 ) -> bool:
-    """Whether some ground lets the machine turn so, and enough readings in a row show the same one.
+    """Whether a yaw rate is possible on other ground, and enough readings in a row agree on it.
 
-    After the first, a reading counts that agrees with it and departs half as far at the least from the yaw
-    rate by what the state x has learned of turning.
+    A reading after the first counts if it agrees with the first, and departs from the yaw rate predicted by
+    the turn states of x by at least the share ``persists`` of the first departure.
     """
     without_slip = _without_slip(left, right, c)
     if not (rate * without_slip > 0.0 and abs(rate) < abs(without_slip)) or not has_velocity_errors(c):
@@ -217,7 +217,7 @@ def _has_ground_changed(
 
 @compiled
 def _reset_turning_states(P: FloatArray, c: Config) -> None:
-    """How the vehicle turns and slips is no better known than at the start."""
+    """Inflate the variances of the turn states and of i₀ in P by those at the start; in place."""
     P[TURN_STATE_1, TURN_STATE_1] += c.velocity_errors.first_variance
     P[TURN_STATE_2, TURN_STATE_2] += c.velocity_errors.second_variance
     couple(P, c.velocity_errors.first_variance, c)

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A heading, as of a pair of antennas or a compass, of δ σ_t before its stamp; compiled.
+"""A heading by two antennas or a compass, valid δ σ_t before its stamp; compiled.
 
-    z    direction that it shows, rad
+    z    measured direction, rad
     h    φ + the direction of its axis in base_link, with the swing where it sits above, + b − δ σ_t φ̇
-    b    yaw offset of the source (``source_states``)                                       rad
+    b    yaw offset of the source (``source_offsets``)                                      rad
 
-A pair of antennas errs by much when it fixes its ambiguities wrongly, and states a small variance. Whether it
-errs then, or the heading of the machine is wrong, is for the bank to weigh.
+Two antennas with wrongly fixed ambiguities have a large error and a small stated variance. The bank weighs
+such an error against an error of the machine's heading.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @compiled
 def compass_offset(state: State, source: int, c: Config) -> float:
-    """Direction that a compass shows, from that of the machine, seen from above, rad."""
+    """Direction that a compass measures, against the heading of the machine, in the horizontal plane, rad."""
     offset = c.heading_offset[source]
     if c.above[source] == 1:
         offset += state.mean[SWING]

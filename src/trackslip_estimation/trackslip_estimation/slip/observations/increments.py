@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a source of odometry moved between two of its poses, as a velocity of base_link; compiled.
+"""Motion between two poses of an odometry source, as a mean velocity of base_link; compiled.
 
     p, q     pose of the sensor in the source's own odom frame             m; x, y, z, w
-    l, M     its place in base_link, what turns its axes into those of it  m; x, y, z, w
+    l, M     lever arm, rotation from the sensor's axes into base_link     m; x, y, z, w
     b, d     base_link in the odom frame                                   m; x, y, z, w
     θ        rotation vector of d₁* d₂                                     rad
     T        time from the first pose to the second                        s
 
     b = p − d l d*,  d = q M*        (v, ω) T = (R(−θ/2) d₁* (b₂ − b₁) d₁ (|θ|/2)/sin(|θ|/2), θ)
 
-which is exact where velocity and rates are constant over T. The odom frame may lie anyhow.
+The result is exact for constant velocity and rates over T. The odom frame may have any orientation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, OdometryRecord
 
 
-TWIST, POSE_GROWTH, DECLARED = range(3)  # where the covariance comes from
+TWIST, POSE_GROWTH, DECLARED = range(3)  # origin of the covariance
 _SMALL = 1e-9  # rad
 
 
@@ -54,14 +54,14 @@ def increment(before: OdometryRecord, measurement: MeasurementRecord, T: float, 
 def variances_stated(
     before: OdometryRecord, measurement: MeasurementRecord, T: float, c: Config
 ) -> FloatArray:
-    """(3,) of an increment, as its source states them; as the parameters do where it states none."""
+    """(3,) variances of an increment as stated by its source; declared by parameters where it states none."""
     source, noise = measurement.source, measurement.noise
     linear, angular, lever = np.zeros(3), np.zeros(3), c.levers[source]
     kind, declared = c.odometry_noise[source], c.odometry_variances[source]
     if kind == TWIST:
         linear, angular = _turned_variances(c.mountings[source], noise)
     elif kind == POSE_GROWTH:
-        for k in range(3):  # along whichever axes: alike in all directions of the ground
+        for k in range(3):  # axes unknown: isotropic in the plane
             linear[k] = (noise[0, 0] + noise[0, 1] - before.noise[0, 0] - before.noise[0, 1]) / (2.0 * T * T)
             angular[k] = (noise[1, 2] - before.noise[1, 2]) / (T * T)
     for k in range(3):
@@ -73,7 +73,7 @@ def variances_stated(
 
 @compiled
 def _base(turn: FloatArray, mounting: FloatArray) -> FloatArray:
-    """d, of norm 1."""
+    """d, normalised."""
     d = _product(turn, _conjugate(mounting))
     return d / math.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 + d[3] ** 2)
 
@@ -97,7 +97,7 @@ def _conjugate(q: FloatArray) -> FloatArray:
 
 @compiled
 def _halved(q: FloatArray) -> FloatArray:
-    """Half of a rotation; q[3] ≥ 0."""
+    """Half of the rotation q; q[3] ≥ 0."""
     half = np.array((q[0], q[1], q[2], q[3] + 1.0))
     return half / math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2 + half[3] ** 2)
 
@@ -111,7 +111,7 @@ def _turned(q: FloatArray, v: FloatArray) -> FloatArray:
 
 @compiled
 def _turned_variances(mounting: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(3,) and (3,) along the axes of base_link, of the first two rows along those of the sensor."""
+    """(3,) of velocity and (3,) of rates along base_link, from rows of ``noise`` along the sensor's axes."""
     linear, angular, axis = np.zeros(3), np.zeros(3), np.zeros(3)
     for j in range(3):
         axis[:] = 0.0

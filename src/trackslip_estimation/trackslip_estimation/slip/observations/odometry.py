@@ -1,25 +1,25 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the odometry of a laser or a camera says of the state, and whether it is used; compiled.
+"""Update with the increments of a laser's or a camera's odometry; compiled.
 
     z, R    mean velocity of C over T along the machine's axes, mean yaw rate (``increments``)
     T       time between two poses of the source                                            s
-    s_o     by how much its lengths err: a state of each source                             1
+    s_o     scale error of the source's lengths: a state of each source                     1
     m       velocity errors (``speed``)                                                     m/s, rad/s
-    D       variance of the mean of m over T that m at its end leaves open                  (3,)
-    C       covariance of the pose with that                                                (3, n)
+    D       variance of the mean of m over T, given m at its end                            (3,)
+    C       covariance of the pose with the error of variance D                             (3, n)
     f       factor of R (``adaptation``)                                                    1
 
-Where a source believes to be drifts, and is never used; what it moved between two poses is. It is held
-against what the filter predicted meanwhile. That errs by the slow states, and by the mean of m: in part as m
-does at the end of T. The rest has moved the pose too: by C the update takes that back, so that a way that the
-tracks slipped and a camera has not seen was not driven. A fix since the first pose has done so already; then
-there is no C.
+The poses of a source drift and are never used; the increment between two poses is. It is compared with the
+motion that the filter predicted over T. The prediction has the errors of the slow states and of the mean of
+m. This mean is correlated with m at the end of T; the rest of it, of variance D, has moved the pose too.
+Through C the update corrects the pose: a distance that the tracks slipped and a camera did not observe is
+removed. A fix since the first pose has already corrected the pose; then there is no C.
 
-Odometry and tracks show nothing of s_o, which fixes do: it is considered. Inside the gate an increment is
-used in full; with less weight where only the largest track error explains it; beyond it is refused, until
-the source has disagreed for long enough (``gate``). Where increments of a second or two agree that both
-tracks slip more or less than what is known allows, they run on other ground: i₀ is open again.
+Odometry and tracks do not observe s_o, only fixes do: s_o is a consider state. Inside the gate an increment
+is used in full. Where only the largest track error explains it, it is down-weighted. Beyond that it is
+rejected, until the source has disagreed for long enough (``gate``). Where the increments of a second or two
+agree on a slip of both tracks beyond its uncertainty, the ground has changed: the variance of i₀ is inflated.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 
 _GATED, _BEGUN, _STANDING = int(Outcome.GATED), int(Outcome.BEGUN), int(Motion.STANDING)
-_MOST_SHARED = 0.7  # correlation of the place with what is open of two speeds
+_MOST_SHARED = 0.7  # largest correlation of the position with an error of variance D
 
 
 @compiled
@@ -69,7 +69,7 @@ def _agree_on_nothing(before: OdometryRecord, since_ns: int) -> None:
 
 @compiled
 def begin_odometry(state: State) -> None:
-    """At the start of the estimate."""
+    """Reset the records of odometry at the start of the estimate."""
     state.sprocket_angles[:], state.integrated_twist[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
     for k in range(state.odometry.size):
         state.odometry[k].known = False
@@ -78,7 +78,7 @@ def begin_odometry(state: State) -> None:
 
 @compiled
 def integrate_motion(state: State, dt: float, c: Config) -> None:
-    """What is predicted to move in the next ``dt`` s, before it does."""
+    """Accumulate the motion predicted for the next ``dt`` s, before the step."""
     if c.odometries == 0:
         return
     left, right, x = state.speeds.left, state.speeds.right, state.mean.copy()
@@ -96,7 +96,10 @@ def integrate_motion(state: State, dt: float, c: Config) -> None:
 def use_odometry(
     state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
 ) -> None:
-    """See the top of the module; arguments as in ``update``."""
+    """Gate and update with an increment (see the top of the module), and store its pose.
+
+    Arguments as in ``update``.
+    """
     source = measurement.source
     before = state.odometry[c.odometry_number[source]]
     since_ns = state.readings[source].stamp_ns
@@ -179,7 +182,7 @@ def _least_nis(
     gate: float,
     c: Config,
 ) -> float:
-    """NIS with the largest track error that may be; inside ``gate``, errors and noise are learned from it.
+    """NIS with the largest possible track error; inside ``gate``, track error and noise factor are adapted.
 
     ``predicted``: covariance of the innovation without R; ``stated``: R as stated, (3, 3).
     """
@@ -211,13 +214,13 @@ def _weigh_slip(
     own: float,
     c: Config,
 ) -> None:
-    """i₀ is open again where increments of late agree on another one, and with it the way that they show.
+    """Inflate i₀, and with it the position, where recent increments agree on another slip.
 
-    ``innovation`` of the speed ahead, m/s; ``own``: variance of what is another one in each increment.
+    ``innovation`` of the speed ahead, m/s; ``own``: variance of the errors independent in each increment.
     """
     x, P, T = state.mean[:], state.covariance[:], drive.T
     track = c.rolling_radius * (drive.left + drive.right) / 2.0
-    if abs(track) < max(c.ground.slowest, abs(innovation)):  # no ground does that
+    if abs(track) < max(c.ground.slowest, abs(innovation)):  # possible on no ground
         return
     slow = H[:1].copy()
     slow[0, SPEED_ERROR] = slow[0, YAW_RATE_ERROR] = 0.0
@@ -247,7 +250,7 @@ def _expected(
     turned: float,
     c: Config,
 ) -> tuple[FloatArray, FloatArray]:
-    """h (3,) and H (3, n); ``ahead``, ``turned``: by how much the means of m err as m does now."""
+    """h (3,) and H (3, n); ``ahead``, ``turned``: factors of the means of m on m at the end of T."""
     own, h = c.source_states[source], (state.integrated_twist - before.integrated_twist) / drive.T
     scale = 1.0 + (state.mean[own] if own >= 0 else 0.0)
     H = body_jacobian(state.mean[:], drive.left, drive.right, state, c)
@@ -268,9 +271,9 @@ def _expected(
 def _unseen_errors(
     state: State, before: OdometryRecord, drive: MeanSpeeds, c: Config
 ) -> tuple[float, float, FloatArray]:
-    """By how much the means of both velocity errors over T err as they do at its end, and D (3,).
+    """Factors ``ahead`` and ``turned`` of ``_expected``, and D (3,).
 
-    Where the sprockets are silent the machine may go as fast as it can.
+    While the sprockets are silent, D is that of an unknown speed.
     """
     T, D = drive.T, np.zeros(3)
     if state.coasting:
@@ -291,7 +294,10 @@ def _unseen_errors(
 def _split(
     first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Of the mean over T of an error that had the variance ``first``: factor of that at its end; the rest."""
+    """Regression of the mean of an error over T on its value at the end: factor and residual variance.
+
+    ``first``: variance at the start of T; ``own``: variance of the process.
+    """
     (kept, mean), (of_mean, of_both, of_end) = persistence, growth
     both, end = kept * mean * first + of_both * own, kept * kept * first + of_end * own
     factor = both / end if end > 0.0 else 0.0
@@ -300,14 +306,14 @@ def _split(
 
 @compiled
 def _sideways(drive: MeanSpeeds, c: Config) -> float:
-    """Variance of the mean of v_y over T, by the tracks for a track error of 1 (``speed``), (m/s)²."""
+    """Variance of the mean of v_y over T for a track error of 1 (``speed``), (m/s)²."""
     squares: float = c.rolling_radius**2 * (drive.left * drive.left + drive.right * drive.right)
     return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / drive.T)
 
 
 @compiled
 def by_track_error(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
-    """(3,) what of S is the tracks', for a track error of 1."""
+    """(3,) diagonal of S by the tracks, for a track error of 1."""
     share = speed.persistence(drive.T, state.motion.motion, c)[1]
     of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
     U = speed.track_exposure(state, c)
@@ -317,10 +323,10 @@ def by_track_error(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
 
 @compiled
 def _shared_with_pose(state: State, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
-    """C: the pose has moved by T times what ``open_`` (3,) are the variances of; none where a fix came since.
+    """C: errors of variance ``open_`` (3,) have moved the pose by T times themselves; (0, n) after a fix.
 
-    A gyro may have shown what the yaw rate leaves open: that has none. The place shares no more than it errs
-    by.
+    The yaw rate has no covariance, since a gyro may have observed its error. The covariance with the position
+    is bounded by the uncertainty of the position.
     """
     n, P = state.mean.size, state.covariance
     if state.fixed_ns > since_ns:

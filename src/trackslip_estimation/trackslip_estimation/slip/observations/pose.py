@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a sensor: x, y and, where its heading is used, φ, of δ σ_t before its stamp; compiled.
+"""The pose of a sensor, valid δ σ_t before its stamp: x, y and, where its heading is used, φ; compiled.
 
-    z    x, y of the sensor, m, and direction of the machine, or of the upper structure it sits on, rad
+    z    x, y of the sensor, m; heading of the machine, or of the upper structure it sits on, rad
     h    C + R(φ) p + b − δ σ_t d/dt (…),  φ + σ + ε − δ σ_t d/dt (…)
     δ    delay of all fixes, over the stamp errors σ_t                                   1
-    b    offset of the source (``source_states``), where it has one                         (2,), m
+    b    offset of the source (``source_offsets``), where it has one                     (2,), m
     ε    yaw offset of the source                                                        rad
 
-R is what the source states, no less than its floors; of a fix whose error lasts in part, what is new in each.
-It has what the unknown tilt, or an unknown swing, move the sensor by.
+R is the covariance stated by the source, not below its floors. It includes the displacement of the sensor by
+an unknown tilt or an unknown swing. With time-correlated errors, R is the part that is independent in each
+fix.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ if TYPE_CHECKING:
 
 @compiled
 def shows_heading(measurement: MeasurementRecord, c: Config) -> bool:
-    """Whether the heading of a pose is used: a doubtful one may be wrong by whole quarter turns."""
+    """Whether the heading of a pose is used; above its ceiling it may be wrong by whole quarter turns."""
     ceiling = c.heading_ceiling[measurement.source]
     return bool(c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling)
 
 
 @compiled
 def raise_to_floors(R: FloatArray, rows: int, source: int, c: Config) -> None:
-    """The variances of a fix, of which ``rows`` are used, no less than the floors of its source."""
+    """Raise the variances of a fix, of which ``rows`` are used, to the floors of its source; in place."""
     for i in range(rows):
         floor = c.heading_floor[source] if i == YAW else c.position_floor[source]
         R[i, i] = max(R[i, i], floor * floor, LEAST_VARIANCE)
@@ -59,7 +60,7 @@ def raise_to_floors(R: FloatArray, rows: int, source: int, c: Config) -> None:
 
 @compiled
 def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> FloatArray:
-    """(m, m) of a pose as its source states it, with what moves its sensor besides."""
+    """(m, m) covariance stated for a pose, with the displacement of its sensor by tilt and swing."""
     source, rows = measurement.source, 3 if shows_heading(measurement, c) else 2
     R = measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
@@ -72,7 +73,7 @@ def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> Flo
 
 @compiled
 def has_offset(state: State, source: int, c: Config) -> bool:
-    """Whether the places of a source have its offset in them."""
+    """Whether the positions of a source contain its offset."""
     number = number_of(source, c)
     return bool(number >= 0 and (state.fault[source] == IS_OFFSET or state.offsets[number].variance > 0.0))
 
@@ -113,7 +114,7 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
 
 @compiled
 def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
-    """R of a fix without what of it lasts."""
+    """Reduce R of a fix to the part that is not time-correlated; in place."""
     stddev = position_stddev(R)
     if not has_correlated_errors(state, source, stddev, c):
         return
@@ -124,5 +125,5 @@ def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
 
 @compiled
 def delay_considered(state: State, c: Config) -> int:
-    """Bit of the delay as tracks start, or turn back: the soil gives way first, which looks alike."""
+    """Bit of δ while tracks start or reverse: the shear of the soil has the effect of a delay then."""
     return 1 << FIX_DELAY if has_velocity_errors(c) and starts(state, c) else 0

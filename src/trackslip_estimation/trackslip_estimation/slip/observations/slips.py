@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Slips of both tracks: what they say of the state, and whether they are used; compiled.
+"""Update with measured slips of both tracks; compiled.
 
     z    i_L, i_R, 1
-    h    what the state and the sprockets say of both (``models``)
+    h    slips of both tracks by the state and the sprockets (``models``)
 
-They are used inside their gate, which widens while they and the state disagree (``gate``). What passes only
-because the gate is wide says that the state was wrong: the covariance of slip is inflated by ν νᵀ.
+Slips are used inside their gate, which widens while they and the state disagree (``gate``). Slips that pass
+only the widened gate show an error of the state: the covariance of the slips is inflated by ν νᵀ, or the
+variance of i₀ by the squared mean of ν.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def _slips(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
 
 @inlined
 def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
-    """See the top of the module; arguments as in ``update``."""
+    """Gate and update with slips (see the top of the module); arguments as in ``update``."""
     x, P, limit = state.mean[: c.size], state.covariance[:], c.gate_limits[2]
     o = observe_slips(state, measurement, c)
     L = root(predicted_covariance(P, o.jacobian) + o.noise)
@@ -94,7 +95,7 @@ def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: U
 
 @compiled
 def _inflate_slips(P: FloatArray, innovation: FloatArray, c: Config) -> None:
-    """P, widened by what an innovation of both slips shows; what else was learned stays."""
+    """Inflate the covariance of slip in P by an innovation of both slips; all else stays."""
     if has_velocity_errors(c):
         P[COMMON_SLIP, COMMON_SLIP] += innovation.mean() ** 2
         return

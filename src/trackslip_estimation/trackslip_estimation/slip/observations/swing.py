@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""An angle of the upper structure against the undercarriage; compiled.
+"""A measured angle of the upper structure against the undercarriage; compiled.
 
-z    angle that it shows, rad
+z    measured angle, rad
 h    σ + its mounting + b
-b    offset of the source (``source_states``), rad
+b    offset of the source (``source_offsets``), rad
 """
 
 from __future__ import annotations

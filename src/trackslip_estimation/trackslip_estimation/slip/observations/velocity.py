@@ -8,12 +8,12 @@
     h    q R(φ) u; of a radar R(−mounting) u
     q    e^(−σ²/2), σ² the variance of the heading
 
-q R(φ) u is the mean of a rotation by a Gaussian angle, and its derivative is what that shares with the state
-(exact moments). What the rotation adds beyond H, R includes: so a heading of which little is known does not
-pass for a slip. R also includes the rounding of the counts, and the sideways motion that no state holds.
+q R(φ) u is the mean of a rotation by a Gaussian angle, and its derivative gives the covariance with the state
+(exact moments). R includes the variance of the rotation beyond H, so an uncertain heading is not mistaken for
+slip. R also includes the rounding of the counts, and the sideways motion that is not a state.
 
-A velocity shows slip and, of a machine that moves, heading: with an unknown heading, the direction of motion
-decides between the branches of the bank, and the sign of the sprockets between forward and backward.
+A velocity measures slip and, while the machine moves, the heading. With an unknown heading, the direction of
+motion selects the branch of the bank, and the sign of the sprockets forward or backward.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 class Rotation(NamedTuple):
-    """From the machine's axes into those of the measurement."""
+    """Rotation from the machine's axes into those of the measurement."""
 
     cos: float
     sin: float
@@ -56,7 +56,7 @@ class Rotation(NamedTuple):
 
 @compiled
 def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
-    """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 where the second axis is open."""
+    """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 if the second axis is open."""
     source, x, m = measurement.source, state.mean[: c.size], rows_of_velocity(measurement, c)
     left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
     turn = _rotation(state, source, c)
@@ -111,7 +111,7 @@ def _rotation(state: State, source: int, c: Config) -> Rotation:
 
 @compiled
 def _velocity(state: State, left: float, right: float, source: int, c: Config) -> FloatArray:
-    """u (2,); along the ground, not level, where it is measured in axes of the machine."""
+    """u (2,): along the ground if it is measured along axes of the machine, else horizontal."""
     x, level, u = state.mean[: c.size], state.attitude.level, np.empty(2)
     if c.body_axes[source] == 1:
         v_x, v_y, rate = body_twist(x, left, right, state, c)
@@ -160,7 +160,7 @@ def _jacobian(state: State, left: float, right: float, source: int, c: Config) -
 
 @compiled
 def _sideways(state: State, left: float, right: float, c: Config) -> float:
-    """Variance of the speed of C to the left that no state holds, (m/s)²."""
+    """Variance of the speed of C to the left that is not a state, (m/s)²."""
     if state.coasting:
         return c.unknown_speed**2
     if not has_velocity_errors(c):
