@@ -5,23 +5,23 @@
     φ, θ, z       roll, pitch (nose down positive), height of C                  rad, rad, m
     p, q, r       body rates, less their biases b_p, b_q                         rad/s
     f             specific force at the IMU, with biases b_x, b_y                m/s²
-    u             velocity of the IMU's place, v + ω × l, in the machine's axes  m/s
-    v_x, v_y      of C along the ground                                          m/s
-    σ             by which an IMU on the upper structure is turned: p, q, f are what it shows, less its own
-                  biases, turned by R(σ)                                         rad
+    u             velocity of the IMU, v + ω × l, in the machine's axes          m/s
+    v_x, v_y      velocity of C along the ground                                 m/s
+    σ             yaw angle of an IMU on the upper structure against base_link: p, q, f are its
+                  readings, less its own biases, rotated by R(σ)                 rad
 
     φ̇ = p + tan θ (q sin φ + r cos φ)        θ̇ = q cos φ − r sin φ        ż = −v_x sin θ + v_y sin φ cos θ
     f_x = u̇_x + (ω × u)_x − g sin θ + b_x    f_y = u̇_y + (ω × u)_y + g sin φ cos θ + b_y
 
 An extended Kalman filter of (φ, θ, z, b_p, b_q, b_x, b_y). f is a mean, and u̇ a difference, over a span of
-samples (``span``): what rounding adds to one it takes from the next. A constant bias of an accelerometer
-looks like a tilt; it is a state, whose variance stays in that of the tilt until turns show it: the ground
-does not turn along.
+samples (``span``): rounding errors of one span are cancelled by the next. A constant bias of an accelerometer
+has the effect of a tilt. The bias is a state, and its variance remains in that of the tilt until turns
+separate both: the ground does not turn with the machine.
 
-The noise of the accelerometers finds its own size: a mean of ν² − H P Hᵀ over the last seconds, no less than
-stated; a shaken machine then goes by its gyro. What the IMU shows without gravity, or with gravity from
-aside or below, is not used: it has no accelerometers that feel it, or is not mounted as stated. Its own
-orientation, where that is wanted, is used in ``orientation``.
+The noise of the accelerometers is adapted: it is a mean of ν² − H P Hᵀ over the last seconds, at least the
+stated variance. Where the machine is shaken, the gyro then dominates. Accelerations are used only while their
+mean is gravity from below: else the IMU has no accelerometers that measure it, or is not mounted as
+stated. The orientation of the IMU, if requested, is used in ``orientation``.
 """
 
 from __future__ import annotations
@@ -64,16 +64,16 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude, ImuSample
 
 
-GRAVITY_TOLERANCE = 1.0  # m/s², by which the mean of what is felt may differ from gravity
-UPRIGHT = 0.5 * GRAVITY  # m/s², least that its z axis shows of gravity
-_RATE_UNKNOWN = 1.0  # (rad/s)², variance beyond which a rate says nothing (an axis that was not measured)
-_FORCE_UNKNOWN = 1e6  # (m/s²)², variance beyond which a force says nothing
-_LEAST = 1e-12  # (m/s²)², of a force
+GRAVITY_TOLERANCE = 1.0  # m/s², largest difference of the mean specific force from gravity
+UPRIGHT = 0.5 * GRAVITY  # m/s², least mean specific force along z
+_RATE_UNKNOWN = 1.0  # (rad/s)², variance of an axis that was not measured
+_FORCE_UNKNOWN = 1e6  # (m/s²)², variance of a force that was not measured
+_LEAST = 1e-12  # (m/s²)², least variance of a force
 
 
 @compiled
 def feels_gravity(a: Attitude) -> bool:
-    """Whether what the IMU shows on average is gravity, from below."""
+    """Whether the mean specific force is gravity, from below."""
     x, y, z = a.mean_force
     size = math.sqrt(x * x + y * y + z * z)
     return bool(abs(size - GRAVITY) <= GRAVITY_TOLERANCE and z >= UPRIGHT)
@@ -81,9 +81,9 @@ def feels_gravity(a: Attitude) -> bool:
 
 @compiled
 def use_sample(a: Attitude, n: AttitudeConstants) -> int:
-    """The record ``a`` of ``ATTITUDE`` at the stamp of its new ``sample``; ``n``: ``CONSTANTS``.
+    """Update the record ``a`` of ``ATTITUDE`` with its new ``sample``; ``n``: ``CONSTANTS``.
 
-    Returns why its orientation was not used; 0 where it was, or is not wanted.
+    Returns the ``AttitudeRefusal`` of the sample's orientation; 0 if it was used or is not requested.
     """
     imu = a.sample
     if imu.lost == 1 and a.seen == 0:
@@ -114,7 +114,7 @@ def use_sample(a: Attitude, n: AttitudeConstants) -> int:
 
 @compiled
 def _has_rates(imu: ImuSample) -> bool:
-    """Whether the IMU has a gyro about x and y."""
+    """Whether the IMU measures the rates about x and y."""
     p, q = imu.rates[0], imu.rates[1]
     return (
         imu.lost == 0
@@ -126,7 +126,7 @@ def _has_rates(imu: ImuSample) -> bool:
 
 @compiled
 def _rates(a: Attitude) -> tuple[float, float, float]:
-    """p, q, r without bias; an IMU that has no p and q is taken to show none."""
+    """p, q, r without bias, rad/s; p and q are 0 if the IMU does not measure them."""
     imu, rates = a.sample, a.sample.rates
     if not _has_rates(imu):
         return 0.0, 0.0, rates[2]
@@ -136,21 +136,21 @@ def _rates(a: Attitude) -> tuple[float, float, float]:
 
 @compiled
 def force_of(imu: ImuSample) -> tuple[float, float, float]:
-    """f along the axes of base_link, with what biases it has."""
+    """f along the axes of base_link, biases included, m/s²."""
     x, y, z = imu.force
     return imu.cos * x - imu.sin * y, imu.sin * x + imu.cos * y, z
 
 
 @compiled
 def has_force(imu: ImuSample) -> bool:
-    """Whether the IMU shows a specific force, with a variance."""
+    """Whether the IMU measures a specific force, with a variance."""
     x, y, z = imu.force
     return bool(math.isfinite(x + y + z) and 0.0 < imu.force_variance < _FORCE_UNKNOWN)
 
 
 @compiled
 def _follow_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
-    """Low-pass the force; whether there is one that may tell the tilt."""
+    """Low-pass the force; return whether it may correct the tilt."""
     force = force_of(a.sample)
     if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
         return False
@@ -162,7 +162,7 @@ def _follow_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
 
 @compiled
 def _velocity_at(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[float, float]:
-    """u along x and y."""
+    """u along x and y, m/s."""
     p, q, r = rates
     l_x, l_y, l_z = imu.lever
     return imu.velocity[0] - r * l_y + q * l_z, imu.velocity[1] + r * l_x - p * l_z
@@ -170,7 +170,7 @@ def _velocity_at(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[flo
 
 @compiled
 def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: AttitudeConstants) -> None:
-    """Roll and pitch after ``dt`` s, by the mean of the rates at both ends."""
+    """Propagate roll and pitch over ``dt`` s with the mean of the rates at both ends."""
     x, P, imu = a.mean[:], a.covariance[:], a.sample
     known = 0.5 if dt <= LONGEST else 0.0
     p, q, r = (
@@ -209,7 +209,7 @@ def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: Attitude
 
 @compiled
 def _level_by(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
-    """Update with both horizontal axes by a span that ends here; ``motion``: u̇ of it, m/s²."""
+    """Update with both horizontal axes of a span that ends here; ``motion``: its u̇, m/s²."""
     x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
     spread = 0.0 if a.span.known == 1 else n.unknown_acceleration**2
     spread += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
@@ -229,7 +229,7 @@ def _level_by(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) ->
 def _use(
     a: Attitude, axis: int, innovation: float, h: FloatArray, spread: float, n: AttitudeConstants
 ) -> None:
-    """Update with one axis, whose noise is learned of the innovation where the tilt does not explain it."""
+    """Update with one axis; its noise is adapted to the part of ν² that the tilt does not explain."""
     P, dt = a.covariance[:], a.span.time
     stated = max(a.sample.force_variance, _LEAST) / a.span.samples
     H = h.reshape((1, SIZE))
@@ -248,13 +248,13 @@ def _use(
 
 @compiled
 def rise_of(x: FloatArray, v_x: float, v_y: float) -> float:
-    """ż, m/s, with these speeds along the ground."""
+    """ż, m/s, at these speeds along the ground."""
     return float(-v_x * math.sin(x[PITCH]) + v_y * math.sin(x[ROLL]) * math.cos(x[PITCH]))
 
 
 @compiled
 def climb(a: Attitude, v_x: float, v_y: float, dt: float) -> None:
-    """The height after ``dt`` s with these speeds along the ground."""
+    """Propagate the height over ``dt`` s at these speeds along the ground."""
     if a.known == 0:
         return
     x, P = a.mean, a.covariance

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the attitude does to a motion along the ground (record ``LEVEL``); compiled."""
+"""Effect of the attitude on a motion along the ground (record ``LEVEL``); compiled."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude, Level
 
 
-_ERROR_TIMES = 1.0, 10.0  # s, for which the tilt errs to one side, and the gyro's bias
+_ERROR_TIMES = 1.0, 10.0  # s, correlation times of the errors of tilt and gyro bias
 
 
 @compiled
 def set_level(a: Attitude) -> None:
-    """The ``level`` of the record ``a`` of ``ATTITUDE``, as its tilt and rates are; in place."""
+    """Set the ``level`` of the record ``a`` of ``ATTITUDE`` from its tilt and rates, in place."""
     level, P = a.level, a.covariance
     level.tilted = a.known
     roll, pitch = (a.mean[ROLL], a.mean[PITCH]) if a.known == 1 else (0.0, 0.0)
@@ -40,6 +40,6 @@ def set_level(a: Attitude) -> None:
 
 @compiled
 def downward(level: Level, covariance: FloatArray) -> float:
-    """Variance of ż, (m/s)², by that of v_x and v_y along the ground."""
+    """Variance of ż, (m/s)², from the ``covariance`` of v_x and v_y along the ground."""
     x, y = level.downhill_x, level.downhill_y
     return float(x * x * covariance[0, 0] + 2.0 * x * y * covariance[0, 1] + y * y * covariance[1, 1])

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Update of the attitude filter with the orientation that an IMU states of itself; compiled.
+"""Update of the attitude filter with the orientation that an IMU sends; compiled.
 
-    u          the way up along the axes of base_link, by the orientation, mounting and swing    1
-    φ, θ       roll and pitch that it shows: atan2(u_y, u_z), atan2(−u_x, √(u_y² + u_z²))        rad
-    R, S       covariance that it states of both, and of the innovation                          rad²
-    τ, Δt      time for which its error lasts, and since the orientation before                  s
+    u          up vector along base_link, by orientation, mounting and swing                     1
+    φ, θ       measured roll and pitch: atan2(u_y, u_z), atan2(−u_x, √(u_y² + u_z²))             rad
+    R, S       stated covariance of both, covariance of the innovation                           rad²
+    τ, Δt      correlation time of its error, time since the last orientation used               s
 
-The heading of it counts nothing. It is used inside the gate, which goes by R; there R counts coth(Δt/2τ)
-times, since the errors of orientations that follow each other are alike. Beyond the gate it is refused,
-however long it insists: it is the mounting that is wrong then, or what it was made of was shaken.
+The heading of an orientation is not used. The gate uses R. Inside the gate R counts coth(Δt/2τ) times, since
+the errors of successive orientations are correlated. Outside it an orientation is always rejected, however
+long it persists: either its mounting is wrong, or the sensors behind it were shaken.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 _NONE, _NO_COVARIANCE = int(AttitudeRefusal.NO_ORIENTATION), int(AttitudeRefusal.NO_COVARIANCE)
 _NO_ROTATION, _GATED = int(AttitudeRefusal.NO_ROTATION), int(AttitudeRefusal.ORIENTATION_GATED)
 SWING_UNKNOWN = int(AttitudeRefusal.SWING_UNKNOWN)
-_LEAST = 1e-12  # rad², of an orientation
-_LARGEST = math.pi**2  # rad², variance of an angle that may be any
-_ROUNDING = 0.1  # of the norm squared of a quaternion
-_SHORTEST = 1e-3  # s between orientations
+_LEAST = 1e-12  # rad², least variance of an orientation
+_LARGEST = math.pi**2  # rad², variance of an unknown angle
+_ROUNDING = 0.1  # tolerance of the squared norm of a quaternion
+_SHORTEST = 1e-3  # s, least Δt
 
 
 @compiled
 def use_orientation(a: Attitude, n: AttitudeConstants) -> int:
-    """Update with that of the new sample, or begin with it; why it was not used, 0 where it was."""
+    """Update or initialise with the orientation of the new sample; return why it was not used, else 0."""
     imu, x, P = a.sample, a.mean[:], a.covariance[:]
     of_x, of_y = imu.up_variances
     if of_x == ABSENT:

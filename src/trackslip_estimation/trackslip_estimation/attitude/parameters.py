@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of the attitude filter: classes of gyros and accelerometers, not those of one unit."""
+"""Parameters of the attitude filter, for classes of gyros and accelerometers, not for one unit."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -22,44 +22,53 @@ from trackslip_estimation.attitude.records import (
     SIZE,
 )
 
-_TILT = 1.0  # rad, before the first sample
-_HEIGHT = 1e3  # m, on a map whose fixes have altitudes, before the first of them
+_TILT = 1.0  # rad, standard deviation before the first sample
+_HEIGHT = 1e3  # m, standard deviation before the first altitude, where fixes have altitudes
 
 
 @dataclass(frozen=True, kw_only=True)
 class AttitudeParameters(Parameters):
-    """What is known of the IMU beforehand."""
+    """Prior and noise of the IMU."""
 
-    initial_gyro_bias_stddev: float = parameter("of roll and pitch rate at the start", unit="rad/s", gt=0.0)
-    gyro_bias: float = parameter("random walk of both", unit="rad/s/√s", ge=0.0)
-    gyro_scale_stddev: float = parameter("of what the gyro shows of 1 rad/s, about all axes", ge=0.0)
+    initial_gyro_bias_stddev: float = parameter(
+        "standard deviation of the biases of roll and pitch rate at the start", unit="rad/s", gt=0.0
+    )
+    gyro_bias: float = parameter("random walk of both gyro biases", unit="rad/s/√s", ge=0.0)
+    gyro_scale_stddev: float = parameter(
+        "standard deviation of the scale of the gyro, about all axes", ge=0.0
+    )
     accelerometer_bias_stddev: float = parameter(
-        "bias of the accelerometers, with what the mounting angles err by: 0.05 m/s² are 0.3° of tilt",
+        "standard deviation of the accelerometer biases, with the error of the mounting angles: 0.05 "
+        "m/s² are 0.3° of tilt",
         unit="m/s²",
         gt=0.0,
     )
-    accelerometer_bias: float = parameter("random walk of it", unit="m/s²/√s", ge=0.0)
-    noise_time: float = parameter("over which the accelerometers' noise finds its size", unit="s", gt=0.0)
+    accelerometer_bias: float = parameter("random walk of the accelerometer biases", unit="m/s²/√s", ge=0.0)
+    noise_time: float = parameter("time over which the accelerometer noise is adapted", unit="s", gt=0.0)
     correlation_time: float = parameter(
-        "for which a shake lasts: samples that follow each other faster count for less", unit="s", ge=0.0
+        "correlation time of a shake; samples that follow each other faster are down-weighted",
+        unit="s",
+        ge=0.0,
     )
     ground_rate: float = parameter(
-        "how fast the ground tilts the machine while no gyro shows it", unit="rad/s", gt=0.0
+        "rate at which the ground tilts the machine while no gyro measures it", unit="rad/s", gt=0.0
     )
-    mean_time: float = parameter("of the mean of the specific force", unit="s", gt=0.0)
-    lost: float = parameter("deviation of a roll or pitch that is not known any more", unit="rad", gt=0.0)
-    outlier_nis: float = parameter("NIS beyond which a sample counts for less", gt=0.0)
-    unknown_acceleration: float = parameter("of a machine whose tracks send nothing", unit="m/s²", gt=0.0)
-    scale_time: float = parameter("for which a gyro shows too much to one side", unit="s", gt=0.0)
+    mean_time: float = parameter("time constant of the mean specific force", unit="s", gt=0.0)
+    lost: float = parameter("standard deviation at which roll or pitch counts as unknown", unit="rad", gt=0.0)
+    outlier_nis: float = parameter("NIS beyond which a sample is down-weighted", gt=0.0)
+    unknown_acceleration: float = parameter(
+        "standard deviation of the acceleration of a machine whose tracks send nothing", unit="m/s²", gt=0.0
+    )
+    scale_time: float = parameter("correlation time of the scale error of the gyro", unit="s", gt=0.0)
 
 
 class AttitudeConstants(AttitudeParameters, Record):
-    """The parameters, and what follows of them, in compiled code."""
+    """The parameters, and constants computed from them, in compiled code."""
 
     initial: Annotated[FloatArray, SIZE]  # standard deviations
     walk: Annotated[FloatArray, SIZE]  # variance per s
-    orientation_time: float  # s, for which an error of an orientation lasts
-    gate: float  # χ² of two, of orientations
+    orientation_time: float  # s, correlation time of the error of an orientation
+    gate: float  # χ² limit of orientations, two degrees of freedom
 
 
 CONSTANTS = dtype_of(AttitudeConstants)

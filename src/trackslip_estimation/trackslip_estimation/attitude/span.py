@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an IMU felt since its accelerations last told the tilt: means over a span of samples; compiled.
+"""Means of accelerations over a span of samples, which update the tilt at its end; compiled.
 
-    T       span: as long as wanted, or one sample where they are further apart        s
+    T       length of the span: at least SHORTEST, or one sample after a gap           s
     f̄       mean of f − ω × u                                                          m/s²
-    φ̄, θ̄    mean roll and pitch: those at its end, less what the gyro has turned since, on average   rad
-    u̇       (u − u₀)/T, by the velocities of the IMU's place at both ends              m/s²
+    φ̄, θ̄    mean roll and pitch: those at the end, less the mean rotation by the gyro until then     rad
+    u̇       (u − u₀)/T, by the velocities of the IMU at both ends                      m/s²
 
-An error of u goes into u̇ by 1/T. Fixes move the speed by a centimetre per second: between samples of 100 Hz
-that is 1 m/s², and taken for noise it hides the tilt, which then drifts with the gyro.
+An error of u enters u̇ with 1/T. Fixes change the speed by a centimetre per second: between samples of 100 Hz
+that is 1 m/s². Treated as noise, it hides the tilt, which then drifts with the gyro.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from trackslip_estimation.attitude.records import PITCH, ROLL
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude
 
-LONGEST = 0.5  # s, between samples of which one follows from the other
-SHORTEST = 0.08  # s, T: pitch errs by as much with a span of 0.5, and by three times as much without
+LONGEST = 0.5  # s, longest gap between consecutive samples
+SHORTEST = 0.08  # s, least T: the pitch error is the same for 0.5, and three times as large without spans
 
 
 @compiled
 def begin_span(a: Attitude, u: tuple[float, float]) -> None:
-    """A span begins at the new sample, where the IMU's place has the velocity u."""
+    """Begin a span at the new sample, where the IMU has the velocity u."""
     span = a.span
     span.stamp_ns, span.begun, span.samples, span.time = a.sample.stamp_ns, 1, 0, 0.0
     span.lag[:] = 0.0
@@ -37,14 +37,14 @@ def begin_span(a: Attitude, u: tuple[float, float]) -> None:
 
 @compiled
 def turn_span(a: Attitude, roll: float, pitch: float) -> None:
-    """The gyro has turned the machine by so much, rad, since the sample before."""
+    """Accumulate a rotation by the gyro since the last sample, rad, in the lag of the span."""
     a.span.lag[ROLL] += roll * a.span.time
     a.span.lag[PITCH] += pitch * a.span.time
 
 
 @compiled
 def feel(a: Attitude, force: tuple[float, float], u: tuple[float, float]) -> None:
-    """The new sample's f − ω × u, m/s²; one that does not follow on another is a span of no time."""
+    """Add f − ω × u of the new sample, m/s², to the span; after a gap begin a span of zero length."""
     span = a.span
     dt = (a.sample.stamp_ns - span.stamp_ns) * 1e-9
     if span.begun == 0 or not 0.0 < dt <= LONGEST:
@@ -61,7 +61,7 @@ def feel(a: Attitude, force: tuple[float, float], u: tuple[float, float]) -> Non
 
 @compiled
 def mean_tilt(a: Attitude) -> tuple[float, float]:
-    """φ̄ and θ̄ of a span that ends here."""
+    """φ̄ and θ̄ of a span that ends here, rad."""
     span, x = a.span, a.mean
     if span.samples == 1:
         return x[ROLL], x[PITCH]
@@ -70,7 +70,7 @@ def mean_tilt(a: Attitude) -> tuple[float, float]:
 
 @compiled
 def own_acceleration(a: Attitude, u: tuple[float, float]) -> tuple[float, float]:
-    """u̇ of a span that ends here, with the velocity u; nothing where one was not known."""
+    """u̇ of a span that ends here at the velocity u, m/s²; zero if a velocity was unknown."""
     span = a.span
     if span.known == 0:
         return 0.0, 0.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the attitude filter begins: with nothing seen, and with the first tilt that is known; compiled.
+"""Initialisation of the attitude filter: without samples, and with the first known tilt; compiled.
 
 a   record of ``ATTITUDE``
 n   record of ``CONSTANTS``
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.parameters import AttitudeConstants
     from trackslip_estimation.attitude.records import Attitude
 
-_FIRST_NOISE = 1.0  # (m/s²)², of the accelerometers, before a sample tells
+_FIRST_NOISE = 1.0  # (m/s²)², noise of the accelerometers before the first sample
 
 
 @compiled
 def forget_attitude(a: Attitude) -> None:
-    """Nobody has seen anything."""
+    """Reset the attitude to unknown, without any sample."""
     a.known = a.seen = a.stamp_ns = a.refusal = 0
     a.oriented_ns = NEVER_NS
     a.mean[:], a.covariance[:] = 0.0, 0.0
@@ -38,7 +38,7 @@ def forget_attitude(a: Attitude) -> None:
 
 @compiled
 def begin_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants) -> None:
-    """With this tilt, rad, its variance still to come; height and biases stay."""
+    """Initialise roll and pitch, rad, with their prior variance; height and biases keep their estimates."""
     x, P = a.mean, a.covariance
     for i in range(SIZE):
         if P[BIAS_X, BIAS_X] == 0.0 and i != BIAS_X:
@@ -53,7 +53,7 @@ def begin_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants) -> 
 
 @compiled
 def begin_by_gravity(a: Attitude, n: AttitudeConstants) -> None:
-    """As gravity lies."""
+    """Initialise roll and pitch from the mean specific force."""
     x = a.mean
     f_x, f_y, f_z = a.mean_force
     cos, sin = a.sample.cos, a.sample.sin

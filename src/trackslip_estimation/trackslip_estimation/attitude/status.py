@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of the attitude: where the machine leans, or why the ground counts as flat."""
+"""Status texts of the attitude: the tilt of the machine, or why the ground counts as flat."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH,
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude
 
-_OFF = 0.1  # m/s², of a bias that is worth a word, where it is
+_OFF = 0.1  # m/s², least bias that is reported, if significant
 _SIGNIFICANT = 3.0  # standard deviations
-_NO_HEIGHT = 100.0  # m, standard deviation of a height that nobody knows
+_NO_HEIGHT = 100.0  # m, standard deviation of an unknown height
 
 
 def attitude_text(a: Attitude, source: str | None) -> str:
-    """Of a record of ``ATTITUDE`` that the IMU of a topic feeds; None: nobody is to."""
+    """Status of a record of ``ATTITUDE`` with the IMU's topic ``source``; None: no IMU is configured."""
     if source is None:
         return "flat: no IMU is to tell (use_attitude, yaw_rate_sources)"
     if int(a["known"]) == 0:
@@ -41,7 +41,7 @@ def attitude_text(a: Attitude, source: str | None) -> str:
 
 
 def _lacking(a: Attitude, source: str) -> str:
-    """Why it is not known."""
+    """Why the attitude is unknown."""
     if int(a["sample"]["lost"]) == 1:
         variance = float(a["sample"]["turn_variance"])
         swing = f" (± {math.degrees(math.sqrt(variance)):.0f}°)" if is_heading_known(variance) else ""
@@ -66,14 +66,14 @@ def _lacking(a: Attitude, source: str) -> str:
 
 
 def _refused(a: Attitude, source: str) -> str:
-    """What its last orientation lacks, where one is wanted."""
+    """Why the last orientation was rejected; empty if it was not."""
     refusal = int(a["refusal"])
     words = AttitudeRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
     return f"; the orientation of {source} is refused: {words}" if words else ""
 
 
 def _tilted(a: Attitude, source: str) -> str:
-    """What turns on the spot show of how the IMU sits."""
+    """Significant mounting error or accelerometer bias, as turns on the spot show it; else empty."""
     for k, name in ((BIAS_X, "pitch"), (BIAS_Y, "roll")):
         bias, stddev = float(a["mean"][k]), math.sqrt(float(a["covariance"][k, k]))
         if abs(bias) > max(_OFF, _SIGNIFICANT * stddev):

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits of normalised innovations squared, which are χ² distributed.
 
-scipy.special has them for all degrees of freedom, and takes a seventh of the time of an estimator's imports.
+scipy.special has them for all degrees of freedom; its import takes a seventh of the time of an estimator's
+imports.
 """
 
 import math
@@ -17,7 +18,7 @@ _BISECTIONS = 100  # to the last bit
 
 
 def limit(dof: int, tail: float) -> float:
-    """What χ² of 1, 2 or 3 degrees of freedom exceeds with the probability ``tail``, above 0 and below 1."""
+    """Value that χ² of 1, 2 or 3 degrees of freedom exceeds with the probability ``tail``, 0 < tail < 1."""
     beyond = _BEYOND[dof]
     low, high = 0.0, 6.0 - 3.0 * math.log(tail)  # above all three limits (Laurent & Massart 2000, lemma 1)
     for _ in range(_BISECTIONS):
@@ -27,7 +28,7 @@ def limit(dof: int, tail: float) -> float:
 
 
 def interval(dof: int) -> tuple[float, float]:
-    """Where χ² of ``dof`` degrees of freedom (1 or more) lies with a probability of 95 %.
+    """The 95 % interval of χ² with ``dof`` degrees of freedom (1 or more).
 
     After Wilson & Hilferty (1931); both bounds are within 0.1 of the true ones.
     """

@@ -10,11 +10,11 @@ x, P    mean and covariance of the state                             (n,), (n, n
 w_i     their weights, κ/(n + κ) and 1/(2 (n + κ))                   (2n + 1,)
 X̃       departures of χ_i from their centre, as columns              (n, 2n + 1)
 
-Steps 1 to 3 of the figure, the prediction; what is measured is linear in the state, or nearly, and its update
-is that of the EKF (``update``). Process noise joins P' after the points have moved, not P before (step 1 of
-the figure): it is what the whole step adds, and must not be moved by it again. With κ < 0 the centre has a
-negative weight; departures are then taken from the centre point, not from the mean (Julier's repair). The
-number ``angle`` of a state is an angle: departures take the short way round.
+Steps 1 to 3 of the figure are the prediction. Measurements are linear in the state, or nearly: their update
+is that of the EKF (``update``). Process noise is added to P' after the points have moved, not to P before
+(step 1 of the figure): it is the noise of the whole step, and must not be propagated again. With κ < 0 the
+centre has a negative weight; departures are then taken from the centre point, not from the mean (Julier's
+repair). State ``angle`` is an angle: its departures are wrapped.
 """
 
 import math
@@ -28,7 +28,7 @@ from trackslip_estimation.kalman.linear_algebra import apply, root, sandwich, wr
 
 @compiled
 def sigma_points(x: FloatArray, P: FloatArray, kappa: float, size: int) -> tuple[FloatArray, FloatArray]:
-    """Step 1: χ and w; only the first ``size`` numbers of the state are uncertain."""
+    """Step 1: χ and w; only the first ``size`` states are uncertain."""
     spread = root(P) * math.sqrt(size + kappa)
     points, weights = np.empty((2 * size + 1, x.size)), np.full(2 * size + 1, 0.5 / (size + kappa))
     points[0], weights[0] = x, kappa / (size + kappa)
@@ -40,7 +40,7 @@ def sigma_points(x: FloatArray, P: FloatArray, kappa: float, size: int) -> tuple
 
 @compiled
 def moments(points: FloatArray, weights: FloatArray, angle: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Step 2: the mean (k,), the departures (k, 2n + 1), and the weights that go with them."""
+    """Step 2: the mean (k,), the departures (k, 2n + 1), and the weights of the departures."""
     departures = (points - points[0]).T.copy()
     if departures.shape[0] > angle:
         for i in range(weights.size):

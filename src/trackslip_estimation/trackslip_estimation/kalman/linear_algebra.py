@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Algebra of small matrices, compiled; each sum has one order, so a replay repeats every bit.
+"""Algebra of small matrices, compiled; each sum has a fixed order, so a replay repeats every bit.
 
 A, B   any matrices
 P, S   symmetric, positive (semi)definite
@@ -25,7 +25,7 @@ def wrap(angle: float) -> float:
 
 @compiled
 def used_size(P: FloatArray, n: int) -> int:
-    """Up to which of its first n states P has a variance: those behind share nothing, and cost nothing."""
+    """Number of leading states, of n, up to the last that has a variance in P; the rest may be skipped."""
     while n > 0 and P[n - 1, n - 1] == 0.0:
         n -= 1
     return n
@@ -33,7 +33,7 @@ def used_size(P: FloatArray, n: int) -> int:
 
 @compiled
 def copy_square(A: FloatArray, B: FloatArray, n: int) -> None:
-    """The first n rows and columns of A into B."""
+    """Copy the first n rows and columns of A into B."""
     for i in range(n):
         for j in range(n):
             B[i, j] = A[i, j]
@@ -41,7 +41,7 @@ def copy_square(A: FloatArray, B: FloatArray, n: int) -> None:
 
 @compiled
 def times(A: FloatArray, B: FloatArray) -> FloatArray:
-    """A B; the zeros of A, of which Jacobians are full, cost nothing."""
+    """A B; zeros of A, frequent in Jacobians, are skipped."""
     product = np.zeros((A.shape[0], B.shape[1]))
     for i in range(A.shape[0]):
         for k in range(A.shape[1]):
@@ -74,7 +74,7 @@ def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
 
 @compiled
 def root(P: FloatArray) -> FloatArray:
-    """L by Cholesky; a direction without variance, or with less than none by rounding, gets none."""
+    """L by Cholesky; a direction without variance, or with a negative one by rounding, gets a zero column."""
     n = P.shape[0]
     L = np.zeros((n, n))
     for j in range(n):
@@ -94,7 +94,7 @@ def root(P: FloatArray) -> FloatArray:
 
 @compiled
 def solve(L: FloatArray, B: FloatArray) -> FloatArray:
-    """(L Lᵀ)⁻¹ B, nothing along directions in which L is singular."""
+    """(L Lᵀ)⁻¹ B; zero along directions in which L is singular."""
     X = B.copy()
     solve_in_place(L, X)
     return X
@@ -102,7 +102,7 @@ def solve(L: FloatArray, B: FloatArray) -> FloatArray:
 
 @compiled
 def solve_in_place(L: FloatArray, B: FloatArray) -> None:
-    """B (n, k) becomes (L Lᵀ)⁻¹ B, as ``solve``."""
+    """B (n, k) becomes (L Lᵀ)⁻¹ B, as in ``solve``."""
     n = L.shape[0]
     for i in range(n):
         for k in range(i):

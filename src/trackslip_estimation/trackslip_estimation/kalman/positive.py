@@ -1,18 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A covariance kept symmetric and positive definite after its update; compiled, in place.
+"""Keeps a covariance symmetric and positive definite after its update; compiled, in place.
 
 P      covariance after an update                          (n, n)
 P⁻     covariance before it                                (n, n)
 d_k    pivots of the factorisation L D Lᵀ of P, the variance of each state given those before it
-ε_k    least pivot: what rounding leaves of the variance of a state
+ε_k    least pivot: rounding error of the variance of a state
 
-An update subtracts from P what it has learned. Rounding leaves of that about 1e-16 of the larger P⁻:
-where the difference is smaller, P may have a negative eigenvalue. The factorisation shows it: a pivot
-below ε_k. Then the variance of that state is raised until its pivot is ε_k, and it shares with the
-states after it only what those before it explain (a modified Cholesky factorisation, after Gill &
-Murray). So the estimate claims no more than numbers of 64 bits can hold. A P that is positive definite
-stays as it is.
+An update subtracts from P⁻. The difference has a rounding error of about 1e-16 of P⁻: where the difference is
+smaller, P may have a negative eigenvalue. The factorisation then has a pivot below ε_k. In that case the
+variance of this state is raised until its pivot is ε_k. Its covariance with later states is reduced to the
+part that earlier states explain (a modified Cholesky factorisation, after Gill & Murray). So the estimate is
+no more certain than numbers of 64 bits can represent. A positive definite P stays as it is.
 """
 
 import numpy as np
@@ -22,7 +21,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import used_size
 
 _OF_VARIANCE = 1e-12  # ε_k, as a share of a state's variance
-_OF_BEFORE = 1e-14  # and of its variance before the update
+_OF_BEFORE = 1e-14  # ε_k, as a share of its variance before the update
 
 
 @compiled

@@ -12,7 +12,7 @@ from trackslip_common.compiled import compiled
 def propagate_covariance(P: FloatArray, F: FloatArray, Q: FloatArray, coupled: int) -> None:
     """P ← F P Fᵀ + Q, where F (n, n) is diagonal below its first ``coupled`` rows, Q is process noise.
 
-    P may be larger than F: then the rest of it stays as it is.
+    P may be larger than F: the rest of P stays as it is.
     """
     n = F.shape[0]
     upper = np.zeros((coupled, n))  # of F P

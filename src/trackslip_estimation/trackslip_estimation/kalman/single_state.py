@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One state of a Gaussian: replaced, decayed, added to another one, or of another prior; compiled, in place.
+"""Operations on one state of a Gaussian: replace, decay, add, exchange its prior; compiled, in place.
 
-It decays as a first-order Gauss–Markov process. Two variances of it are compared by their Bayes factor.
+The decay is that of a first-order Gauss–Markov process. A Bayes factor compares two variances of a state.
 
 x, P   mean and covariance of the state    (n,), (m, m), m ≥ n
 """
@@ -15,7 +15,7 @@ from trackslip_common.compiled import compiled
 
 @compiled
 def replace_state(x: FloatArray, P: FloatArray, k: int, mean: float, variance: float) -> None:
-    """State k gets a mean and a variance of its own, uncorrelated."""
+    """Give state k a new mean and variance, uncorrelated with the others."""
     x[k] = mean
     for j in range(P.shape[0]):
         P[k, j] = P[j, k] = 0.0
@@ -24,7 +24,7 @@ def replace_state(x: FloatArray, P: FloatArray, k: int, mean: float, variance: f
 
 @compiled
 def decay_state(x: FloatArray, P: FloatArray, k: int, left: float, variance: float) -> None:
-    """The share ``left`` of state k is left; ``variance`` is that of the process."""
+    """Decay state k to its share ``left``; ``variance`` is that of the Gauss–Markov process."""
     x[k] *= left
     for j in range(P.shape[0]):
         P[k, j] *= left
@@ -35,7 +35,7 @@ def decay_state(x: FloatArray, P: FloatArray, k: int, left: float, variance: flo
 
 @compiled
 def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
-    """P, where to one number of the state another one is added, times a factor."""
+    """P after another state ``what``, times a factor, is added to state ``to``."""
     for j in range(P.shape[1]):
         P[to, j] += factor * P[what, j]
     for i in range(P.shape[0]):
@@ -44,15 +44,15 @@ def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
 
 @compiled
 def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
-    """x and P as if the variance of state k, whose mean was 0, had been ``now`` a priori and not ``before``.
+    """x and P as if the prior variance of state k, of prior mean 0, had been ``now`` and not ``before``.
 
-    A measurement of zero with the variance 1/(1/now − 1/before), which is negative where the prior widens.
+    This is a measurement of zero with the variance 1/(1/now − 1/before), negative where the prior widens.
     """
     more = 1.0 / now - 1.0 / before
     if abs(more) * before < 1e-6:
         return
     S = P[k, k] + 1.0 / more
-    if more < 0.0 and 1e-3 * before > -S:  # nothing is left of the prior to take away
+    if more < 0.0 and 1e-3 * before > -S:  # the prior has no information left to remove
         return
     shared, mean = P[k, :].copy(), x[k]
     for i in range(x.size):
@@ -63,5 +63,5 @@ def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: flo
 
 @compiled
 def log_ratio(squared: float, wide: float, narrow: float) -> float:
-    """ln of the density of a number by N(0, ``wide``) over that by N(0, ``narrow``), given its square."""
+    """ln of the density of a number under N(0, ``wide``) over that under N(0, ``narrow``), given its square."""
     return (squared * (1.0 / narrow - 1.0 / wide) - math.log(wide / narrow)) / 2.0

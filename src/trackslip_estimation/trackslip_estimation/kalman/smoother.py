@@ -12,7 +12,7 @@ G_k           gain P_{k−1} F_kᵀ (P⁻_k)⁻¹                               
     P̂_{k−1} = (I − G_k F_k) P_{k−1} (I − G_k F_k)ᵀ + G_k (P̂_k + Q_k) G_kᵀ
 
 The covariance is the usual P + G (P̂ − P⁻) Gᵀ as a sum of positive terms. G comes from a Cholesky solve that
-leaves out directions in which P⁻ has no variance: what is known for certain stays as it is.
+skips directions in which P⁻ has no variance: states that are known exactly stay as they are.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ Gaussian = tuple[FloatArray, FloatArray]
 def step_back(
     filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, F: FloatArray, angle: int
 ) -> Gaussian:
-    """x̂_{k−1} and P̂_{k−1} of (x_{k−1}, P_{k−1}), (x⁻_k, P⁻_k) and (x̂_k, P̂_k); ``angle`` as in ``daf``."""
+    """x̂_{k−1} and P̂_{k−1} from (x_{k−1}, P_{k−1}), (x⁻_k, P⁻_k), (x̂_k, P̂_k); ``angle`` as in ``daf``."""
     (x, P), (x_before, P_before), (x_after, P_after) = filtered, predicted, smoothed
     G = np.ascontiguousarray(solve(root(P_before), times(F, P)).T)
     news = x_after - x_before

@@ -11,9 +11,9 @@ NIS    νᵀ S⁻¹ ν, χ² with m degrees of freedom if consistent
 
     P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ − (I − K H) C Kᵀ − K Cᵀ (I − K H)ᵀ       (Joseph)
 
-which stays symmetric and positive whatever the gain. So a gain may leave states alone: a *considered* state
-keeps mean and variance (Schmidt). A *known* one does, too, and the gain is that of a filter that knows it:
-what the observation corrects is what it shows with this state as it is.
+This form stays symmetric and positive for any gain. So a gain may exclude states: a *considered* state keeps
+mean and variance (Schmidt). A *known* state keeps both, too, and the gain is that of a filter that knows it:
+the observation corrects the other states as if the known one had no error.
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.2 and 4.5; Schmidt (1966).
 """
@@ -26,23 +26,23 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import root, solve_in_place, used_size, weighted_square
 
-_NOTHING = 1e-12  # share of a variance that is rounding
+_NOTHING = 1e-12  # rounding error as a share of a variance
 
 
 class Observation(NamedTuple):
-    """What a measurement says of the state."""
+    """A linearised measurement of the state."""
 
     innovation: FloatArray  # (m,) ν
     jacobian: FloatArray  # (m, n) H
     noise: FloatArray  # (m, m) R
-    considered: int  # bits of states that are considered
-    known: int  # bits of states that are known
-    shared: FloatArray  # (m, n) C, or (0, n) where noise and state share nothing
+    considered: int  # bits of considered states
+    known: int  # bits of known states
+    shared: FloatArray  # (m, n) C, or (0, n) if noise and state are uncorrelated
 
 
 @compiled
 def observe_alone(innovation: FloatArray, H: FloatArray, R: FloatArray) -> Observation:
-    """An observation that corrects all, and whose noise is its own."""
+    """An observation that corrects all states, with noise independent of the state."""
     return Observation(innovation, H, R, 0, 0, H[:0])
 
 
@@ -62,7 +62,7 @@ def predicted_covariance(P: FloatArray, H: FloatArray) -> FloatArray:
 
 @compiled
 def soften(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: float) -> None:
-    """R so large that the NIS is no more than ``limit``: the soft gate; ``predicted``: H P Hᵀ (m, m)."""
+    """Increase R until the NIS is at most ``limit``: the soft gate; ``predicted``: H P Hᵀ (m, m)."""
     nis = weighted_square(root(predicted + R), innovation)
     if nis > limit:
         R += (nis / limit - 1.0) * (predicted + R)
@@ -70,7 +70,7 @@ def soften(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: 
 
 @compiled
 def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
-    """x and P given an observation; what they have beyond H stays as it is."""
+    """Update x and P with an observation; states beyond H stay as they are."""
     m, n, shares = o.innovation.size, o.jacobian.shape[1], o.shared.shape[0] > 0
     if not shares:
         n = used_size(P, n)
@@ -111,7 +111,7 @@ def _to_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
 
 @inlined
 def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
-    """B (m, n), which is H P, becomes what it would be if some states were known."""
+    """B (m, n), which is H P, becomes H P given that some states are known."""
     n, used, most = B.shape[1], 0, 0
     for a in range(n):
         most += known >> a & 1
@@ -160,11 +160,11 @@ def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
 
 @compiled
 def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
-    """(m, n) of C what is left by (I − K H)."""
+    """(m, n) the rest of C after (I − K H)."""
     kept, H = o.shared.copy(), o.jacobian
     for i in range(K.shape[0]):
         for j in range(K.shape[0]):
-            seen = 0.0  # of C by H
+            seen = 0.0  # entry of H Cᵀ
             for k in range(H.shape[1]):
                 seen += H[j, k] * o.shared[i, k]
             for k in range(K.shape[1]):
@@ -174,7 +174,7 @@ def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
 
 @compiled
 def _shown_by(P: FloatArray, H: FloatArray, n: int) -> FloatArray:
-    """(m, n) H P of the first n states; the zeros of H cost nothing."""
+    """(m, n) H P of the first n states; zeros of H are skipped."""
     m = H.shape[0]
     product = np.zeros((m, n))
     for i in range(m):

@@ -165,7 +165,7 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
 def _measured_rate(
     state: State, measurement: MeasurementRecord, variance: float, c: Config
 ) -> tuple[float, float]:
-    """Yaw rate of the machine by the gyro alone, rad/s; its variance includes bias, swing and velocity error."""
+    """Yaw rate of the machine by the gyro alone, rad/s; variance with bias, swing and velocity error."""
     source, x, P = measurement.source, state.mean, state.covariance
     bias, measured = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
     if c.above[source] == 1:
