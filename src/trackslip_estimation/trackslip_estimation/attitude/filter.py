@@ -20,7 +20,7 @@ separate both: the ground does not turn with the machine.
 
 The noise of the accelerometers is adapted: it is a mean of ν² − H P Hᵀ over the last seconds, at least the
 stated variance. Where the machine is shaken, the gyro then dominates. Accelerations are used only while their
-mean is gravity from below: else the IMU has no accelerometers that measure it, or is not mounted as
+mean is gravity from below: else the IMU has no accelerometers that measure gravity, or is not mounted as
 stated. The orientation of the IMU, if requested, is used in ``orientation``.
 """
 
@@ -66,8 +66,8 @@ if TYPE_CHECKING:
 
 GRAVITY_TOLERANCE = 1.0  # m/s², largest difference of the mean specific force from gravity
 UPRIGHT = 0.5 * GRAVITY  # m/s², least mean specific force along z
-_RATE_UNKNOWN = 1.0  # (rad/s)², variance of an axis that was not measured
-_FORCE_UNKNOWN = 1e6  # (m/s²)², variance of a force that was not measured
+_RATE_UNKNOWN = 1.0  # (rad/s)², least variance of an axis that was not measured
+_FORCE_UNKNOWN = 1e6  # (m/s²)², least variance of a force that was not measured
 _LEAST = 1e-12  # (m/s²)², least variance of a force
 
 

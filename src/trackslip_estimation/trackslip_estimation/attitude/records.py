@@ -28,7 +28,7 @@ class AttitudeRefusal(IntEnum):
 
 
 class Level(Record):
-    """Effect of the attitude on a motion along the ground; zero where the ground is flat or the attitude unknown."""
+    """Effect of the attitude on a motion along the ground; zero where ground is flat or attitude unknown."""
 
     tilted: int  # 0 or 1: whether the attitude is known
     forward: float  # cos θ − 1
@@ -73,7 +73,7 @@ IMU = dtype_of(ImuSample)
 
 
 class Span(Record):
-    """See ``span``."""
+    """Means over a span of samples (``span``)."""
 
     begun: int  # 0 or 1
     stamp_ns: int  # of its last sample, or of its start
@@ -86,7 +86,7 @@ class Span(Record):
 
 
 class Climb(Record):
-    """See ``slip.observations.altitude``."""
+    """The last altitude used, and those rejected since (``slip.observations.altitude``)."""
 
     used_ns: int  # stamp of the last altitude that was used
     refused: int  # number of altitudes outside the gate since, in a row, that agree
@@ -97,7 +97,7 @@ class Climb(Record):
 class Attitude(Record):
     """State of the attitude filter."""
 
-    known: int  # 0 or 1
+    known: int  # 0 or 1: whether roll and pitch are known
     seen: int  # 0 or 1: whether the IMU has sent a sample
     stamp_ns: int  # of its last sample
     sample: ImuSample  # newest sample

@@ -8,7 +8,7 @@
     u̇       (u − u₀)/T, by the velocities of the IMU at both ends                      m/s²
 
 An error of u enters u̇ with 1/T. Fixes change the speed by a centimetre per second: between samples of 100 Hz
-that is 1 m/s². Treated as noise, it hides the tilt, which then drifts with the gyro.
+that is 1 m/s². Treated as noise, this error hides the tilt, which then drifts with the gyro.
 """
 
 from __future__ import annotations

@@ -63,5 +63,5 @@ def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: flo
 
 @compiled
 def log_ratio(squared: float, wide: float, narrow: float) -> float:
-    """ln of the density of a number under N(0, ``wide``) over that under N(0, ``narrow``), given its square."""
+    """ln of the density of a number by N(0, ``wide``) over that by N(0, ``narrow``), given its square."""
     return (squared * (1.0 / narrow - 1.0 / wide) - math.log(wide / narrow)) / 2.0

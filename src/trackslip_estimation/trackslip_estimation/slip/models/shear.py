@@ -5,7 +5,7 @@
     ω_j    sprocket speed                                                rad/s
     s_j    share of the soil's shear that track j has built up, signed:
            0 at standstill, approaches sgn ω_j as the track runs         −1 … 1
-    K₀     track distance over which s_j approaches it by 1 − 1/e,
+    K₀     track distance over which s_j builds up by 1 − 1/e,
            ``start_shear``                                               m
 
 The thrust of a track grows with its shear of the soil (3.3). After a standstill or a reversal a track runs on

@@ -11,8 +11,8 @@
 
 Tracks hold a machine on a slope by sliding. Along the tracks the force is the weight times sin θ (they slip
 more uphill); across them it is the weight times sin φ (the machine crabs downhill, without a turn). Far below
-the strength of the soil the shear, and so k, is alike in both directions; k grows near the strength. In a
-turn all of the shear is mobilised, and the machine slides downhill in any direction. This sliding hardly
+the strength of the soil the shear, and so k, is equal in both directions; k grows near the strength. In a
+turn all of the shear is mobilised, and the machine slides downhill at any heading. This sliding hardly
 depends on the soil: both factors are measured on the shear truth at 15°, on sand, sandy loam and dry clay;
 ± 0.5. The turning behaviour changes with the direction on the slope: κ, η and x_I have process noise there.
 Near the strength the tracks spin uphill and roll downhill: the larger k is, the less it holds in another
@@ -90,7 +90,7 @@ def horizontal(twist: Twist, level: Level) -> Twist:
 
 @compiled
 def horizontal_jacobian(J: FloatArray, level: Level) -> None:
-    """Turn J (3, n) of the twist into that of ``horizontal``, in place."""
+    """Turn J (3, n) of the twist into the derivative of ``horizontal``, in place."""
     if level.tilted == 0:
         return
     for k in range(J.shape[1]):

@@ -12,7 +12,7 @@ x_I        centre of rotation ahead of C, v_y = −ω x_I                m
 v, ω       speed of C along x, yaw rate                               m/s, rad/s
 i_L, i_R   resulting slips, 1 − (v ∓ ω B/2)/(r ω_j)                   1
 V, D       r (ω_L + ω_R)/2, r (ω_R − ω_L), from the sprockets         m/s
-d          largest departure of the track speeds from their mean      m/s
+d          largest departure of a track speed from its recent mean    m/s
 s          track error (``adaptation``), as a share of a track's speed 1
 U          2V² + D²/2 + w d²: both track speeds squared, and w d²     (m/s)²
 τ, σ       correlation time of the velocity errors, their size        s, m/s
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 
 SPEED_ERROR, YAW_RATE_ERROR, TURN_STATE_1, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET = range(4, 10)
 VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
-ACTIVE = 13  # numbers of the state, with those of ``model``
+ACTIVE = 13  # number of states, with those of ``model``
 PARTS = (
     *COMMON,
     Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),

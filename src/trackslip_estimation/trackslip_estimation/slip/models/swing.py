@@ -14,9 +14,8 @@ without any sensor its standard deviation grows to ω̂, τ = 2 ω̂²/q. While 
 upper structure: σ̇ decays within ω̂/a and stays near zero. If it still swings when the tracks start, it keeps
 the free noise until its estimated rate is small.
 
-Tracks turn about the loaded part of their contact: x_I moves with the centre of gravity by g (cos σ' − cos
-σ). Motion of arm and bucket adds an error to x_I. On the shear truth x_I moves as far as the centre of
-gravity.
+Tracks turn about the loaded part of their contact: x_I moves by g (cos σ' − cos σ) with the centre of
+gravity. On the shear truth both move equally far. Motion of arm and bucket adds an error to x_I.
 """
 
 from __future__ import annotations

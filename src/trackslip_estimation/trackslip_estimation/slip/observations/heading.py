@@ -3,7 +3,7 @@
 """A heading by two antennas or a compass, valid δ σ_t before its stamp; compiled.
 
     z    measured direction, rad
-    h    φ + the direction of its axis in base_link, with the swing where it sits above, + b − δ σ_t φ̇
+    h    φ + direction of the sensor's axis in base_link (with the swing if mounted above) + b − δ σ_t φ̇
     b    yaw offset of the source (``source_offsets``)                                      rad
 
 Two antennas with wrongly fixed ambiguities have a large error and a small stated variance. The bank weighs

@@ -313,7 +313,7 @@ def _sideways(drive: MeanSpeeds, c: Config) -> float:
 
 @compiled
 def by_track_error(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
-    """(3,) diagonal of S by the tracks, for a track error of 1."""
+    """(3,) part of the diagonal of S by the tracks, for a track error of 1."""
     share = speed.persistence(drive.T, state.motion.motion, c)[1]
     of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
     U = speed.track_exposure(state, c)

@@ -3,8 +3,8 @@
 """The horizontal velocity of a sensor, as a GNSS receiver's Doppler or a ground radar measures it; compiled.
 
     z    velocity along east and north, or along the axes of a radar                  (2,) or (1,), m/s
-    u    velocity of the sensor along the heading and to its left: v + ω × p, with the swing where it
-         sits above, and with the rates of roll and pitch                             (2,), m/s
+    u    velocity of the sensor along the heading and to its left: v + ω × p, with the swing of a sensor
+         mounted above, and with the rates of roll and pitch                          (2,), m/s
     h    q R(φ) u; of a radar R(−mounting) u
     q    e^(−σ²/2), σ² the variance of the heading
 
@@ -56,7 +56,7 @@ class Rotation(NamedTuple):
 
 @compiled
 def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
-    """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 if the second axis is open."""
+    """ν (m,), H and R of a velocity at steady sprocket speeds; m is 1 if only one axis is measured."""
     source, x, m = measurement.source, state.mean[: c.size], rows_of_velocity(measurement, c)
     left, right, variance = steady_speeds(state.speeds, state.motion, c.motion_limits)
     turn = _rotation(state, source, c)
