@@ -73,7 +73,7 @@ def _refused(a: Attitude, source: str) -> str:
 
 
 def _tilted(a: Attitude, source: str) -> str:
-    """Significant mounting error or accelerometer bias, as turns on the spot show it; else empty."""
+    """Significant mounting error or accelerometer bias, as estimated in turns on the spot; else empty."""
     for k, name in ((BIAS_X, "pitch"), (BIAS_Y, "roll")):
         bias, stddev = float(a["mean"][k]), math.sqrt(float(a["covariance"][k, k]))
         if abs(bias) > max(_OFF, _SIGNIFICANT * stddev):

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kalman filters over a state with a mean and a covariance; they know no vehicle and no sensor."""
+"""Kalman filters over a state with a mean and a covariance; independent of vehicle and sensors."""

@@ -145,7 +145,7 @@ def has_velocity_errors(c: Config) -> bool:
 
 @compiled
 def couple(P: FloatArray, variance: float, c: Config) -> None:
-    """Add to P (n, n), in place, what a ``variance`` added to the first turn state implies for the second."""
+    """Couple the second turn state in P (n, n) to a ``variance`` of the first, in place (turning only)."""
     if c.model == _TURNING:
         turning.couple(P, variance)
 

@@ -13,7 +13,7 @@
     ẋ = v_x (cos φ − sin φ tan α)            ẏ = v_x (sin φ + cos φ tan α)
     i̇_L, i̇_R, α̇, ḃ_g = 0 + noise
 
-Noise densities are in continuous time, so that splitting a step does not change what it adds.
+Noise densities are in continuous time, so that splitting a step does not change its noise.
 """
 
 from __future__ import annotations

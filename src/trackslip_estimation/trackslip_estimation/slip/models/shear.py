@@ -62,7 +62,7 @@ def lost_speeds(drive: State, c: Config) -> tuple[float, float]:
 def lost_variances(drive: State, c: Config) -> tuple[float, float]:
     """Variances by the lost speeds: of v, and of ω times B, (m/s)².
 
-    Both tracks lose speed alike, up to the share ``yaw_rate_ratio``. With correlation time τ, one standard
+    Both tracks lose the same share of speed, up to ``yaw_rate_ratio``. With correlation time τ, one standard
     deviation moves a machine that starts or reverses by K₀, and by no more than the track distance.
     """
     e, (left, right) = c.velocity_errors, lost_speeds(drive, c)

@@ -4,7 +4,7 @@
 
     k        downhill speed over track speed, per sine of the slope               1
     U        mean of the absolute track speeds                                    m/s
-    φ, θ     roll, pitch; level: the record of ``attitude`` that holds what of them is needed
+    φ, θ     roll, pitch; level: the record of ``attitude`` with the functions of them used here
     T        |D| of a turn that is not gentle                                     m/s
 
     v_x += (k U + 1.0 T) sin θ        v_y −= (k U + 0.35 T) sin φ cos θ

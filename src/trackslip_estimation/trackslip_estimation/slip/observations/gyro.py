@@ -9,8 +9,8 @@
 
 Inside its gate a reading is used in full. Where only the largest possible noise explains a reading, it is
 down-weighted. Beyond that it is rejected, until the gate has widened (``gate``). A reading that passes only
-the widened gate shows an error of the state: the variance of the bias is inflated by ν², or that of σ̇ by the
-square of the largest swing rate.
+the widened gate indicates an error of the state: the variance of the bias is inflated by ν², or that of σ̇ by
+the square of the largest swing rate.
 
 In a turn any yaw rate between zero and that without slip is possible on some ground. If several such readings
 in a row are outside the gate and agree with each other, the ground has changed: the variances of the turn
@@ -71,7 +71,10 @@ def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> 
 
 @compiled
 def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[float, float]:
-    """Sprocket speeds, rad/s: means since the gyro's last reading, or the newest if beyond rounding."""
+    """Sprocket speeds to compare with a gyro, rad/s: their means since its last reading.
+
+    Where rounding does not explain the difference, or without a recent reading, they are the newest speeds.
+    """
     speeds = state.speeds
     if 0 < stamp_ns - state.readings[source].stamp_ns <= c.sprocket_timeout_ns:
         left, right, _ = mean_speeds_since(state, source, stamp_ns)

@@ -6,7 +6,7 @@
     h    slips of both tracks by the state and the sprockets (``models``)
 
 Slips are used inside their gate, which widens while they and the state disagree (``gate``). Slips that pass
-only the widened gate show an error of the state: the covariance of the slips is inflated by ν νᵀ, or the
+only the widened gate indicate an error of the state: the covariance of the slips is inflated by ν νᵀ, or the
 variance of i₀ by the squared mean of ν.
 """
 
