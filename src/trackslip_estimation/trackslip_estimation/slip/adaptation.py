@@ -1,23 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How wrong tracks, gyros and fixes are on this machine and this ground, found from innovations; compiled.
+"""Noise of tracks, gyros and fixes on this machine and ground, estimated from innovations; compiled.
 
-    s       track error: share of its speed by which each track's ground speed errs     1
-    U       s² U/4 is the variance of m_v by it, s² U/B² that of m_ω (``speed``)        (m/s)²
-    E       envelope: the U that the velocity errors hold already, forgotten with τ    (m/s)²
-    T       variance of m_ω, over s², by the tracks since the last reading  (rad/s)²
-    a, f    factors of the variance that yaw rates and a source's fixes state           1
+    s       track error: error of a track's ground speed, relative to its speed         1
+    U       s² U/4 is the variance of m_v due to s, s² U/B² that of m_ω (``speed``)     (m/s)²
+    E       envelope: the U already contained in the velocity errors, forgotten with τ  (m/s)²
+    T       variance of m_ω, over s², added by the tracks since the last reading  (rad/s)²
+    a, f    factors of the variance as stated by yaw rates and by a source's fixes      1
     ν, S    innovation and its covariance
     w       ln of the weight of a point mass
 
-s and a are found together, by point masses over a grid of both: each yaw rate weighs them by its
-likelihood, S being what it would be with them. Readings that follow each other within τ show the same error
-of the tracks and count for less. f is found by point masses of its own, by Student's t, so that an outlier
-counts little. What is used is the posterior mean of the *variance*: quick to grow, slow to shrink. All of it
-is a part of the state. Fixes that err alike, one after the other, show no f beyond 8: a pose that is wrong
-makes them err so, and would be kept by disbelief in what corrects it.
+Point masses on a joint grid estimate s and a. Each yaw rate weighs them by its likelihood, with S computed
+for each mass. Readings less than τ apart share one track error, so each of them has less weight. Separate
+point masses estimate f by Student's t, so that outliers have little influence. The posterior mean of the
+*variance* is used: it grows quickly and shrinks slowly. All weights are part of the state. Correlated
+consecutive fixes cannot raise f beyond 8. A wrong pose also correlates its innovations; a larger f would keep
+the fixes from correcting that pose.
 
-What an input errs by comes with the input: when U rises above E, the velocity errors have it at once.
+The error of an input enters P with the input: where U exceeds E, P grows by the difference at once.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ if TYPE_CHECKING:
 TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 13  # point masses of s, a and f
 _TRACK_RATIO = 3.0  # from one s to the next
 _RATE_RATIO = 4.0  # from one a to the next
-_FIX_STEP = 0.35  # of ln f, and beyond what any fix may show twice as much
-_FIX_BELOW, _USUAL = 2, 9  # point masses of f below 1, and all that any fix may show
+_FIX_STEP = 0.35  # of ln f; twice as large above the ``_USUAL`` masses
+_FIX_BELOW, _USUAL = 2, 9  # numbers of masses with f below 1, and with an f that correlated fixes may have
 _CORRELATION_MEMORY = 0.95  # 20 fixes
-_WHITE = 0.4  # likeness of fixes that may show any f
+_WHITE = 0.4  # correlation of consecutive innovations, below which f may have any value
 _FIX_PRIOR = 0.5  # standard deviation of ln f
 _HEAVY = 8.0  # degrees of freedom of Student's t
-_OF_GAUSSIAN = (1.232, 1.210, 1.192)  # by which d² of m = 1, 2, 3 counts, so that Gaussian fixes show f = 1
-_OUTLIER = 25.0  # NIS under the largest s and a, beyond which a yaw rate shows nothing more
-_SHORTEST = 1e-3  # s between fixes of a source
-_NEGLIGIBLE = -20.0  # w below the best
+_OF_GAUSSIAN = (1.232, 1.210, 1.192)  # factors of d² for m = 1, 2, 3 by which Gaussian fixes give f = 1
+_OUTLIER = 25.0  # NIS under the largest s and a, at which larger innovations are clipped
+_SHORTEST = 1e-3  # shortest time between fixes of a source, s
+_NEGLIGIBLE = -20.0  # w relative to the largest, at which a mass is ignored
 
 
 class AdaptationConstants(Record):
-    """Its parameters, and its point masses."""
+    """Point masses, and numbers of ``AdaptationParameters``."""
 
     track_variances: Annotated[FloatArray, TRACK_ERRORS]  # s²
     rate_factors: Annotated[FloatArray, RATE_FACTORS]  # a
@@ -77,25 +77,34 @@ CONSTANTS = dtype_of(AdaptationConstants)
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptationParameters(Parameters):
-    """How the noise finds its size."""
+    """Parameters of the noise estimation."""
 
     least_track_error: float = parameter(
-        "share of its speed by which a track errs at the least; up to 243 times as much is found",
+        "smallest error of a track, relative to its speed; up to 243 times as much is estimated",
         gt=0.0,
         le=0.01,
     )
-    changing_weight: float = parameter("of d² beside V² in what the track error is a share of", ge=0.0)
-    forward: float = parameter("error of v, over that of two tracks that err by themselves", ge=0.0)
-    sideways: float = parameter("error of v_y, over the same", ge=0.0)
-    common_slip: float = parameter("i₀ while driving, as a multiple of the track error", unit="1/√s", ge=0.0)
-    memory: float = parameter("driving after which an innovation counts for 1/e", unit="s", gt=0.0)
+    changing_weight: float = parameter(
+        "weight of d² beside V² in the squared speed that the track error scales with", ge=0.0
+    )
+    forward: float = parameter("error of v, over that of two tracks with independent errors", ge=0.0)
+    sideways: float = parameter("error of v_y, over that of two tracks with independent errors", ge=0.0)
+    common_slip: float = parameter(
+        "random walk of i₀ while driving, as a multiple of the track error", unit="1/√s", ge=0.0
+    )
+    memory: float = parameter(
+        "driving time after which the weight of an innovation has decayed to 1/e", unit="s", gt=0.0
+    )
     rate_odds: float = parameter(
-        "ln of the odds that a gyro is as good as it states, against half as good", ge=0.0
+        "ln of the prior odds of a gyro's stated noise, against twice that noise", ge=0.0
     )
     fix_memory: float = parameter(
-        "share of what was known of a source's noise that a further fix leaves", gt=0.0, lt=1.0
+        "weight of earlier fixes in the noise of a source that remains after one more fix", gt=0.0, lt=1.0
     )
-    soft_gate: float = parameter("up to so many times the gate a fix is used, with less weight", ge=1.0)
+    soft_gate: float = parameter(
+        "multiple of the gate, up to which altitudes are used and fixes contribute to their noise factor",
+        ge=1.0,
+    )
 
 
 def constants(p: AdaptationParameters) -> tuple[Any, ...]:
@@ -119,7 +128,7 @@ def unknown_fix_factor() -> FloatArray:
 
 @compiled
 def begin_adaptation(a: Adaptation, c: Config) -> None:
-    """The record ``a`` of ``records.ADAPTATION`` at the start: s unknown, sensors as they state."""
+    """Initialise the record ``a`` of ``records.ADAPTATION``: s unknown, sensor noise as stated."""
     n = c.adaptation
     a.track_variance, a.rate_factor = n.track_variances.mean(), 1.0
     a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
@@ -133,7 +142,7 @@ def begin_adaptation(a: Adaptation, c: Config) -> None:
 
 @compiled
 def resume_adaptation(a: Adaptation, start: Adaptation) -> None:
-    """What was learned before of s, a and f: the record ``start`` of ``records.ADAPTATION``."""
+    """Copy s, a and f of an earlier run from the record ``start`` of ``records.ADAPTATION``."""
     a.track_variance, a.rate_factor = start.track_variance, start.rate_factor
     for i in range(TRACK_ERRORS):
         a.log_weights[i] = start.log_weights[i]
@@ -144,11 +153,11 @@ def resume_adaptation(a: Adaptation, start: Adaptation) -> None:
 
 @compiled
 def add_track_error_noise(state: State, dt: float, c: Config) -> None:
-    """What the tracks' speeds, which last for ``dt`` s, err by more than those before is added to P."""
+    """Add to P the track errors that it does not contain yet; the tracks' speeds last for ``dt`` s."""
     a, P = state.adaptation, state.covariance
     U = track_exposure(state, c)
     jumped = max(abs(state.speeds.left - a.left_speed), abs(state.speeds.right - a.right_speed))
-    jumped *= c.rolling_radius if departure(state, c) > 0.0 else 0.0  # the first speeds are no change
+    jumped *= c.rolling_radius if departure(state, c) > 0.0 else 0.0  # first speeds: no change
     a.left_speed, a.right_speed = state.speeds.left, state.speeds.right
     lacking = max(U - a.envelope, c.adaptation.changing_weight * jumped * jumped)
     P[SPEED_ERROR, SPEED_ERROR] += c.adaptation.forward**2 * a.track_variance * lacking / 4.0
@@ -163,7 +172,7 @@ def add_track_error_noise(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def clear_track_error(a: Adaptation) -> None:
-    """The sprockets are silent: the velocity errors hold all, and nothing of it is the tracks' error."""
+    """Reset envelope and exposures while sprockets are silent: track errors then have no part in P."""
     a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
 
 
@@ -171,9 +180,9 @@ def clear_track_error(a: Adaptation) -> None:
 def learn_from_rate(
     a: Adaptation, innovation: float, S: float, of_tracks: float, stated: float, is_standing: bool, c: Config
 ) -> float:
-    """Weighs s and a by a yaw rate; returns its NIS under the largest of both.
+    """Update the weights of s and a with a yaw rate; return its NIS under the largest s and a.
 
-    ``of_tracks``, ``stated``: what of S is by the tracks for s = 1, T, and what the gyro states, R.
+    ``of_tracks``: part of S due to the tracks for s = 1, T; ``stated``: variance stated by the gyro, R.
     """
     n = c.adaptation
     rest = max(S - a.track_variance * of_tracks - a.rate_factor * stated, 0.0)
@@ -199,7 +208,7 @@ def learn_from_rate(
 def learn_from_speed(
     a: Adaptation, innovation: float, S: float, of_tracks: float, is_standing: bool, c: Config
 ) -> None:
-    """Weighs s by a speed; ``of_tracks``: what of S is by the tracks for s = 1."""
+    """Update the weights of s with a speed; ``of_tracks``: part of S due to the tracks for s = 1."""
     n = c.adaptation
     rest = max(S - a.track_variance * of_tracks, 0.0)
     squared = min(innovation**2, _OUTLIER * (rest + of_tracks * n.track_variances[TRACK_ERRORS - 1]))
@@ -218,7 +227,7 @@ def learn_from_speed(
 
 @compiled
 def _set_means(a: Adaptation, best: float, n: AdaptationConstants) -> None:
-    """s² and a as the weights, of which ``best`` is the largest, have them."""
+    """Set s² and a to their weighted means; ``best``: the largest w."""
     total = track_variance = rate_factor = 0.0
     for i in range(TRACK_ERRORS):
         for j in range(RATE_FACTORS):
@@ -233,9 +242,9 @@ def _set_means(a: Adaptation, best: float, n: AdaptationConstants) -> None:
 
 @compiled
 def repeats(elapsed_ns: int, time: float) -> float:
-    """For how many fixes one counts that comes so long after the one before, if their errors last for τ_e.
+    """Inflation of R for fixes Δt apart whose errors have the correlation time τ_e, ``time``, s.
 
-    (1 + ρ)/(1 − ρ), ρ = exp(−Δt/τ_e): what n such fixes tell together is what n by this number would.
+    (1 + ρ)/(1 − ρ), ρ = exp(−Δt/τ_e): n such fixes have the information of n independent ones over this.
     """
     if time == 0.0:
         return 1.0
@@ -244,10 +253,10 @@ def repeats(elapsed_ns: int, time: float) -> float:
 
 @compiled
 def shared_error(P: FloatArray, R: FloatArray) -> float:
-    """By what R must grow at the most for a fix whose error the estimate, of covariance P, may have already.
+    """Largest useful inflation of R for a fix whose error the estimate, of covariance P, may contain already.
 
-    Let P = R + U, where R is that error. A gain K leaves R + (1 − K)² U, and the filter claims (1 − K) P: the
-    same for 1 − K = R/U. Where U is less than R such a fix shows nothing new.
+    Let P = R + U, where R is the shared error. After a gain K the true variance is R + (1 − K)² U, and the
+    filter has (1 − K) P. Both are equal for 1 − K = R/U. Where U is less than R, the fix has no information.
     """
     p, r = P[0, 0] + P[1, 1], R[0, 0] + R[1, 1]
     return p / (p - 2.0 * r) if p > 2.0 * r else math.inf
@@ -255,7 +264,7 @@ def shared_error(P: FloatArray, R: FloatArray) -> float:
 
 @compiled
 def _correlation_with_last(a: Adaptation, source: int, innovation: FloatArray) -> float:
-    """How alike innovations of a source are that follow each other: 0 if they are white, 1 at the start."""
+    """Update and return the correlation of a source's consecutive innovations: 0 if white, 1 at the start."""
     last, both, squares = a.fix_innovations[source], 0.0, 0.0
     for i in range(min(innovation.size, last.size)):
         both += last[i] * innovation[i]
@@ -272,11 +281,11 @@ def _correlation_with_last(a: Adaptation, source: int, innovation: FloatArray) -
 def learn_from_fix(
     a: Adaptation, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Config
 ) -> None:
-    """Weighs f of a source by a fix that was predicted with P (m, m), and states R (m, m)."""
+    """Update the weights of f of a source with an innovation (m,); P (m, m) predicted, R (m, m) stated."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     scale = _OF_GAUSSIAN[m - 1] / _HEAVY
     is_white = _correlation_with_last(a, source, innovation) < _WHITE
-    if not np.any(w):  # the first one: f is not known, but as good as never beyond the usual
+    if not np.any(w):  # first fix: uniform up to ``_USUAL``, improbable beyond
         w[_USUAL:] = n.fix_prior[_USUAL:]
     best, likelihood = -math.inf, 0.0
     for j in range(FIX_FACTORS):
@@ -297,7 +306,7 @@ def learn_from_fix(
 
 @compiled
 def density_of_one(L: FloatArray, innovation: FloatArray) -> float:
-    """ln of the density of an innovation (m,) whose covariance has the root L (m, m): Student's t."""
+    """ln of the density of an innovation (m,) under Student's t; L (m, m): root of its covariance."""
     m = innovation.size
     count = _OF_GAUSSIAN[m - 1]
     squared = weighted_square(L, innovation)
@@ -309,7 +318,7 @@ def density_of_one(L: FloatArray, innovation: FloatArray) -> float:
 def density_of_fix(
     a: Adaptation, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Config
 ) -> float:
-    """ln of the density of an innovation (m,), over all f: P (m, m) predicted, R (m, m) stated."""
+    """ln of the density of an innovation (m,), averaged over f; P (m, m) predicted, R (m, m) stated."""
     n, w, m = c.adaptation, a.fix_log_weights[source], innovation.size
     count = _OF_GAUSSIAN[m - 1]
     is_known, best, highest = np.any(w), -math.inf, -math.inf

@@ -1,23 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far and for how long fixes of a receiver err to one side, found by the way driven; compiled.
+"""Time-correlated errors of a receiver's fixes, estimated against predicted displacements; compiled.
 
-    z = p + b + n   a fix: place, offset, white noise                              (2,) m
-    R               variance that the receiver states                              m²
+    z = p + b + n   a fix: position, offset, white noise                           (2,) m
+    R               variance as stated by the receiver                             m²
     b               first-order Gauss–Markov process, variance g R, time τ         (2,) m
     n               white, variance f R
-    r               fixes beyond the way that the estimator predicts, since the first fix   (2,) m
-    c, ċ            error of that way, and its rate                                (2,) m, m/s
+    r               measured minus predicted displacement since the first fix      (2,) m
+    c, ċ            error of the predicted displacement, and its rate              (2,) m, m/s
     w               ln of the weight of a point mass
 
-f, g and τ are found by point masses. Each has a small Kalman filter of r = b + c + n, and is weighed by its
-innovations under Student's t; fixes that are correlated are explained best by the mass that knows how. Some
-masses have g = 0: the errors are white. One record belongs to a source, not to a branch of the bank: the way
-is that of the most probable branch, and errs as its speed does.
+Point masses estimate f, g and τ. Each mass has a small Kalman filter of r = b + c + n. Its weight follows the
+likelihood of its innovations under Student's t. Some masses have g = 0: their errors are white. One record
+belongs to a source, not to a branch of the bank. The predicted displacement is that of the most probable
+branch; its uncertainty includes that of the branch's speed.
 
-Errors of coarse fixes are correlated until they show otherwise, those of precise ones the other way round.
-What is white of these has the noise factor of their source besides (``adaptation``). Where they are white,
-but jitter by less than they state, the rest lasts: of that the way shows nothing.
+A priori, errors of coarse fixes are time-correlated and errors of precise fixes are white. The noise factor
+of the source also scales the white part of precise fixes (``adaptation``). If errors of precise fixes are
+white but smaller than stated, the rest of R is treated as time-correlated: displacements cannot observe it.
 
 Source: Gelb, Applied Optimal Estimation (1974), 4.5 (shaping filters); Magill (1965), multiple models.
 """
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
 
 MOST_RECEIVERS = MOST_SENSOR_ERRORS // 2  # sources of poses, each with an offset of two states
-QUALITIES = 3  # of fixes: precise; ambiguities float; code alone
+QUALITIES = 3  # of fixes: precise; float ambiguities; code only
 PRECISE = 0
 
 _WHITE_F = np.exp(0.35 * (np.arange(13) - 2 + np.maximum(np.arange(13) - 8, 0)))
@@ -59,32 +59,32 @@ LOG_PRIOR = np.concatenate(
 _ANY_WHITE = -1.0 - np.square(np.log(_WHITE_F) / 1.2) / 2.0
 _LEAST_G = 1e-3
 _HEAVY, _OF_GAUSSIAN = 8.0, 1.21  # degrees of freedom of Student's t; see ``adaptation``
-_UNKNOWN_DISPLACEMENT = 1e4  # variance of c at first, over R
-_NEGLIGIBLE = -6.0  # w below the best
-_EVEN = 0.5  # probability that errors are white, from which on they are taken for it
+_UNKNOWN_DISPLACEMENT = 1e4  # initial variance of c, over R
+_NEGLIGIBLE = -6.0  # w relative to the largest, at which a mass is ignored
+_EVEN = 0.5  # probability of white errors from which on errors are treated as white
 
 
 class FixErrors(Record):
-    """What fixes of one quality err by."""
+    """Error model of fixes of one quality."""
 
     f: float
-    g: float  # 0: they are white
+    g: float  # 0: white errors
     time: float  # τ, s
-    white: float  # probability that they are
-    observed: float  # s, for which the source gave such fixes
+    white: float  # probability of white errors
+    observed: float  # time for which the source provided such fixes, s
 
 
 class Receiver(Record):
-    """What is known of the errors of a source's fixes."""
+    """Estimated errors of a source's fixes."""
 
-    known: int  # 0: no fix has weighed masses yet; 1; 2: some came since whose way is not known
-    stddev: float  # that the last fix stated, m
+    known: int  # 0: no fix so far; 1: displacement since the last fix is known; 2: it is unknown
+    stddev: float  # as stated by the last fix, m
     errors: Annotated[Table[FixErrors], QUALITIES]
-    elapsed: float  # s since masses learned last
-    distance: float  # m since then
-    displacement: Annotated[FloatArray, 2]  # as predicted since the last fix, m
-    recent_displacement: Annotated[FloatArray, 2]  # as predicted in about the longest time of an offset, m
-    last_position: Annotated[FloatArray, 2]  # place that it showed, m
+    elapsed: float  # since the last update of the masses, s
+    distance: float  # since the last update of the masses, m
+    displacement: Annotated[FloatArray, 2]  # predicted since the last fix, m
+    recent_displacement: Annotated[FloatArray, 2]  # predicted, decaying with the longest time of an offset, m
+    last_position: Annotated[FloatArray, 2]  # measured by the last fix, m
     last_ns: int
     residual: Annotated[FloatArray, 2]  # r
 
@@ -93,7 +93,7 @@ RECEIVER = dtype_of(Receiver)
 
 
 class Masses(Record):
-    """Point masses of a receiver."""
+    """Weights and filters of the point masses of a receiver."""
 
     weights: Annotated[FloatArray, (QUALITIES, COUNT)]  # w
     means: Annotated[FloatArray, (COUNT, 3, 2)]  # b, c, ċ by axis
@@ -105,7 +105,7 @@ MASSES = dtype_of(Masses)
 
 @compiled
 def quality_of(stddev: float, c: Config) -> int:
-    """Which solution of a receiver states a standard deviation, m: one of ``QUALITIES``."""
+    """Quality of the receiver's solution by its stated standard deviation, m: one of ``QUALITIES``."""
     if stddev <= c.receivers.precise:
         return PRECISE
     return 1 if stddev < c.receivers.floating else 2
@@ -113,13 +113,13 @@ def quality_of(stddev: float, c: Config) -> int:
 
 @compiled
 def same_quality(stddev: float, other: float, c: Config) -> bool:
-    """Whether two standard deviations are those of one solution of a receiver."""
+    """Whether two standard deviations belong to the same solution of a receiver, by their ratio."""
     return max(stddev, other) <= c.receivers.other_quality * min(stddev, other)
 
 
 @compiled
 def reset_receiver(s: Receiver, c: Config) -> None:
-    """The record ``s`` of ``RECEIVER`` of a source of which nothing is known."""
+    """Reset the record ``s`` of ``RECEIVER`` to its priors."""
     s.known, s.stddev, s.elapsed, s.distance = 0, 0.0, 0.0, 0.0
     s.displacement[:] = s.recent_displacement[:] = s.residual[:] = s.last_position[:] = 0.0
     s.last_ns = 0
@@ -130,19 +130,19 @@ def reset_receiver(s: Receiver, c: Config) -> None:
 
 @compiled
 def _log_priors(quality: int, c: Config) -> FloatArray:
-    """(COUNT,) w of masses before any fix of a quality."""
+    """Prior w (COUNT,) of the masses for a quality of fixes."""
     priors = LOG_PRIOR.copy()
-    if quality == PRECISE:  # other than errors that last, noise of any size is found elsewhere, too
+    if quality == PRECISE:  # ``adaptation`` estimates the size of white noise too
         priors[:_WHITES] = _ANY_WHITE
         priors[_WHITES:] -= c.receivers.white_odds
     return priors
 
 
 class DisplacementError(NamedTuple):
-    """How the way between two fixes errs, as it is predicted."""
+    """Uncertainty of the predicted displacement between two fixes."""
 
     speed: float  # variance of the speed, (m/s)²
-    direction: float  # variance of its direction, and of its length over it, rad²
+    direction: float  # variance of the direction, plus relative variance of the length, rad²
 
 
 @compiled
@@ -155,7 +155,7 @@ def add_fix(
     stamp_ns: int,
     c: Config,
 ) -> None:
-    """One more fix weighs the masses of its source; ``position``: place that it shows (2,), m."""
+    """Update the masses of a source with one more fix; ``position``: measured position (2,), m."""
     quality = quality_of(stddev, c)
     begins, other = s.known != 1, not same_quality(stddev, s.stddev, c) if s.known > 0 else False
     if s.known == 0:
@@ -187,7 +187,7 @@ def add_fix(
 
 @compiled
 def _begin_means(masses: Masses, R: float) -> None:
-    """Offsets as they are a priori; of the way's error nothing is known."""
+    """Reset b to its prior, and c to an unknown error of the displacement."""
     for k in range(COUNT):
         masses.means[k, :, :] = 0.0
         masses.covariances[k, :] = 0.0
@@ -196,7 +196,7 @@ def _begin_means(masses: Masses, R: float) -> None:
 
 @compiled
 def _reset_offsets(masses: Masses, R: float) -> None:
-    """The receiver has another solution: the offset is reset."""
+    """Reset b of all masses to its prior after the receiver changed its solution."""
     for k in range(COUNT):
         masses.means[k, 0, :] = 0.0
         masses.covariances[k, 0] = G[k] * R
@@ -205,7 +205,7 @@ def _reset_offsets(masses: Masses, R: float) -> None:
 
 @compiled
 def _learn(s: Receiver, masses: Masses, stddev: float, displacement: DisplacementError, c: Config) -> None:
-    """All masses predict r, are weighed by it and corrected; what the best one cannot explain is a jump."""
+    """Predict, weigh and update all masses with r; a jump of precise fixes resets their filters instead."""
     quality, R = quality_of(stddev, c), stddev * stddev
     _predict(s, masses, R, displacement, c)
     S, nis = np.empty(COUNT), np.empty(COUNT)
@@ -226,14 +226,14 @@ def _learn(s: Receiver, masses: Masses, stddev: float, displacement: Displacemen
         more = student_inflation(nis[k], 2) * S[k] if nis[k] > 2.0 else 0.0
         _correct(masses.means[k], masses.covariances[k], s.residual, S[k], more, G[k] > 0.0)
     w -= w.max()
-    if quality == PRECISE:  # errors may be of another kind at any time
+    if quality == PRECISE:  # the kind of errors may change at any time
         w[:] = np.maximum(w, priors - c.receivers.most_odds)
     _set_means(s.errors[quality], quality, w, c)
 
 
 @compiled
 def _predict(s: Receiver, masses: Masses, R: float, displacement: DisplacementError, c: Config) -> None:
-    """b, c and ċ of all masses at the next fix."""
+    """Propagate b, c and ċ of all masses to the fix."""
     n, dt, squared = c.receivers, s.elapsed, (s.distance / s.elapsed) ** 2
     of_speed = 2.0 * displacement.speed * c.velocity_errors.time
     walk = dt * (squared * n.distance_error**2 + of_speed + n.displacement_walk**2)
@@ -252,7 +252,7 @@ def _predict(s: Receiver, masses: Masses, R: float, displacement: DisplacementEr
 
 @compiled
 def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float, correlated: bool) -> None:
-    """b, c and ċ of a mass (3, 2) by r (2,), where r has the variance S, and ``more`` as it surprises."""
+    """Update b, c and ċ (3, 2) with r (2,); ``more`` inflates the variance S of r, and of b if correlated."""
     S += more
     if correlated:
         P[0] += more
@@ -268,19 +268,19 @@ def _correct(x: FloatArray, P: FloatArray, r: FloatArray, S: float, more: float,
     P[3] -= hc * hc / S
     P[4] -= hc * hd / S
     P[5] -= hd * hd / S
-    for i in (0, 3, 5):  # a way that errs by 1e7 times what a fix states leaves less than the rounding
+    for i in (0, 3, 5):  # rounding, if c is 1e7 times as uncertain as a fix
         P[i] = max(P[i], 0.0)
 
 
 @compiled
 def student_inflation(nis: float, m: int) -> float:
-    """By what share S of an innovation (m,) grows, as Student's t of four degrees of freedom has it."""
+    """Relative increase of S for an innovation (m,), under Student's t of four degrees of freedom."""
     return max((4.0 + nis) / (4.0 + m) - 1.0, 0.0)
 
 
 @compiled
 def _set_means(found: FixErrors, quality: int, w: FloatArray, c: Config) -> None:
-    """f, g and τ of a quality as the weights have them; 1/τ is averaged with g, since g/τ drives b."""
+    """Set f, g and τ of a quality to weighted means; 1/τ is weighted with g too, since g/τ drives b."""
     best, total, f, g, driving, white = w.max(), 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(COUNT):
         if w[k] - best > _NEGLIGIBLE:

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the stamps of fixes err by more than their sources say; compiled.
+"""Odds that stamps of fixes have larger errors than configured; compiled.
 
     δ    delay of all fixes, over the stamp error σ_t, and its variance P         1
-    m    its mean before any fix showed it                                        1
-    v    its variance, had no fix shown it; it walks                              1
-    w    the same, if stamps are late or early by ``events.late_stddev``          1
+    m    prior mean of δ                                                          1
+    v    variance of δ without the information of fixes; a random walk            1
+    w    prior variance of δ if stamps are late or early by ``events.late_stddev``   1
 
-All fixes together are a measurement of δ − m with the variance R: 1/R = 1/P − 1/v. It is (δ − m) R/P, and of
-N(0, R + w) if stamps are late, of N(0, R + v) if not. So no fix has to contradict: where stamps are late, δ
-goes further than v lets it, slowly.
+All fixes together measure δ − m with the variance R: 1/R = 1/P − 1/v. The measured value is (δ − m) R/P. Its
+distribution is N(0, R + w) if stamps are late or early, otherwise N(0, R + v). No single fix needs to exceed
+its gate: wrong stamps shift δ slowly beyond the range of v.
 
 Source: Bayes factor of two normal priors, Kass & Raftery (1995).
 """
@@ -28,24 +28,24 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-_SHOWN = 0.8  # of v, which fixes leave at the most: before, any noise of theirs puts δ anywhere
+_SHOWN = 0.8  # largest P, over v; above it noise of the fixes dominates δ
 
 
 @compiled
 def begin_delay(state: State, c: Config) -> None:
-    """No fix has shown the delay."""
+    """Set v to the prior variance of δ."""
     state.delay_variance = c.prior_variance[FIX_DELAY]
 
 
 @compiled
 def propagate_delay(state: State, dt: float, c: Config) -> None:
-    """v, dt s later."""
+    """Propagate v by ``dt`` s."""
     state.delay_variance += c.process_noise[0, 0, FIX_DELAY] * dt  # the same in any motion
 
 
 @compiled
 def log_odds_of_delay(state: State, source: int, c: Config) -> float:
-    """ln of the odds that stamps of a source err by more than σ_t; −∞: they may already, or none shows it."""
+    """ln of the odds of stamp errors of a source beyond σ_t; −∞: v allows for them, or δ is not observed."""
     v, w, P = state.delay_variance, _late_variance(source, c), state.covariance[FIX_DELAY, FIX_DELAY]
     if not has_velocity_errors(c) or v >= w / 4.0 or not 0.0 < P < _SHOWN * v:
         return -math.inf
@@ -56,7 +56,7 @@ def log_odds_of_delay(state: State, source: int, c: Config) -> float:
 
 @compiled
 def open_delay(state: State, source: int, c: Config) -> None:
-    """The variance of δ was w before any fix; what fixes have shown stays."""
+    """Replace the prior variance v of δ by w; the information of fixes is kept."""
     x, w, mean = state.mean[: c.size], _late_variance(source, c), c.prior_mean[FIX_DELAY]
     x[FIX_DELAY] -= mean
     exchange_prior(x, state.covariance[:], FIX_DELAY, state.delay_variance, w)
@@ -66,6 +66,6 @@ def open_delay(state: State, source: int, c: Config) -> None:
 
 @compiled
 def _late_variance(source: int, c: Config) -> float:
-    """w; 0 where stamps of a source have no error."""
+    """w; 0 where the stamp error σ_t of a source is 0."""
     error = c.stamp_errors[source]
     return (c.events.late_stddev / error) ** 2 if error > 0.0 else 0.0

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes of a receiver that wander off: how likely they are beside a motion that they do not show; compiled.
+"""Evidence of fixes whose offset drifts, against a motion predicted without them; compiled.
 
-    r      fix less the place that is predicted without it                  (2,) m
-    p, v   what the fixes are off by, and how fast that changes: v walks    (2,) m, m/s
+    r      fix minus the position predicted without it                      (2,) m
+    p, v   offset of the fixes, and its rate, a random walk                 (2,) m, m/s
     P      covariance of p and v, the same for both axes
     S      variance of r
 
-While a branch assumes that a receiver wanders, none of its places corrects the state. What they are off by
-begins at nothing, with any speed up to ``events.wander_speed``. Fixes that go on faster are those of a
-machine whose tracks do not show it: the branch pays for them each time.
+While a branch assumes that a receiver wanders, no position of that receiver updates the state. The offset
+starts at zero; v has a standard deviation of half of ``events.wander_speed``. A faster offset indicates a
+motion that the tracks do not measure: each such fix lowers the evidence of the branch.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _LOG_TURN = math.log(2.0 * math.pi)
 
 
 class Wander(Record):
-    """Of a source of poses."""
+    """Offset of a pose source."""
 
     east: float  # p, m
     north: float
@@ -43,12 +43,12 @@ class Wander(Record):
     variance: float  # of p, m²
     covariance: float  # of p and v, m²/s
     speed_variance: float  # (m/s)²
-    reckoned: float  # variance of the place as predicted for the fix before, by axis, m²
+    reckoned: float  # variance by axis of the position predicted for the previous fix, m²
 
 
 @compiled
 def begin_wander(wander: Wander, P: FloatArray, c: Config) -> None:
-    """A receiver whose fixes agreed up to now with a place of covariance P."""
+    """Initialise the offset of a receiver whose fixes agreed so far with a state of covariance P."""
     wander.east = wander.north = wander.east_speed = wander.north_speed = wander.covariance = 0.0
     wander.variance = wander.reckoned = (P[X, X] + P[Y, Y]) / 2.0
     wander.speed_variance = c.events.wander_speed**2 / 4.0
@@ -58,7 +58,10 @@ def begin_wander(wander: Wander, P: FloatArray, c: Config) -> None:
 def weigh_wander(
     wander: Wander, o: Observation, predicted: FloatArray, dt: float, c: Config, update: Update
 ) -> None:
-    """Evidence of a fix ``dt`` s after the one before; ``predicted``: H P Hᵀ (m, m)."""
+    """Update the offset with a fix ``dt`` s after the previous one; set its evidence.
+
+    ``predicted``: H P Hᵀ (m, m).
+    """
     _propagate(wander, dt, c)
     reckoned = (predicted[X, X] + predicted[Y, Y]) / 2.0
     wander.variance += max(reckoned - wander.reckoned, 0.0)
@@ -80,7 +83,7 @@ def weigh_wander(
 
 @compiled
 def _propagate(wander: Wander, dt: float, c: Config) -> None:
-    """p, v and P, dt s later."""
+    """Propagate p, v and P by ``dt`` s."""
     wander.east += wander.east_speed * dt
     wander.north += wander.north_speed * dt
     known = Known(wander.variance, wander.covariance, wander.speed_variance)
@@ -89,6 +92,6 @@ def _propagate(wander: Wander, dt: float, c: Config) -> None:
 
 @compiled
 def _too_fast(wander: Wander, c: Config) -> float:
-    """By how much less likely fixes are that wander faster than any do."""
+    """Reduction of ln of the likelihood for an offset faster than ``events.wander_speed``."""
     excess = max(math.hypot(wander.east_speed, wander.north_speed) - c.events.wander_speed, 0.0)
     return excess * excess / (2.0 * wander.speed_variance)

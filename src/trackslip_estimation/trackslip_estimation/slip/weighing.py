@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses, headings, swing angles and velocities under one branch of the bank: evidence and update; compiled.
+"""Evidence and update of one branch by poses, headings, swing angles and velocities; compiled.
 
     ν, H, R   the observation (``observations``)                            (m,), (m, n), (m, m)
     S         covariance of the innovation, H P Hᵀ + R                      (m, m)
     p         share of the source's measurements that are outliers          1
 
-A measurement has two explanations inside a branch: it is sound, with a likelihood of Student's t over the
-noise-factor masses, or it is an outlier of any size. The more likely one decides whether it is used: that is
-the gate. ``update.evidence`` is the log of that likelihood, by which the bank weighs the branch. Fixes of a
-coarse receiver have its offset in them (``correlated_errors``); a large innovation inflates that first.
+Inside a branch a measurement is either sound or an outlier. The likelihood of a sound one is Student's t over
+the noise-factor masses; an outlier has any size. The gate compares both: an outlier that is more likely is
+not used. ``update.evidence`` is ln of the larger likelihood; the bank weighs the branch by it. Fixes of a
+coarse receiver contain its offset (``correlated_errors``); a large innovation first inflates that offset's
+variance.
 
-A compass or an encoder that is wrong is so in each reading. That its angles agree with a branch counts once a
-second, that they do not counts each time.
+Errors of a compass or an encoder are time-correlated. Angles that agree with a branch raise its evidence only
+by their share of a second; angles that disagree lower it in full each time.
 """
 
 from __future__ import annotations
@@ -79,14 +80,14 @@ if TYPE_CHECKING:
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 _LOG_TURN = math.log(2.0 * math.pi)
-_ANGLE_ERROR_TIME = 1.0  # s, for which an error of a compass or an encoder lasts
+_ANGLE_ERROR_TIME = 1.0  # correlation time of errors of a compass or an encoder, s
 
 
 @inlined
 def use_weighed(
     state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
 ) -> None:
-    """Weigh a measurement, and update with it; arguments as in ``update``."""
+    """Weigh the branch by a measurement, and update the state with it; arguments as in ``update``."""
     kind, source, fault = measurement.kind, measurement.source, state.fault[measurement.source]
     elapsed = (measurement.stamp_ns - state.last_ns[source]) * 1e-9
     if kind == POSE:
@@ -139,7 +140,7 @@ def use_weighed(
 def _use_heading_alone(
     state: State, o: Observation, predicted: FloatArray, c: Config, update: Update
 ) -> None:
-    """The heading of a fix whose place wanders: two antennas find it apart from the place."""
+    """Update the heading with a fix whose position wanders; two antennas measure it independently."""
     S = predicted[YAW, YAW] + o.noise[YAW, YAW]
     nis = o.innovation[YAW] ** 2 / S
     if nis > c.gate_limits[1]:
@@ -160,7 +161,7 @@ def _log_density(update: Update) -> float:
 
 @compiled
 def observe_weighed(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
-    """What a pose, heading, swing angle or velocity says of a state."""
+    """Observation of a state by a pose, heading, swing angle or velocity."""
     if measurement.kind == POSE:
         return observe_pose(state, measurement, c)
     if measurement.kind == HEADING:
@@ -172,7 +173,7 @@ def observe_weighed(state: State, measurement: MeasurementRecord, c: Config) -> 
 
 @compiled
 def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Config) -> None:
-    """The update; the machine turns about the sensor that has shown its place last."""
+    """Update the state; a correction of its heading keeps the position of the sensor ``_turns_about``."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     about = _turns_about(state, measurement, c)
     if about < 0:
@@ -186,7 +187,7 @@ def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Co
 
 @compiled
 def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int:
-    """Source of poses whose sensor stays where it is as the heading, or the swing, is corrected; −1: none."""
+    """Pose source whose sensor keeps its position while heading or swing is corrected; −1: none."""
     if measurement.kind == POSE:
         return int(measurement.source)
     if measurement.kind in (HEADING, VELOCITY):
@@ -199,7 +200,7 @@ def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int
 
 @compiled
 def _show_place(state: State, source: int, o: Observation, update: Update, c: Config) -> None:
-    """The place of base_link that a pose shows."""
+    """Set ``update.measured_position``: base_link by a pose, without correction of the source's offset."""
     for axis in (X, Y):
         update.measured_position[axis] = o.innovation[axis] + state.mean[axis]
         if has_offset(state, source, c):
@@ -210,10 +211,10 @@ def _show_place(state: State, source: int, o: Observation, update: Update, c: Co
 def _learn_track_error(
     state: State, innovation: FloatArray, S: FloatArray, elapsed: float, c: Config
 ) -> None:
-    """Fixes show what tracks err by aside, where no gyro does; ``elapsed``: s since the last one."""
+    """Update the track error with a fix's lateral innovation, if no gyro does; ``elapsed``: s since a fix."""
     if not has_velocity_errors(c) or state.coasting or not 0.0 < elapsed <= c.bank.longest_interval:
         return
-    if state.adaptation.elapsed <= c.bank.longest_interval:  # a gyro does
+    if state.adaptation.elapsed <= c.bank.longest_interval:  # by a recent yaw rate
         return
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
@@ -235,9 +236,10 @@ def _weigh(
     c: Config,
     update: Update,
 ) -> tuple[FloatArray, bool, bool]:
-    """R (m, m) of a measurement, whether it is used, and whether it counts alone; fills in ``update``.
+    """Fill ``update``; return R (m, m), whether the measurement is used, and whether it is independent.
 
-    ``predicted``: H P Hᵀ (m, m); ``outside``: ln of the density of an outlier.
+    It is not where it repeats a fix of the same standstill within its gate. ``predicted``: H P Hᵀ (m, m);
+    ``outside``: ln of the density of an outlier.
     """
     source, m, a = measurement.source, o.innovation.size, state.adaptation
     limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
@@ -266,7 +268,7 @@ def _weigh(
         errs_aside = number >= 0 and (
             state.offsets[number].variance > 0.0 or has_correlated_errors(state, source, update.stated, c)
         )
-        if errs_aside or c.repeat_times[source] > 0.0:  # that it is followed well shows nothing
+        if errs_aside or c.repeat_times[source] > 0.0:  # small innovations do not imply small errors
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
         R = a.fix_factors[source] * o.noise
     update.evidence = evidence
@@ -279,7 +281,7 @@ def _weigh(
 
 @compiled
 def _compare_with_last(state: State, measurement: MeasurementRecord, update: Update) -> None:
-    """How far a fix is from the source's fix before; it becomes the last one."""
+    """Set the squared distance of a fix from the source's previous one, and store the fix as the last one."""
     last, z = state.last_fix[measurement.source], measurement.value
     update.squared_repeat_distance = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
     last[X], last[Y] = z[X], z[Y]
@@ -287,7 +289,7 @@ def _compare_with_last(state: State, measurement: MeasurementRecord, update: Upd
 
 @compiled
 def _whiten(state: State, innovation: FloatArray, S: FloatArray, update: Update) -> None:
-    """Innovation of a place or a velocity along and across the heading, over its deviation: for the CUSUM."""
+    """Set the whitened innovation of a position or velocity along and across the heading, for the CUSUM."""
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     along = cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]
     across = sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]
