@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Explanations that compete: branches of the estimate, their children, their weights."""
+"""Bank of competing hypotheses: branches of the estimate, their children, their weights."""

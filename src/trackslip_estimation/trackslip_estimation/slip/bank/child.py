@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A child of a branch: in it one event happened; compiled.
+"""Create a child of a branch, in which one event happened; compiled.
 
-Its prior is the rate of the event times the time in which it may have happened: since the source's
-measurement before, or since the snapshot, from which the child makes its steps again. An event that is as
-likely at every place, or for every angle, has the density of that.
+The prior of a child is the rate of the event times the time in which it may have happened. This is the time
+since the source's previous measurement, or since the snapshot, from which the child repeats the steps. The
+prior of an event with a uniform position or angle includes that uniform density.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @compiled
 def log_time(window: Window, p: int, k: int, c: Config) -> float:
-    """ln of the time since the source's measurement before."""
+    """ln of the time since the source's previous measurement, s."""
     m = window.measurements[k]
     elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
     return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
@@ -37,7 +37,7 @@ def log_time(window: Window, p: int, k: int, c: Config) -> float:
 
 @compiled
 def log_time_since(window: Window, p: int, k: int, c: Config) -> float:
-    """ln of the time since the snapshot of branch p."""
+    """ln of the time since the snapshot of branch p, s."""
     snapshot = window.branches[p, k].snapshots[OLDER]
     elapsed_ns = window.measurements[k].stamp_ns - window.states[snapshot.slot, snapshot.entry].stamp_ns
     return math.log(max(elapsed_ns * 1e-9, c.bank.shortest_time))
@@ -45,7 +45,7 @@ def log_time_since(window: Window, p: int, k: int, c: Config) -> float:
 
 @compiled
 def distance_since(window: Window, p: int, k: int) -> float:
-    """By the tracks since the snapshot of branch p of row k − 1, m."""
+    """Track distance since the snapshot of branch p of row k − 1, m."""
     snapshot = window.branches[p, k - 1].snapshots[OLDER]
     then = window.states[snapshot.slot, snapshot.entry]
     return float(window.states[p, k - 1].track_distance - then.track_distance)
@@ -53,13 +53,13 @@ def distance_since(window: Window, p: int, k: int) -> float:
 
 @compiled
 def squared_jump(m: MeasurementRecord, before: State) -> float:
-    """Squared distance of a fix from where the machine was before it, m²."""
+    """Squared distance of a fix from the position of the previous state, m²."""
     return float((m.value[X] - before.mean[X]) ** 2 + (m.value[Y] - before.mean[Y]) ** 2)
 
 
 @compiled
 def child_now(window: Window, p: int, k: int, event: int, source: int, log_odds: float, c: Config) -> None:
-    """An event was just before measurement k; ``log_odds``: for it, beyond its rate and the time."""
+    """Add a child with an event just before measurement k; ``log_odds``: prior beside rate and time."""
     prior = log_time(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, 0, False, prior, c)
 
@@ -68,7 +68,7 @@ def child_now(window: Window, p: int, k: int, event: int, source: int, log_odds:
 def child_since(
     window: Window, p: int, k: int, event: int, source: int, part: int, log_odds: float, c: Config
 ) -> None:
-    """An event was since the snapshot; arguments as above, ``part`` as in ``EventRecord``."""
+    """Add a child with an event since the snapshot; ``log_odds`` as above, ``part`` as in ``EventRecord``."""
     prior = log_time_since(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, part, True, prior, c)
 
@@ -85,9 +85,9 @@ def add_child(
     log_prior: float,
     c: Config,
 ) -> None:
-    """A child of branch p in the pool: an event was just before measurement k, or ``since`` the snapshot.
+    """Add to the pool a child of branch p: an event just before measurement k, or ``since`` the snapshot.
 
-    There is none where the pool is full, or children have made steps enough.
+    Nothing is added if the pool is full, or if too few steps are left for the children.
     """
     status, before, m = window.status[0], window.branches[p, k - 1], window.measurements[k]
     snapshot = before.snapshots[OLDER]
@@ -115,7 +115,7 @@ def add_child(
 
 @compiled
 def _value(window: Window, p: int, k: int, event: int, source: int, since: bool, c: Config) -> float:
-    """What an event at measurement k has beside its part, see ``EventRecord``."""
+    """Field ``value`` of the ``EventRecord`` of an event at measurement k."""
     m, before = window.measurements[k], window.states[p, k - 1]
     if event == SKIDDED:
         seconds = math.exp(log_time_since(window, p, k, c))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a branch has children, and which: those of a measurement that contradicts it; compiled."""
+"""Select the children of branches that a measurement contradicts; compiled."""
 
 from __future__ import annotations
 
@@ -75,15 +75,15 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
-_WANDER_TIMES = 3.0  # fault times: what wandered off may stay there for a while, and come back
+_WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while, and return
 
 
 @compiled
 def propose(window: Window, k: int, c: Config) -> int:
-    """Weigh the branches of row k, and put the children of those that it contradicts into the pool.
+    """Weigh the branches of row k, and add to the pool the children of those that measurement k contradicts.
 
-    Returns the number of branches and children; the branches are in the pool, too, if there is more than one
-    or they have children.
+    Returns the number of branches and children. The pool also holds the branches, if there are several or if
+    they have children.
     """
     count, spawns = window.counts[k], False
     for s in range(count):
@@ -106,7 +106,7 @@ def propose(window: Window, k: int, c: Config) -> int:
 
 @compiled
 def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
-    """What branch s of row k pays for a fault that lasts and for a slip that no track has; its CUSUM."""
+    """Lower the weight of branch s of row k by lasting faults and an implausible slip; update its CUSUM."""
     measurement = window.measurements[k]
     branch, state, update = window.branches[s, k], window.states[s, k], update_of(window, s, k)
     source, fault = measurement.source, state.fault[measurement.source]
@@ -119,7 +119,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
             elapsed_ns = measurement.stamp_ns - window.states[s, k - 1].last_ns[source]
             branch.weight -= elapsed_ns * 1e-9 / c.events.fault_time
     follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
-    if measurement.kind == VELOCITY:  # one of a machine that stands shows no slip
+    if measurement.kind == VELOCITY:  # at standstill slip is not observable
         follows = fault == IS_HEALTHY and state.motion.motion != _STANDING
     if follows and not is_correlated(state, source, c):
         for i in range(4):
@@ -130,7 +130,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
 
 @compiled
 def outside_range(state: State, c: Config) -> float:
-    """By how much less likely a branch is whose i₀ no track can have."""
+    """Reduction of ln of a branch's weight for an i₀ outside its physical range."""
     if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
         return 0.0
     low, high = c.bank.least_slip, c.bank.most_slip
@@ -141,7 +141,7 @@ def outside_range(state: State, c: Config) -> float:
 
 @compiled
 def _contradicts(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether measurement k is not what branch s predicts."""
+    """Whether the NIS of measurement k under branch s is beyond half the gate, or the gate rejects it."""
     before, update = window.states[s, k - 1], update_of(window, s, k)
     limit, m = c.gate_limits[update.dof] / 2.0, window.measurements[k]
     is_gated = update.outcome == _GATED and is_trusted(before.fault[m.source], m.kind)
@@ -150,7 +150,7 @@ def _contradicts(window: Window, s: int, k: int, c: Config) -> bool:
 
 @compiled
 def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether branch s of row k has children."""
+    """Whether branch s of row k gets children."""
     measurement, before, branch = window.measurements[k], window.states[s, k - 1], window.branches[s, k]
     fault, update = before.fault[measurement.source], update_of(window, s, k)
     if fault == IS_SCATTERING:
@@ -173,20 +173,20 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
 
 @compiled
 def _late_log_odds(m: MeasurementRecord, before: State, c: Config) -> float:
-    """ln of the odds that a fix, and all before it, are stamped late or early; −∞ of other measurements."""
+    """ln of the odds that all fixes up to this one have late or early stamps; −∞ of other measurements."""
     is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE)
     return log_odds_of_delay(before, m.source, c) if is_fix else -math.inf
 
 
 @compiled
 def _moves(before: State, source: int, c: Config) -> bool:
-    """Whether a source moves, so that its fixes do not repeat themselves."""
+    """Whether the sensor of a source moves, so that its fixes cannot be identical."""
     return bool(before.motion.motion != _STANDING or is_moved_by_swing(before, source, c))
 
 
 @compiled
 def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
-    """Whether what the measurement's source is off by is tried as a jump, again each fault time or three."""
+    """Whether to try the source's offset as a jump of the machine, once each fault time or three."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault = before.fault[source]
     is_place = fault in (IS_OFFSET, IS_WANDERING) and number_of(source, c) >= 0
@@ -198,14 +198,14 @@ def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
         same_angle = c.yaw_offsets[other] >= 0 and c.of_swing[other] == c.of_swing[source]
         shows = number_of(other, c) >= 0 if is_place else same_angle
         if other != source and shows and before.consistent_ns[other] > since_ns:
-            return False  # it shows no jump
+            return False  # this other source measures no jump
     first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
     return bool(math.floor(last / period_ns) > math.floor(first / period_ns))
 
 
 @compiled
 def _make_children(window: Window, p: int, k: int, c: Config) -> None:
-    """Children of branch p at measurement k."""
+    """Add the children of branch p at measurement k."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault, contradicts = m.source, before.fault[m.source], _contradicts(window, p, k, c)
     if fault == IS_SCATTERING:
@@ -234,7 +234,7 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
 
 @compiled
 def _end_scatter(window: Window, p: int, k: int, c: Config) -> None:
-    """Children in which the source is sound again; nobody saw meanwhile whether the machine was moved."""
+    """Add children in which scattering has ended, with or without a jump of the machine meanwhile."""
     m, before = window.measurements[k], window.states[p, k - 1]
     child_now(window, p, k, RECOVERED, m.source, 0.0, c)
     if m.kind == POSE:
@@ -246,12 +246,12 @@ def _end_scatter(window: Window, p: int, k: int, c: Config) -> None:
 
 @compiled
 def _end_faults(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
-    """Children in which a fault of the source, or of what shows the motion, has ended."""
+    """Add children in which a fault of the source, or of a motion sensor, has ended."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault = m.source, before.fault[m.source]
     if fault != IS_HEALTHY and (contradicts or wanders(before, source, c)):
         child_now(window, p, k, RECOVERED, source, 0.0, c)
-    if _may_fold(window, p, k, c):  # as a jump it would not have paid for its duration
+    if _may_fold(window, p, k, c):  # the offset paid for its duration; a jump does not
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
         add_child(window, p, k, FOLDED, source, 0, False, prior, c)
@@ -262,7 +262,7 @@ def _end_faults(window: Window, p: int, k: int, contradicts: bool, c: Config) ->
 
 @compiled
 def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
-    """Children in which something happened just before a fix."""
+    """Add children with an event just before a fix."""
     before, update = window.states[p, k - 1], update_of(window, p, k)
     source = window.measurements[k].source
     if is_trusted(before.fault[source], POSE) and _moves(before, source, c):
@@ -276,7 +276,7 @@ def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
 
 @compiled
 def _jump(window: Window, p: int, k: int, c: Config) -> None:
-    """Children in which the source, or the machine, jumped just before a fix that contradicts branch p."""
+    """Add children with a jump of source or machine just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, size = m.source, _log_any_size(m, before, c)
     if is_trusted(before.fault[source], POSE):
@@ -287,10 +287,10 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
             child_now(window, p, k, OFFSET, source, size, c)
             if update.dof > YAW and before.fault[source] == IS_HEALTHY:
                 _make_heading_offset_child(window, p, k, c)
-    elif before.fault[source] == IS_OFFSET:  # by something else
+    elif before.fault[source] == IS_OFFSET:  # a different offset
         child_now(window, p, k, OFFSET, source, size, c)
     moved = log_time(window, p, k, c) + c.log_rates[MOVED, source]
-    if before.sole_fix_source == source:  # on one fix, which is as likely to be the outlier as this one
+    if before.sole_fix_source == source:  # the position depends on one fix, which may be the outlier too
         moved = max(moved, math.log(before.outlier_share[source]))
     add_child(window, p, k, MOVED, source, 0, False, size + moved, c)
     if distance_since(window, p, k) > c.bank.least_distance and update.stated <= c.events.skid_stddev:
@@ -301,7 +301,7 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
 
 @compiled
 def _make_heading_offset_child(window: Window, p: int, k: int, c: Config) -> None:
-    """Children in which the angles of the source are off, where they have an offset."""
+    """Add children in which the angles of the source are off, if the state has their offset."""
     source = window.measurements[k].source
     if c.yaw_offsets[source] >= 0:
         for event in (HEADING_OFF, HEADING_WANDERS):
@@ -310,7 +310,7 @@ def _make_heading_offset_child(window: Window, p: int, k: int, c: Config) -> Non
 
 @compiled
 def _log_any_size(m: MeasurementRecord, before: State, c: Config) -> float:
-    """ln of the density of a jump of any size to a fix, over that of the place that the event opens."""
+    """ln of the density of a jump of any size to a fix, over that of the position as the event resets it."""
     squared = squared_jump(m, before)
     any_size = log_density_of_any_size(max(squared, c.bank.least_jump**2), c)
     return any_size + math.log(2.0 * math.pi * reach(squared) ** 2)
@@ -318,7 +318,7 @@ def _log_any_size(m: MeasurementRecord, before: State, c: Config) -> float:
 
 @compiled
 def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
-    """Children of branch p at a heading, a swing angle or a velocity that contradicts it."""
+    """Add the children of branch p at a heading, a swing angle or a velocity that contradicts it."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source = m.source
     if before.fault[source] == IS_HEALTHY:

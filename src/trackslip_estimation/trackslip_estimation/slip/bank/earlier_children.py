@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Children of a branch in which an event happened since its snapshot, and shows now; compiled."""
+"""Create children of a branch with an event since its snapshot; compiled."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _STEEP = 0.1  # sine of a slope on which a machine may slide
 def make_earlier_children(
     window: Window, p: int, k: int, contradicts: bool, implausible: bool, c: Config
 ) -> None:
-    """Children of branch p at a fix or a velocity that ``contradicts`` it, or by which its slip is none."""
+    """Add children of p at a fix or a velocity that ``contradicts`` it, or as its slip is ``implausible``."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     e, source, drove = window.branches[p, k], m.source, distance_since(window, p, k) > c.bank.least_distance
     penalty = correlated_penalty(window, p, k, c)
@@ -62,7 +62,7 @@ def make_earlier_children(
         child_since(window, p, k, SLIPPED, source, 0, -penalty, c)
     is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
     if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
-        return  # as a rule it is an outlier; what began earlier shows in the next one too
+        return  # probably an outlier; an earlier event also affects the next measurement
     if contradicts and may_swing(before, source, c):
         for part in range(HEADINGS):
             child_since(window, p, k, SWUNG, source, part, -_ANY_SHARE, c)
@@ -85,7 +85,7 @@ def make_earlier_children(
 
 @compiled
 def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
-    """Children in which another source has shown wrong angles, or velocities."""
+    """Add children in which angles or velocities of another source are off."""
     before = window.states[p, k - 1]
     if not fixes_decide(before, window.measurements[k], c):
         return
@@ -100,31 +100,31 @@ def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, 
 
 @compiled
 def fixes_decide(before: State, m: MeasurementRecord, c: Config) -> bool:
-    """Whether fixes decide between wrong velocities or angles, and tracks that slip or a turned machine."""
+    """Whether recent fixes separate wrong velocities or angles from slip or a wrong heading."""
     is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
     return bool(is_fixed and not _heading_is_open(before))
 
 
 @compiled
 def _heading_is_open(before: State) -> bool:
-    """Whether the heading is unknown, or a share of the circle."""
+    """Whether the heading is unknown, or known to a sector of the circle only."""
     return bool(before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
 
 
 @compiled
 def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
-    """Children in which sprockets, gyros or an odometry have not shown the motion.
+    """Add children in which sprockets, gyros or an odometry have not measured the motion.
 
-    While the heading is unknown nothing tells them from it. A slip that is nearer to −1 than to one of tracks
-    is that of lost counts, which take the place of the event that the branch has paid for.
+    None while the heading is unknown: both explain the same fixes. A slip nearer to −1 than to its range
+    indicates lost counts; their event then replaces the slip event in the prior of the branch.
     """
     before = window.states[p, k - 1]
-    if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # then all that comes is used
+    if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # infinite gate: everything is used
         return
     for unit in range(MOST_SOURCES):
         if c.shows_motion[unit] == 1 and before.fault[unit] == IS_HEALTHY:
             child_since(window, p, k, FAILED, unit, 0, -penalty, c)
-        elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # another kind of the same
+        elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # by another fault
             add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
     if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
         instead = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
@@ -137,19 +137,19 @@ def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Co
 
 @compiled
 def tracks_are_known(before: State) -> bool:
-    """Whether the sprockets show what the tracks do, and are not just taken to go on."""
+    """Whether the track speeds are measured, not extrapolated."""
     return bool(before.time_since_sample == 0.0 and not before.coasting)
 
 
 @compiled
 def _is_steep(state: State) -> bool:
-    """Whether the ground is so steep that the machine may slide."""
+    """Whether the known slope is steep enough for the machine to slide."""
     level = state.attitude.level
     return bool(level.tilted == 1 and level.downhill_x**2 + level.downhill_y**2 > _STEEP**2)
 
 
 @compiled
 def correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
-    """By which w of events of the machine is less, where fixes of the source err to one side."""
+    """Reduction of ln of the prior of machine events, if errors of the source's fixes are time-correlated."""
     errs_aside = is_correlated(window.states[p, k - 1], window.measurements[k].source, c)
     return float(c.bank.correlated_penalty if errs_aside else 0.0)

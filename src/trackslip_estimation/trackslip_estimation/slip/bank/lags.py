@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes that a coarse receiver hides: whether slip or gyro bias changed a while ago; compiled.
+"""Odds of an earlier change of slip or gyro bias, which the offset of a coarse receiver hides; compiled.
 
-    b    offset of the receiver, as the branch has it                              (2,) m
-    V    its variance a priori                                                     m²
-    d    way of late, as predicted                                                 (2,) m
-    s    what the event may have made of it: of d by a slip, across d by a bias    m
+    b    offset of the receiver, as estimated by the branch                        (2,) m
+    V    prior variance of b                                                       m²
+    d    recent displacement, as predicted                                         (2,) m
+    s    standard deviation of b due to the event: along d by slip, across d by bias   m
 
-An offset follows whatever lasts, so that nothing contradicts. Along s it is N(0, V) if it is the receiver's
-own, and N(0, V + s²) if the event has happened.
+The offset absorbs every lasting error, so no fix contradicts the branch. The component of b in the direction
+of s is N(0, V) if the receiver caused it, and N(0, V + s²) if the event has happened.
 
 Source: likelihood ratio of two zero-mean normal densities, Willsky & Jones (1976).
 """
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 @compiled
 def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> float:
-    """ln of the odds that slip or bias changed a while ago, and not that fixes of a coarse receiver went off.
+    """ln of the odds that slip or bias changed earlier, against an offset of the coarse receiver alone.
 
-    −∞ where this source's fixes, or this branch, cannot hide such a change.
+    −∞ where fixes of this source, or this branch, cannot hide such a change.
     """
     m, before = window.measurements[k], window.states[p, k - 1]
     if m.kind != POSE or not (has_velocity_errors(c) and is_correlated(before, m.source, c)):
@@ -61,6 +61,6 @@ def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> fl
 
 @compiled
 def is_behind(window: Window, p: int, k: int, c: Config) -> bool:
-    """Whether what changed a while ago may have become an offset of a receiver."""
+    """Whether an earlier change of slip or bias is likely enough for a child."""
     slipped, biased = log_odds_of_lag(window, p, k, SLIPPED, c), log_odds_of_lag(window, p, k, BIASED, c)
     return bool(max(slipped, biased) > -c.bank.spawns)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each event opens: which states it replaces or widens, and what is assumed of its source; compiled."""
+"""States that each event resets or inflates, and the fault that it assumes of its source; compiled."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import EventRecord, State
 
 _LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET
-_SLOPE_STDDEV = 2.0  # of k on a slope on which the machine slides
+_SLOPE_STDDEV = 2.0  # of k while the machine slides
 _PLACE = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
-_FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # by event, what is assumed of its source from then on
+_FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # fault of the source after each event
 _FAULTS[[RECOVERED, FOLDED]] = IS_HEALTHY
 _FAULTS[OFFSET], _FAULTS[WANDERS] = IS_OFFSET, IS_WANDERING
 _FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
@@ -97,13 +97,13 @@ _FAULTS[FAILED] = IS_FAILED
 
 @compiled
 def sector(part: int) -> tuple[float, float]:
-    """Angle of a share of the circle from its first, rad, and variance inside it, rad²."""
+    """Angle of sector ``part`` of the circle from the first one, rad, and variance inside it, rad²."""
     return 2.0 * math.pi * part / HEADINGS, (math.pi / HEADINGS) ** 2 / 2.0
 
 
 @compiled
 def open_states(state: State, e: EventRecord, c: Config) -> int:
-    """Open what an event changes, in a record of ``STATE``; returns the states that are replaced, as bits."""
+    """Reset or inflate the states that an event changes; return the reset states as bits."""
     P, source, was = state.covariance[:], e.source, state.fault[e.source]
     _assume(state, e)
     if e.event == OFFSET:
@@ -139,14 +139,14 @@ def open_states(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _replace(state: State, k: int, mean: float, variance: float, c: Config) -> int:
-    """State k becomes another one, with which nothing is correlated; its bit."""
+    """Reset state k to an uncorrelated mean and variance; return its bit."""
     replace_state(state.mean[: c.size], state.covariance[:], k, mean, variance)
     return 1 << k
 
 
 @compiled
 def _assume(state: State, e: EventRecord) -> None:
-    """What a branch assumes of a source from an event on."""
+    """Set the fault, noise or sole fix that an event assumes of its source."""
     source, fault = e.source, _FAULTS[e.event]
     if e.event == OUTLIER:
         state.fault[source] = IS_IGNORED
@@ -164,7 +164,7 @@ def _assume(state: State, e: EventRecord) -> None:
 
 @compiled
 def _move(state: State, e: EventRecord, c: Config) -> int:
-    """The place is another one, and so is a heading that rests on the same fix."""
+    """Reset the position, and a heading that depends on the same sole fix."""
     x = state.mean
     reset_states = _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
     if state.sole_fix_heading:
@@ -175,7 +175,7 @@ def _move(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
-    """The offset of a source's places or velocities."""
+    """Reset the offset of a source's positions or velocities to zero, with the variance of the event."""
     own, number, opened = c.offsets[e.source], number_of(e.source, c), e.value**2
     if own < 0:
         return 0
@@ -186,10 +186,10 @@ def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
-    """The source is sound again; what it was off by may have become a jump of what it measures."""
+    """End a fault of a source; FOLDED moves its offset into the measured state, except a swing angle."""
     x, P, source, own = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
     if is_heading_off(was):
-        if e.event == FOLDED and c.of_swing[source] == 1:  # it stays off
+        if e.event == FOLDED and c.of_swing[source] == 1:  # the offset stays
             return 0
         if e.event == FOLDED:
             to_sensor_heading(x, P, source, 1.0, c)
@@ -211,7 +211,7 @@ def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
 
 @compiled
 def _end_offset(state: State, source: int, c: Config) -> int:
-    """The offset of a source's places is that of its receiver again, that of its velocities none."""
+    """Reset the offset of a source's positions to the receiver's prior, that of its velocities to zero."""
     own, number, usual = c.offsets[source], number_of(source, c), 0.0
     if number >= 0:
         usual = prior_offset_variance(state, source, c)
@@ -221,7 +221,7 @@ def _end_offset(state: State, source: int, c: Config) -> int:
 
 @compiled
 def _move_offset_to_position(state: State, source: int, c: Config) -> int:
-    """A receiver took for its own offset what the machine did; its error is as at the start, and in both."""
+    """Move a receiver's offset into the position, as the machine caused it; reset it as at the start."""
     x, P = state.mean[: c.size], state.covariance[:]
     to_measured_position(x, P, source, 1.0, c)
     reset_states = _end_offset(state, source, c)
@@ -231,7 +231,7 @@ def _move_offset_to_position(state: State, source: int, c: Config) -> int:
 
 @compiled
 def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
-    """The bias of the first gyro, and the heading that it turned for ``unseen`` s; in place."""
+    """Inflate P for a change of the first gyro's bias, and of the heading over ``unseen`` s; in place."""
     variance = c.events.bias_stddev**2
     P[GYRO_BIAS, GYRO_BIAS] += variance
     P[YAW, YAW] += variance * unseen**2 / 3.0
@@ -241,7 +241,7 @@ def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
 
 @compiled
 def _open_failure(state: State, e: EventRecord, was: int, c: Config) -> int:
-    """Sprockets, gyros or an odometry do not show the motion."""
+    """Inflate or reset the state that failed sprockets, gyros or an odometry affect."""
     opened = c.events.slip_stddev**2
     if e.source == GYROS:
         state.covariance[YAW, YAW] += c.events.failure_heading**2
@@ -256,7 +256,7 @@ def _open_failure(state: State, e: EventRecord, was: int, c: Config) -> int:
 
 @compiled
 def _turn(state: State, e: EventRecord, c: Config) -> int:
-    """The heading is another one, about the sensor that showed the place, and what was learned through it."""
+    """Reset the heading, about the sensor of the latest position, and the states learned through it."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     is_measured = e.part == MEASURED
     about = latest_pose_source(state, c) if is_measured else e.source
@@ -278,7 +278,7 @@ def _turn(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _swing(state: State, e: EventRecord, c: Config) -> int:
-    """The upper structure looks elsewhere, and may swing."""
+    """Reset the swing angle to the angle of the event, and the swing rate to zero with any speed."""
     x = state.mean
     turn, variance = sector(max(e.part, 0))
     if e.part == MEASURED:

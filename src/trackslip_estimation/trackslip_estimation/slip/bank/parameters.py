@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers by which explanations compete: odds, sizes and times."""
+"""Parameters of the hypothesis bank and of time-correlated fix errors: odds, sizes and times."""
 
 from dataclasses import dataclass
 
@@ -9,95 +9,123 @@ from trackslip_common.parameters import Parameters, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class BankParameters(Parameters):
-    """When a branch has children, and how long it stays; when a measurement is an outlier."""
+    """When a branch gets children or is pruned; when a measurement is an outlier."""
 
-    pruned: float = parameter("ln of the odds against a branch that is pruned", gt=0.0)
-    least_healthy: float = parameter(
-        "ln of the odds against the last branch without a fault at the most", gt=0.0
-    )
+    pruned: float = parameter("ln of the odds against a branch, beyond which it is pruned", gt=0.0)
+    least_healthy: float = parameter("largest ln of the odds against the last branch without a fault", gt=0.0)
     merge_distance: float = parameter(
-        "mean squared distance of two branches that are one, over the sum of their variances", gt=0.0
-    )
-    spawns: float = parameter("ln of the odds against a branch that has no children", gt=0.0)
-    steps: int = parameter("that children may make at one measurement: 10 ms", ge=1)
-    cusum_drift: float = parameter("of the CUSUM of innovations, in standard deviations", gt=0.0)
-    cusum_limit: float = parameter("CUSUM beyond which a branch has children", gt=0.0)
-    cusum_largest: float = parameter("standard deviations of one innovation in the CUSUM at the most", gt=0.0)
-    cusum_calm: float = parameter("CUSUM below which a measurement agrees", gt=0.0)
-    look_back: int = parameter("measurements, of which one began whatever shows now", ge=1)
-    look_back_time: float = parameter("for which a branch looks back at the most", unit="s", gt=0.0)
-    shortest_time: float = parameter("in which an event may have happened at the least", unit="s", gt=0.0)
-    slip_excess: float = parameter("standard deviation by which the common slip may leave its range", gt=0.0)
-    least_distance: float = parameter(
-        "by the tracks, with which heading and slip show in the place", unit="m", ge=0.0
-    )
-    often_outliers: float = parameter(
-        "share of outliers of a source that has had some recently", gt=0.0, lt=1.0
-    )
-    correlated_penalty: float = parameter(
-        "ln of the odds against an event of the machine where fixes err to one side", ge=0.0
-    )
-    least_jump: float = parameter("size of a jump or an offset at the least", unit="m", gt=0.0)
-    outlier_sizes: float = parameter(
-        "ln of the largest over the smallest error of an outlier: any size is as likely, by its logarithm",
+        "mean squared difference of two branches below which they merge, over the sum of their variances",
         gt=0.0,
     )
-    share_memory: float = parameter("of a measurement in the share of outliers", gt=0.0, lt=1.0)
-    outlier_share: float = parameter("share of outliers that an outlier shows", gt=0.0, lt=1.0)
-    healthy_share: float = parameter("share of outliers that a sound measurement shows", gt=0.0, lt=1.0)
-    repeat_stddev: float = parameter("of a fix that repeats the one before", unit="m", gt=0.0)
-    repeat_jitter: float = parameter("share of frozen sources whose fixes jitter on", gt=0.0, lt=1.0)
-    longest_interval: float = parameter("between fixes that show what tracks err by", unit="s", gt=0.0)
-    initial_outlier_share: float = parameter(
-        "share of outliers of a source that nothing is known of", gt=0.0, lt=1.0
+    spawns: float = parameter("ln of the odds against a branch, beyond which it gets no children", gt=0.0)
+    steps: int = parameter("largest number of steps of all children at one measurement: about 10 ms", ge=1)
+    cusum_drift: float = parameter("drift of the CUSUM of innovations, in standard deviations", gt=0.0)
+    cusum_limit: float = parameter("CUSUM beyond which a branch gets children", gt=0.0)
+    cusum_largest: float = parameter(
+        "largest contribution of one innovation to the CUSUM, in standard deviations", gt=0.0
     )
-    least_slip: float = parameter("common slip at the least: tracks are hardly outrun on the flat")
-    most_slip: float = parameter("common slip at the most")
+    cusum_calm: float = parameter("CUSUM below which a measurement is consistent with a branch", gt=0.0)
+    look_back: int = parameter("number of latest measurements before which children may start", ge=1)
+    look_back_time: float = parameter("longest time before now at which children start", unit="s", gt=0.0)
+    shortest_time: float = parameter("shortest time in the prior of an event", unit="s", gt=0.0)
+    slip_excess: float = parameter("standard deviation of the common slip outside its range", gt=0.0)
+    least_distance: float = parameter(
+        "shortest track distance that makes heading and slip observable by positions", unit="m", ge=0.0
+    )
+    often_outliers: float = parameter(
+        "share of outliers above which a source's first contradiction is taken for one", gt=0.0, lt=1.0
+    )
+    correlated_penalty: float = parameter(
+        "ln of the odds against an event of the machine while errors of fixes are time-correlated", ge=0.0
+    )
+    least_jump: float = parameter("smallest size of a jump or an offset", unit="m", gt=0.0)
+    outlier_sizes: float = parameter(
+        "ln of the largest over the smallest error of an outlier: the logarithm of its size is uniform",
+        gt=0.0,
+    )
+    share_memory: float = parameter(
+        "weight of one measurement in the running share of outliers", gt=0.0, lt=1.0
+    )
+    outlier_share: float = parameter(
+        "value that an outlier contributes to the running share of outliers", gt=0.0, lt=1.0
+    )
+    healthy_share: float = parameter(
+        "value that a sound measurement contributes to the running share of outliers", gt=0.0, lt=1.0
+    )
+    repeat_stddev: float = parameter(
+        "standard deviation of a repeated fix from the previous one", unit="m", gt=0.0
+    )
+    repeat_jitter: float = parameter("share of frozen sources whose fixes still jitter", gt=0.0, lt=1.0)
+    longest_interval: float = parameter(
+        "longest time between fixes for an estimate of the track error", unit="s", gt=0.0
+    )
+    initial_outlier_share: float = parameter("initial share of outliers of a source", gt=0.0, lt=1.0)
+    least_slip: float = parameter(
+        "smallest common slip: on level ground a machine hardly moves faster than its tracks"
+    )
+    most_slip: float = parameter("largest common slip")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReceiverParameters(Parameters):
-    """How errors of fixes last."""
+    """Time-correlated errors of fixes."""
 
-    precise: float = parameter("standard deviation that a precise fix states at the most", unit="m", gt=0.0)
+    precise: float = parameter("largest stated standard deviation of a precise fix", unit="m", gt=0.0)
     floating: float = parameter(
-        "standard deviation of the worse of those whose ambiguities float", unit="m", gt=0.0
+        "standard deviation below which a fix that is not precise has float ambiguities", unit="m", gt=0.0
     )
-    other_quality: float = parameter("ratio of two standard deviations that are not of one solution", gt=1.0)
+    other_quality: float = parameter(
+        "ratio of two stated standard deviations above which they belong to different solutions", gt=1.0
+    )
     longest_time: float = parameter(
-        "time constant of an offset at the most: what errs for longer is a part of the place",
-        unit="s",
-        gt=0.0,
+        "longest time constant of an offset: a longer error is part of the position", unit="s", gt=0.0
     )
-    memory: float = parameter("of what is known of a receiver, from one fix to the next", gt=0.0, lt=1.0)
+    memory: float = parameter(
+        "share of the log-weights of a receiver's error models that remains at the next fix", gt=0.0, lt=1.0
+    )
     most_odds: float = parameter(
-        "ln of the odds at the most that errors of precise fixes remain of the kind that they were", gt=0.0
+        "largest ln of the odds that errors of precise fixes stay of the same kind", gt=0.0
     )
     jump: float = parameter(
-        "squared standard deviations, of two numbers, beyond which precise fixes jumped and show no error",
+        "two-dimensional NIS beyond which precise fixes jumped and do not update their error model",
         gt=0.0,
     )
     least_rest: float = parameter(
-        "share of what precise fixes state and do not jitter by, from which on it lasts", gt=0.0, lt=1.0
+        "share of the stated variance beyond the white part, above which it is time-correlated",
+        gt=0.0,
+        lt=1.0,
     )
     interval: float = parameter(
-        "between fixes that are learned from, once errors are correlated", unit="s", ge=0.0
+        "shortest time between fixes that update the error model, once errors are correlated",
+        unit="s",
+        ge=0.0,
     )
-    distance_error: float = parameter("of the way driven, random walk", unit="√s", ge=0.0)
-    displacement_walk: float = parameter("random walk of the way while nothing drives", unit="m/√s", ge=0.0)
-    direction_error: float = parameter("by which the way errs beyond heading and slip", unit="rad", ge=0.0)
-    direction_time: float = parameter("for which it does", unit="s", gt=0.0)
+    distance_error: float = parameter(
+        "random walk of the predicted displacement, over the speed", unit="√s", ge=0.0
+    )
+    displacement_walk: float = parameter(
+        "random walk of the predicted displacement at any speed", unit="m/√s", ge=0.0
+    )
+    direction_error: float = parameter(
+        "error of the predicted displacement's direction beyond those of heading and slip",
+        unit="rad",
+        ge=0.0,
+    )
+    direction_time: float = parameter("correlation time of that direction's error", unit="s", gt=0.0)
     most_spread: float = parameter(
-        "variance of the heading beyond which no way is known", unit="rad²", gt=0.0
+        "variance of the heading beyond which a predicted displacement is unknown", unit="rad²", gt=0.0
     )
     observed: float = parameter(
-        "times its time constant, after which a coarse receiver may correct the bias of a gyro", ge=0.0
+        "observation time, over its time constant, before a coarse receiver may correct the gyro bias",
+        ge=0.0,
     )
     most_correlated: float = parameter(
-        "share of what precise fixes state that lasts, at the most: their times err, too", gt=0.0, lt=1.0
+        "largest time-correlated share of the variance of precise fixes: stamps also have errors",
+        gt=0.0,
+        lt=1.0,
     )
-    white_odds: float = parameter("ln of the odds that errors of precise fixes are white", ge=0.0)
-    precise_time: float = parameter("for which an error of precise fixes lasts", unit="s", gt=0.0)
+    white_odds: float = parameter("ln of the prior odds of white errors of precise fixes", ge=0.0)
+    precise_time: float = parameter("correlation time of errors of precise fixes", unit="s", gt=0.0)
     largest_inflation: float = parameter(
-        "variance of an offset at the most by fixes that surprise, over its prior", gt=1.0
+        "largest variance of an offset after inflation by large innovations, over its prior", gt=1.0
     )

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 @compiled
 def update_of(window: Window, s: int, k: int) -> Update:
-    """Record of ``UPDATE`` of branch s of row k, the newest one."""
+    """Record of ``UPDATE`` of branch s of the newest row k."""
     return window.updates[k] if s == 0 else window.trials[s]
 
 
 @compiled
 def to_pool(window: Window, k: int) -> int:
-    """The branches of row k, in the pool; how many."""
+    """Copy the branches of row k to the pool; return their number."""
     for s in range(window.counts[k]):
         window.pool_states[s], window.pool_branches[s] = window.states[s, k], window.branches[s, k]
         window.pool_updates[s] = update_of(window, s, k)
@@ -39,7 +39,7 @@ def to_pool(window: Window, k: int) -> int:
 
 @compiled
 def from_pool(window: Window, k: int, count: int, c: Config) -> None:
-    """Row k: the most probable branches of the pool in their order, the first one's weight 0."""
+    """Fill row k with the most probable branches of the pool, in order; the first one has weight 0."""
     best, kept, healthy = (
         window.pool_branches[_heaviest(window, count)].weight,
         0,
@@ -67,13 +67,13 @@ def from_pool(window: Window, k: int, count: int, c: Config) -> None:
         window.pool_branches[h].weight = -math.inf
         kept += 1
     window.counts[k] = kept
-    if healthy >= 0:  # it is far behind, and stays
+    if healthy >= 0:  # kept although improbable
         _keep_healthy(window, k, healthy, best, c)
 
 
 @compiled
 def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> None:
-    """Append branch h of the pool to row k, whatever its weight: in it no source is at fault."""
+    """Append branch h of the pool, in which no source is at fault, to row k whatever its weight."""
     s = min(window.counts[k], MOST_BRANCHES - 1)
     branch = window.branches[s, k]
     window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
@@ -87,7 +87,7 @@ def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> Non
 
 @compiled
 def _heaviest_healthy(window: Window, count: int) -> int:
-    """The most probable branch of the pool in which no source is at fault; −1: there is none."""
+    """Number of the most probable branch of the pool in which no source is at fault; −1: none."""
     heaviest = -1
     for h in range(count):
         weight, faults = window.pool_branches[h].weight, 0
@@ -101,7 +101,7 @@ def _heaviest_healthy(window: Window, count: int) -> int:
 
 @compiled
 def _heaviest(window: Window, count: int) -> int:
-    """The most probable branch of the pool."""
+    """Number of the most probable branch of the pool."""
     heaviest = 0
     for h in range(1, count):
         if window.pool_branches[h].weight > window.pool_branches[heaviest].weight:
@@ -111,7 +111,7 @@ def _heaviest(window: Window, count: int) -> int:
 
 @compiled
 def merge(window: Window, count: int, c: Config) -> None:
-    """Of two branches of the pool that are alike, the more probable one, with the weight of both."""
+    """Merge similar branches of the pool: the more probable one gets the weight of both."""
     branches = window.pool_branches
     for a in range(count):
         for b in range(count):
@@ -124,7 +124,7 @@ def merge(window: Window, count: int, c: Config) -> None:
 
 @compiled
 def _are_close(a: State, b: State, c: Config) -> bool:
-    """Whether two states make the same assumptions of the sources, and differ by little."""
+    """Whether two states assume the same faults, and their distance is within ``merge_distance``."""
     total, n = 0.0, 0
     for k in range(MOST_SOURCES):
         ratio = a.adaptation.fix_factors[k] / b.adaptation.fix_factors[k]
@@ -144,7 +144,7 @@ def _are_close(a: State, b: State, c: Config) -> bool:
 
 @compiled
 def _distance(a: State, b: State, i: int) -> float:
-    """Squared distance of state i, over the sum of its variances; infinite where these differ much."""
+    """Squared difference of state i, over the sum of its variances; infinite if these differ fourfold."""
     d = a.mean[i] - b.mean[i]
     if i in (YAW, SWING):
         d = wrap(d)

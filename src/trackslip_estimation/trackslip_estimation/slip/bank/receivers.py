@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the bank knows of the errors of fixes, one record for each row and source; compiled.
+"""Estimated errors of fixes, one record for each row and source of the bank; compiled.
 
-It belongs to a row, not to a branch: the way that fixes are compared with is that of the most probable one
-(``correlated_errors``).
+A record belongs to a row, not to a branch: fixes are compared with the displacement of the most probable
+branch (``correlated_errors``).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _GATED = int(Outcome.GATED)
 
 @compiled
 def copy_error_models(state: State, window: Window, k: int, c: Config) -> None:
-    """What row k knows of the errors of fixes, for the next step."""
+    """Copy the error models of fixes from row k to a state, for its next step."""
     for n in range(c.poses):
         offset, of = state.offsets[n], window.receivers[k, n]
         for quality in range(QUALITIES):
@@ -55,7 +55,7 @@ def copy_error_models(state: State, window: Window, k: int, c: Config) -> None:
 def carry_receivers(
     receivers: Table[Receiver], masses: Table[Masses], k: int, before: State, state: State
 ) -> None:
-    """What row k knows of the errors of fixes is what the row before knew, by the way between both."""
+    """Copy the receivers of row k − 1 to row k, and add the displacement between both rows."""
     copy_receivers(receivers, masses, k, k - 1, True)
     for n in range(receivers.shape[1]):
         of = receivers[k, n]
@@ -69,10 +69,10 @@ def carry_receivers(
 
 @compiled
 def compare_fix(window: Window, k: int, c: Config) -> None:
-    """What row k knows of the errors of fixes, with measurement k, by the most probable branch before it.
+    """Update the receiver of row k with fix k, against the displacement of the most probable branch.
 
-    While it drives with an unknown heading there is no way to compare them with; nor is there one while an
-    event holds what precise fixes are off by.
+    The displacement is unusable if it was driven with an unknown heading. So is a precise fix while an event
+    holds its offset.
     """
     m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
     n = number_of(m.source, c)
@@ -96,9 +96,9 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
-    """Whether a fix shows what its receiver errs by: it, tracks, gyros and odometry are taken for sound.
+    """Whether a fix is usable for the errors of its receiver: fix, tracks, gyros and odometry have no fault.
 
-    A precise fix shows nothing as an outlier, or where its source errs by its place.
+    A precise fix is unusable as an outlier, or if errors of its source depend on the position.
     """
     fault = state.fault[source]
     if has_failed_unit(state) or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
@@ -109,7 +109,7 @@ def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
 
 @compiled
 def reset_receivers_after_turn(window: Window, k: int, c: Config) -> None:
-    """Where the heading turns out to have been wrong, fixes were compared with no way, and showed nothing."""
+    """Reset the receivers of row k if the heading was found wrong: their displacements were wrong too."""
     if _turned_ns(window.branches[0, k]) > _turned_ns(window.branches[0, k - 1]):
         for n in range(c.poses):
             reset_receiver(window.receivers[k, n], c)
@@ -117,7 +117,7 @@ def reset_receivers_after_turn(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def _turned_ns(branch: Branch) -> int:
-    """Stamp of the measurement by which a branch found its heading wrong last."""
+    """Stamp of the latest measurement by which a branch found its heading wrong; NEVER_NS: none."""
     last_ns = NEVER_NS
     for n in range(min(branch.events, HISTORY)):
         e = branch.history[n]
@@ -128,7 +128,7 @@ def _turned_ns(branch: Branch) -> int:
 
 @compiled
 def heading_variance(window: Window, k: int) -> float:
-    """Of all branches of row k about the most probable one's heading, rad²."""
+    """Variance of the headings of all branches of row k about that of the most probable one, rad²."""
     total = variance = 0.0
     for s in range(window.counts[k]):
         w = math.exp(window.branches[s, k].weight - window.branches[0, k].weight)
@@ -140,7 +140,7 @@ def heading_variance(window: Window, k: int) -> float:
 
 @compiled
 def add_first_fix(window: Window, c: Config) -> None:
-    """A fix with which the estimate begins, and whose error lasts, is the first that its masses know."""
+    """Initialise the masses with the fix that starts the estimate, if its errors are time-correlated."""
     state, m = window.states[0, 0], window.measurements[0]
     number = number_of(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:

@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bank of competing explanations over one step; compiled.
+"""A bank of competing hypotheses over one step; compiled.
 
-Normally there is one branch. A measurement that contradicts it, or a CUSUM of its whitened innovations, makes
-children: in each ONE event happened (``events``), just before that measurement or since the last consistent
-one, and opened what it changes. A child runs through the same step from there. Branches that fall too far
-behind the most probable one are pruned, those that have become alike are merged.
+Normally there is one branch. A measurement that contradicts it, or a CUSUM of its whitened innovations,
+creates children. In each child ONE event (``events``) happened, just before that measurement or since the
+last consistent one; it resets or inflates the states that it changes. A child runs through the same step from
+there. Branches much less probable than the best one are pruned; similar branches are merged.
 
     w     ln of a branch's weight: rates of its events, and evidence of all measurements since
-    row   of entry k of the window: its branches in the order of w, the most probable one first
+    row   branches of entry k of the window in the order of w, the most probable one first
 
-Row k is a function of the rows before it and of the measurements up to the sample that closes entry k. So a
-late measurement makes the rows after its place again, and replay equals live bit for bit.
+Row k is a function of the rows before it and of the measurements up to the sample that closes entry k. A late
+measurement therefore recomputes the rows after its place, and replay equals live bit for bit.
 
 Source: Gaussian sum filter with change points; Willsky & Jones (1976).
 """
@@ -49,10 +49,10 @@ if TYPE_CHECKING:
 
 @inlined
 def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
-    """Rows from ``first`` up to ``count``, each from the row before it; whether all of them are sound.
+    """Compute rows from ``first`` up to ``count``, each from the previous one; return whether all are finite.
 
-    First the branches there are make their step, then the children that these have run up to here. With a
-    script there is one branch, whose events are those of the script.
+    The existing branches make their step first; then their children run up to this row. With a script there
+    is one branch, with the events of the script.
     """
     measurements, states, branches = window.measurements, window.states, window.branches
     scripted, closing = window.status[0].scripted, -1
@@ -104,7 +104,7 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
 
 @compiled
 def begin_row(window: Window, k: int, c: Config) -> None:
-    """One branch at entry k, where the estimate begins."""
+    """Initialise row k with one branch, at the start of the estimate."""
     window.counts[k] = 1
     for n in range(c.poses):
         reset_receiver(window.receivers[k, n], c)
@@ -117,14 +117,14 @@ def begin_row(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def is_moving_without_heading(state: State) -> bool:
-    """Whether tracks move and the heading is unknown; at rest nothing depends on it."""
+    """Whether tracks move and the heading is unknown; at rest no prediction depends on the heading."""
     moves = not state.coasting and (state.speeds.left != 0.0 or state.speeds.right != 0.0)
     return bool(moves and not state.is_sector and state.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
 
 
 @compiled
 def split_unknown_heading(window: Window, k: int, c: Config) -> None:
-    """The first branch of row k becomes one for each share of the circle."""
+    """Split the first branch of row k into one branch for each sector of the circle."""
     count = to_pool(window, k)
     for part in range(1, HEADINGS):
         window.pool_states[count], window.pool_branches[count] = (
@@ -143,7 +143,7 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
-    """Branch h of the pool gets a share of the circle for its heading."""
+    """Restrict the heading of branch h of the pool to sector ``part`` of the circle."""
     state, branch, measurement = window.pool_states[h], window.pool_branches[h], window.measurements[k]
     source = latest_pose_source(state, c)
     branch.weight -= math.log(HEADINGS)
@@ -153,7 +153,7 @@ def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
 
 @compiled
 def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
-    """Row k of the branches and children that ran, ``jobs`` in all: merged and pruned."""
+    """Merge and prune the ``jobs`` branches and children into row k; move its snapshots."""
     measurement, count = window.measurements[k], window.counts[k]
     if jobs > 1:
         _tie(window, count, measurement.source)
@@ -166,7 +166,7 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
             branch, state = window.pool_branches[h], window.pool_states[h]
             branch.weight -= outside_range(state, c)
             branch.cusum[:] = 0.0
-            if state.fault[measurement.source] == IS_IGNORED:  # that one measurement
+            if state.fault[measurement.source] == IS_IGNORED:  # only for this measurement
                 state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0
         merge(window, jobs, c)
         from_pool(window, k, jobs, c)
@@ -175,7 +175,7 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
 
 @compiled
 def _tie(window: Window, count: int, source: int) -> None:
-    """A tied measurement is as likely as in the most probable branch that may use it: the odds stay."""
+    """Give tied measurements the evidence of the most probable branch that may use them: equal odds."""
     best = -1
     for h in range(count):
         heavier = best < 0 or window.pool_branches[h].weight > window.pool_branches[best].weight
@@ -189,12 +189,12 @@ def _tie(window: Window, count: int, source: int) -> None:
 
 @compiled
 def _move_snapshots(window: Window, k: int, c: Config) -> None:
-    """Branches that agree with measurement k look back to it only."""
+    """Move the snapshots of new branches, and of branches consistent with fix k, to row k."""
     measurement = window.measurements[k]
     for s in range(window.counts[k]):
         branch, state = window.branches[s, k], window.states[s, k]
         update = update_of(window, s, k)
-        if measurement.kind != VELOCITY:  # each shows what happened since the last one
+        if measurement.kind != VELOCITY:  # a velocity observes events since the previous one only
             for snapshot in branch.snapshots:
                 snapshot.weighed += 1
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
@@ -205,7 +205,7 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
 
 @compiled
 def _look_back_to(window: Window, s: int, k: int) -> None:
-    """Children of branch s start from row k."""
+    """Set the snapshots of branch s to row k, from which its children start."""
     branch = window.branches[s, k]
     for snapshot in branch.snapshots:
         snapshot.entry, snapshot.slot, snapshot.weight, snapshot.weighed = k, s, branch.weight, 0
@@ -213,7 +213,7 @@ def _look_back_to(window: Window, s: int, k: int) -> None:
 
 @compiled
 def keep_snapshots(window: Window, k: int, c: Config) -> None:
-    """No branch looks back for longer than it may, nor for less than half of that."""
+    """Replace the older snapshot after half of ``look_back_time``, or of ``look_back`` measurements."""
     stamp_ns, longest_ns = window.measurements[k].stamp_ns, c.bank.look_back_time * 1e9
     for s in range(window.counts[k]):
         branch = window.branches[s, k]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events of a branch: written down as they happen, played again on a scripted run; compiled."""
+"""Record the events of a branch, and replay them in a scripted run; compiled."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def record_event(
     steps: MeasurementRecord,
     after: int,
 ) -> EventRecord:
-    """One more event of a branch, which explains ``decides`` and opens states at the step to ``steps``."""
+    """Add an event to a branch and return it; it explains ``decides`` and opens states at step ``steps``."""
     e = branch.history[branch.events % HISTORY]
     e.event, e.source, e.part, e.value, e.decided_ns = event, source, part, value, decides.stamp_ns
     e.stamp_ns, e.kind, e.of, e.after = steps.stamp_ns, steps.kind, steps.source, after
@@ -38,7 +38,7 @@ def record_event(
 
 @compiled
 def play_script(window: Window, k: int, after: int, c: Config) -> None:
-    """The script's events before, or after, the step to measurement k, on the only branch."""
+    """Apply the script's events before (0) or ``after`` (1) the step to measurement k to the only branch."""
     script, status, m = window.script, window.status[0], window.measurements[k]
     state, update = window.states[0, k], window.updates[k]
     for s in range(len(state.fault)):
