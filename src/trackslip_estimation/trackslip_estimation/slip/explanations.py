@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bank's branches in the user's words: what may have happened, how probably, and what did."""
+"""Describe the bank's branches to the user: possible events, their probabilities, and accepted events."""
 
 from __future__ import annotations
 
@@ -19,73 +19,73 @@ from trackslip_estimation.slip.window import Window
 if TYPE_CHECKING:
     from trackslip_estimation.slip.records import Branch, EventRecord, State
 
-_RECENT_NS = 30_000_000_000  # for which an event still explains what is seen
-_LEAST = 0.005  # probability that is worth a word
-_CALM = 0.9  # probability that nothing happened, from which on nothing has to be explained
-_MOST = 3  # explanations that are named
+_RECENT_NS = 30_000_000_000  # age up to which an event is an explanation
+_LEAST = 0.005  # smallest probability of an explanation
+_CALM = 0.9  # probability of no event from which on no explanations compete
+_MOST = 3  # largest number of explanations by name
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
-_LISTED = 8  # events of /diagnostics, which come once a second
+_LISTED = 8  # latest events on /diagnostics
 AS_BEFORE = "nothing happened"
 EXPLANATIONS = "explanations"  # key of a sentence on /diagnostics
 
 
 class Explanation(NamedTuple):
-    """One of those that compete."""
+    """One of the competing explanations."""
 
     text: str  # "gnss_pose is 1.0 m off"
     probability: float
-    since_ns: int  # stamp of the measurement that it explains
-    is_ongoing: bool = True  # False: it happened at that time
+    since_ns: int  # stamp of the explained measurement
+    is_ongoing: bool = True  # False: an event at that time
 
 
 class Explained(NamedTuple):
-    """What competes at a time."""
+    """Competing explanations at one time."""
 
     stamp_ns: int
-    found: Sequence[Explanation]  # the most probable one first
+    found: Sequence[Explanation]  # most probable first
 
     @property
     def competing(self) -> int:
-        """Explanations that compete; 0 where most probably nothing happened."""
+        """Number of competing explanations; 0 if most probably nothing happened."""
         calm = sum(e.probability for e in self.found if e.text == AS_BEFORE)
         return len(self.found) if self.found and calm < _CALM else 0
 
     @property
     def seconds(self) -> float:
-        """Since the latest measurement that has to be explained."""
+        """Time since the latest measurement that an event explains, s."""
         since_ns = max((e.since_ns for e in self.found if e.text != AS_BEFORE), default=self.stamp_ns)
         return max(self.stamp_ns - since_ns, 0) * 1e-9
 
     @property
     def text(self) -> str:
-        """As ``sentence`` has it; empty where nothing has to be explained."""
+        """``sentence`` of the explanations; empty if none compete."""
         return sentence(self.found, self.seconds) if self.competing else ""
 
 
 class Happened(NamedTuple):
     """An event of the most probable branch."""
 
-    stamp_ns: int  # of the measurement that it explains
+    stamp_ns: int  # of the explained measurement
     event: Event
-    source: str  # of that measurement
-    probability: float  # of the branch that has it, when it was last looked at
-    begins: bool = False  # it is a share of a heading that was unknown
-    swings: bool = False  # the source shows angles of the upper structure
+    source: str  # name of the affected source
+    probability: float  # of the branch, at its latest evaluation
+    begins: bool = False  # whether the event assigned a sector to an unknown heading
+    swings: bool = False  # whether the source measures swing angles
 
     @property
     def text(self) -> str:
-        """As a user says it."""
+        """The event in the user's words."""
         return _BEGAN if self.begins else _text(self.event, self.source, self.swings)
 
 
 class Sources(NamedTuple):
-    """Of an estimator."""
+    """Sources of an estimator."""
 
     names: Mapping[int, str]  # number → name
-    offsets: Sequence[int]  # places of the offsets of their places in the state, by number; −1: it has none
-    yaw_offsets: Sequence[int]  # of their headings or swing angles
-    velocities: Collection[str]  # names of those whose offset is in m/s
-    swings: Collection[str]  # names of those of swing angles
+    offsets: Sequence[int]  # first state of the position or velocity offset, by number; −1: none
+    yaw_offsets: Sequence[int]  # state of the offset of headings or swing angles, by number; −1: none
+    velocities: Collection[str]  # names of sources whose offset is in m/s
+    swings: Collection[str]  # names of sources of swing angles
 
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
@@ -120,12 +120,12 @@ _OFF_FOR_GOOD = "angles of {source} are off for good"
 
 
 def explanations(window: Window, sources: Sources) -> list[Explanation]:
-    """Those of the newest row, the most probable one first; those that differ in numbers alone are one."""
+    """Explanations of the newest row, most probable first; those that differ in numbers only are merged."""
     last = window.count - 1
     weights = np.exp(window.branches["weight"][: int(window.counts[last]), last])
     probabilities = weights / weights.sum()
     branches = window.branches[:, last]
-    is_found = len({_share(branches[s]) for s in range(len(weights))}) == 1  # the heading
+    is_found = len({_share(branches[s]) for s in range(len(weights))}) == 1  # heading known
     found: dict[str, Explanation] = {}
     for s in np.argsort(-probabilities, kind="stable").tolist():
         kind, own = _of_branch(window.states[s, last], branches[s], sources, is_found)
@@ -149,7 +149,7 @@ def sentence(found: Sequence[Explanation], seconds: float) -> str:
 
 
 def recent(events: Sequence[Happened]) -> str:
-    """The last events with the stamps of what they explain, for /diagnostics; single outliers are reports."""
+    """The latest events, without outliers, with stamps of the explained measurements, for /diagnostics."""
     ongoing = [h for h in events if h.event is not Event.OUTLIER][-_LISTED:]
     if not ongoing:
         return "none"
@@ -158,9 +158,9 @@ def recent(events: Sequence[Happened]) -> str:
 
 
 def history(branch: Branch, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
-    """Events of a record of ``BRANCH``, the last ones read from it, those before from ``known``.
+    """Events of a record of ``BRANCH``: the latest ones from the record, earlier ones from ``known``.
 
-    ``probability``: that of the branch.
+    ``probability``: of the branch.
     """
     count = int(branch["events"])
     found = known[: max(min(count - HISTORY, len(known)), 0)]
@@ -178,20 +178,20 @@ def _text(event: Event, source: str, swings: bool) -> str:
 
 
 def _begins(e: EventRecord) -> bool:
-    """Whether a record of ``EVENT`` gave the branch a share of an unknown heading."""
+    """Whether a record of ``EVENT`` assigned a sector of an unknown heading to the branch."""
     return bool(e["event"] == Event.TURNED and e["after"] == 1)
 
 
 def _share(branch: Branch) -> int:
-    """Number of the share of an unknown heading that a branch has; −1: none that it remembers."""
+    """Number of a branch's sector of an unknown heading; −1: none in its history."""
     events = branch["history"][: int(branch["events"])]
     return next((int(e["part"]) for e in events if _begins(e)), -1)
 
 
 def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -> tuple[str, Explanation]:
-    """What a branch assumes, without numbers and with them; its probability is left 0.
+    """Kind of a branch's explanation without numbers, and the explanation, of probability 0.
 
-    ``is_found``: the heading is, where it was unknown.
+    ``is_found``: whether an initially unknown heading is known.
     """
     for number, fault in enumerate(state["fault"].tolist()):
         if fault != SourceFault.HEALTHY and number in sources.names:
@@ -200,7 +200,7 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
             return f"{kind} {number}", Explanation(text, 0.0, int(state["fault_ns"][number]))
     count = int(branch["events"])
     events = [branch["history"][n % HISTORY] for n in range(max(count - HISTORY, 0), count)]
-    healthy: set[int] = set()  # sources that are sound again
+    healthy: set[int] = set()  # sources whose fault has ended
     for n, e in reversed(list(enumerate(events))):
         event, source, stamp_ns = Event(e["event"]), int(e["source"]), int(e["decided_ns"])
         if state["stamp_ns"] - stamp_ns > _RECENT_NS:
@@ -223,7 +223,7 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
 
 
 def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
-    """When the offset began that became a jump at ``stamp_ns``."""
+    """Stamp at the start of an offset that became a jump at ``stamp_ns``."""
     own = (e for e in reversed(events) if e["source"] == source and e["event"] in _OFFSETS)
     return int(next(own, {"decided_ns": stamp_ns})["decided_ns"])
 

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A χ² gate that widens while source and state disagree, for yaw rates, slips and odometry; compiled.
+"""A χ² gate that widens while measurements are inconsistent, for yaw rates, slips and odometry; compiled.
 
-    d²      νᵀ S⁻¹ ν, used where d² ≤ w g
+    d²      NIS νᵀ S⁻¹ ν; the measurement is accepted where d² ≤ w g
     g       χ² quantile; source and state are consistent where d² ≤ g
-    w       1 until they have not been for the source's timeout, then ``relaxation`` per further timeout; of a
-            silence no more than a timeout counts, and none where they agreed before
+    w       1 until the rejection time exceeds the source's timeout, then ``relaxation`` to the power of the
+            further timeouts; a silence counts up to one timeout, and not after a consistent measurement
 
-So a spike stays out, even the first reading after an outage, and a source that insists is believed in the
-end: the time that takes grows with the logarithm of how far off it is. Poses, headings and swing angles are
-weighed by the bank (``weighing``).
+The gate rejects a spike, even as the first reading after an outage. It accepts a source that stays
+inconsistent, after a time that grows with the logarithm of its error. The bank weighs poses, headings and
+swing angles instead (``weighing``).
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-_WIDEST = 100.0  # timeouts: beyond, the gate is open to anything finite
+_WIDEST = 100.0  # further timeouts, at which w stops growing: the gate then accepts any finite d²
 
 
 @compiled
 def width(refused_ns: int, timeout_ns: int, relaxation: float) -> float:
-    """w."""
+    """w, after a rejection time ``refused_ns``."""
     if refused_ns <= timeout_ns:
         return 1.0
     widened: float = relaxation ** min(refused_ns / timeout_ns - 1.0, _WIDEST)
@@ -36,7 +36,7 @@ def width(refused_ns: int, timeout_ns: int, relaxation: float) -> float:
 
 @compiled
 def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config) -> float:
-    """w g of a measurement of so many rows."""
+    """Gate w g of a measurement with ``rows`` degrees of freedom."""
     source = measurement.source
     wide = width(state.refused_ns[source], c.timeouts_ns[source], c.gate_relaxation)
     return float(c.gate_limits[rows] * wide)
@@ -44,7 +44,7 @@ def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config)
 
 @compiled
 def note_reception(state: State, measurement: MeasurementRecord, c: Config) -> None:
-    """A source outside its gate insists for longer by the time since its last measurement, not by silence."""
+    """Update the rejection time of a source: add the time since its last measurement, up to one timeout."""
     source = measurement.source
     if state.consistent_ns[source] >= state.received_ns[source]:
         state.refused_ns[source] = 0

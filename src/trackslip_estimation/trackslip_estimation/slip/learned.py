@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned of a machine and its ground, but not where it is: taken from a state, aged, started from.
+"""Learned values of a machine and its ground, without its pose: extract, age, and start from them.
 
     x, P     means and covariance of the states that are kept            (n,), (n, n)
     μ, Σ     prior of the states by the parameters                       (n,), (n, n)
-    T        how long a state stays what it was                          s
+    T        correlation time of a state between runs                    s
     φ        e^(−age/T)
 
-With age each state is a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φᵀ +
-(1 − φ φᵀ) Σ, by elements. ln of the weights of point masses goes to its prior by φ too. What was learned and
-aged is the prior of the next run; it stands in the bag beside the parameters, and a replay starts from it.
+Each state ages as a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φᵀ +
+(1 − φ φᵀ) Σ, by elements. ln of the weights of point masses decays to its prior by φ too. The aged values are
+the prior of the next run. The bag records them beside the parameters, and a replay starts from them.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 
-_PASSING = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not learned
+_PASSING = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not kept
 _HOURS, _DAYS = 3600.0, 86400.0
-_OF_GROUND = 8.0 * _HOURS  # T, and of all noise; a machine leaves its ground, and the sky changes
+_OF_GROUND = 8.0 * _HOURS  # T of ground states and of all noise: the ground and the GNSS conditions change
 _OF_MACHINE = 180.0 * _DAYS
 _LIFETIMES = {
     "gyro_bias": 4.0 * _HOURS,  # temperature
@@ -45,23 +45,23 @@ _LIFETIMES = {
     "fix_delay": _OF_MACHINE,
     "asymmetry": _OF_MACHINE,
 }
-_ROUNDING = 1e-6  # of an eigenvalue of correlations
+_ROUNDING = 1e-6  # of eigenvalues of correlations
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What one estimator has learned."""
+    """Kept states and noise weights of one estimator."""
 
-    machine: str  # digest of what gives the numbers their meaning
+    machine: str  # digest of vehicle, sources and model
     mean: FloatArray  # (n,) in the order of ``kept_states``
     stddev: FloatArray  # (n,)
     correlations: FloatArray  # (n, n)
     track_weights: FloatArray  # (TRACK_ERRORS, RATE_FACTORS) ln of the weights of s and a
-    fix_weights: Mapping[str, FloatArray]  # (FIX_FACTORS,) ln of the weights of f, of sources that gave fixes
+    fix_weights: Mapping[str, FloatArray]  # (FIX_FACTORS,) ln of the weights of f, by source with fixes
 
     @property
     def is_finite(self) -> bool:
-        """Whether all of it is: nothing else may be started from, or kept."""
+        """Whether all numbers are finite: only then they may be stored or used."""
         numbers = (self.mean, self.stddev, self.correlations, self.track_weights, *self.fix_weights.values())
         return all(bool(np.isfinite(own).all()) for own in numbers)
 
@@ -72,11 +72,11 @@ class Learned:
 
 
 class OtherMachine(InputError):
-    """What was learned is of another machine; the second argument is its digest."""
+    """Learned values belong to another machine; the second argument is its digest."""
 
     @property
     def machine(self) -> str:
-        """Digest, as text of any kind."""
+        """Digest of that machine, unchecked text."""
         return str(self.args[1])
 
     def __str__(self) -> str:
@@ -84,18 +84,18 @@ class OtherMachine(InputError):
 
 
 class Meaning(NamedTuple):
-    """What gives learned numbers their meaning, by the parameters. Nobody changes it."""
+    """Context of learned numbers, by the parameters; read-only."""
 
     machine: str  # digest of the vehicle, its sources and the model
-    places: Mapping[str, int]  # name → place in the state vector of what is kept, in the model's order
+    places: Mapping[str, int]  # kept state → index in the state vector, in the model's order
     prior: Learned
     constants: Any  # record of ``adaptation.CONSTANTS``
-    has_track_error: bool  # whether the model knows any
+    has_track_error: bool  # whether the model estimates one
     stamp_errors: Mapping[str, float]  # σ_t of each source of poses, s
 
 
 def meaning(p: SlipEstimatorParameters) -> Meaning:
-    """Of all that is learned by an estimator with these parameters."""
+    """``Meaning`` of the values that an estimator with these parameters learns."""
     c, places, machine = make_config(p)[0], _kept_states(p), _machine_digest(p)
     kept, n = list(places.values()), c["adaptation"]
     weights = np.tile(n["rate_prior"], (len(n["track_variances"]), 1))
@@ -129,7 +129,7 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
 
 
 def _mount(source: Mounted) -> tuple[str, ...]:
-    """What of a digest says that a sensor sits above."""
+    """Part of the digest for a sensor on the upper structure; else ()."""
     return (source.mount,) if source.above else ()
 
 
@@ -144,7 +144,7 @@ def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:
 
 
 def learned_of(state: State, of: Meaning, sources: Mapping[str, int]) -> Learned:
-    """Of a record of ``STATE``; ``sources``: name → number."""
+    """Extract learned values from a record of ``STATE``; ``sources``: name → number."""
     adaptation = state["adaptation"]
     kept = list(of.places.values())
     weights = {name: adaptation["fix_log_weights"][sources[name]] for name in of.stamp_errors}
@@ -158,7 +158,7 @@ def learned_of(state: State, of: Meaning, sources: Mapping[str, int]) -> Learned
 
 
 def aged(learned: Learned, age_s: float, of: Meaning) -> Learned:
-    """What is left of it after ``age_s`` seconds, at least 0."""
+    """Decay learned values towards the prior over ``age_s`` seconds, at least 0."""
     prior, of_fixes = of.prior, of.constants["fix_prior"]
     lifetimes = np.array([_LIFETIMES.get(name, _OF_GROUND) for name in of.places])
     phi, left = np.exp(-age_s / lifetimes), math.exp(-age_s / _OF_GROUND)
@@ -175,7 +175,7 @@ def aged(learned: Learned, age_s: float, of: Meaning) -> Learned:
 
 
 def start_from(learned: Learned, config: ConfigRecord, of: Meaning, sources: Mapping[str, int]) -> None:
-    """Make ``config``, (1,) of ``CONFIG``, start from what was learned instead of the parameters' priors."""
+    """Set the priors of ``config``, (1,) of ``CONFIG``, to learned values instead of the parameters' ones."""
     c, kept = config[0], list(of.places.values())
     c["prior_mean"][kept] = learned.mean
     c["prior_covariance"][np.ix_(kept, kept)] = learned.covariance
@@ -193,13 +193,13 @@ def start_from(learned: Learned, config: ConfigRecord, of: Meaning, sources: Map
 
 
 def weights_of(log_weights: FloatArray) -> FloatArray:
-    """The point masses, which are 1 together."""
+    """Weights of point masses, normalised to a sum of 1."""
     masses = np.exp(log_weights - log_weights.max())
     return np.asarray(masses / masses.sum())
 
 
 def to_tree(learned: Learned, of: Meaning) -> dict[str, Any]:
-    """As nested mappings and lists of numbers, for YAML; ``from_tree`` gives the same bits back."""
+    """Convert to nested mappings and lists of numbers, for YAML; ``from_tree`` restores the same bits."""
     numbers = zip(of.places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
     return {
         "machine": learned.machine,
@@ -211,10 +211,10 @@ def to_tree(learned: Learned, of: Meaning) -> dict[str, Any]:
 
 
 def from_tree(tree: Any, of: Meaning) -> Learned:
-    """What ``to_tree`` made, of the same machine.
+    """Restore the output of ``to_tree`` of the same machine.
 
     Raises:
-        InputError: it is of another machine, or not of this form.
+        InputError: the tree is of another machine, or not of this form.
     """
     if not isinstance(tree, Mapping) or not isinstance(tree.get("machine"), str):
         raise InputError("it does not hold what was learned of a machine")

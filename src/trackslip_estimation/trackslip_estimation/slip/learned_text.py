@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned of a machine in words and numbers: for /diagnostics, reports, replays and the state file.
+"""Describe learned values in words and numbers, for /diagnostics, reports, replays and the state file.
 
-A state that is still as the parameters have it was not observed: its standard deviation is above 0.9 of its
-prior's, and its mean within 3 of these; or the weights of its point masses are the prior's but for 0.1.
+A state counts as not observed if it is still close to its prior: standard deviation above 0.9 of the prior's,
+and mean within 3 of the prior's standard deviations. Noise does if its weights differ by at most 0.1.
 """
 
 import math
@@ -21,18 +21,18 @@ _DEGREES = 180.0 / math.pi
 
 
 class Form(NamedTuple):
-    """How a quantity is shown: (value − zero) · scale, in ``unit``."""
+    """Display of a quantity: (value − zero) · scale, in ``unit``."""
 
     label: str
-    text: str  # {v}: what is shown, {a}: its size, {way}: which way it goes, {s}: ±, {of}: its source
+    text: str  # {v}: displayed value, {a}: its size, {way}: its direction, {s}: ±, {of}: its source
     unit: str = "1"
     scale: float = 1.0
     zero: float = 0.0
     directions: tuple[str, str] = ("", "")  # above zero, below
-    least: float = -math.inf  # that it can be, as shown
+    least: float = -math.inf  # lower bound of the displayed value
 
     def shown(self, value: float) -> float:
-        """In its unit."""
+        """Displayed value, in ``unit``."""
         return (value - self.zero) * self.scale
 
 
@@ -61,14 +61,14 @@ _FORMS = {
 class Finding(NamedTuple):
     """One quantity; value and standard deviation in SI units."""
 
-    name: str  # of a source's own: with ``.`` and the source
+    name: str  # with ``.`` and the source if it belongs to one
     value: float
     stddev: float
     observed: bool
 
     @property
     def form(self) -> Form:
-        """How it is shown; a state of a model that is not known here by its name."""
+        """Display form; a state without an entry in ``_FORMS`` is displayed by its name."""
         kind, _, source = self.name.partition(".")
         plain = kind.replace("_", " ")
         form = _FORMS.get(kind, Form(plain, f"{plain} {{v}} ± {{s}}"))
@@ -76,7 +76,7 @@ class Finding(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """With one standard deviation: "gyro reads 1.9 % low ± 0.5"."""
+        """Text with one standard deviation: "gyro reads 1.9 % low ± 0.5"."""
         if not self.observed:
             return NOT_OBSERVED
         form = self.form
@@ -92,12 +92,12 @@ class Finding(NamedTuple):
 
 
 def decimals(stddev: float) -> int:
-    """After the point, for one digit of a standard deviation, or two that begin with 1."""
+    """Number of decimals for one digit of a standard deviation, or for two if it begins with 1."""
     return min(max(-math.floor(math.log10(max(stddev, 1e-9) / 2.0)), 0), 9)
 
 
 def findings(learned: Learned | None, of: Meaning) -> list[Finding]:
-    """All that an estimator learns; of nothing learned, the priors."""
+    """All learned quantities of an estimator; the priors if nothing was learned."""
     known = of.prior if learned is None else learned
     found = [finding for name in of.places for finding in _of_state(name, known, of)]
     if of.has_track_error:
@@ -107,14 +107,14 @@ def findings(learned: Learned | None, of: Meaning) -> list[Finding]:
 
 
 def lines_of(found: list[Finding]) -> list[str]:
-    """A line for each quantity that was observed, and one for all others."""
+    """One line for each observed quantity, and one for all others."""
     lines = [f.sentence for f in found if f.observed]
     unseen = [f.form.label for f in found if not f.observed]
     return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
 
 
 def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
-    """Of one state; of the delay one for each source; nothing of what is no state by the parameters."""
+    """Findings of one state: of the delay one for each source, none if the parameters fix the state."""
     k = list(of.places).index(name)
     value, stddev, before = known.mean[k], known.stddev[k], of.prior.stddev[k]
     if before == 0.0:
@@ -127,12 +127,12 @@ def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
             for source, error in of.stamp_errors.items()
             if error > 0.0
         ]
-    zero = _FORMS[name].zero if name in _FORMS else 0.0  # the state is the departure from it
+    zero = _FORMS[name].zero if name in _FORMS else 0.0  # the state is the difference from it
     return [Finding(name, float(value) + zero, float(stddev), observed)]
 
 
 def _noise(known: Learned, of: Meaning) -> list[Finding]:
-    """Track error, and the factors of the variance that gyro and fixes state."""
+    """Findings of the track error, and of the factors of the variances stated by gyro and fixes."""
     n, joint, before = of.constants, weights_of(known.track_weights), weights_of(of.prior.track_weights)
     masses, variances = (joint.sum(axis=1), before.sum(axis=1)), n["track_variances"]
     squared = _of_masses("", variances, *masses)
@@ -146,12 +146,12 @@ def _noise(known: Learned, of: Meaning) -> list[Finding]:
         name, own = f"fix_noise_factor.{source}", known.fix_weights.get(source)
         masses_of = unknown if own is None else weights_of(own)
         finding = _of_masses(name, n["fix_factors"], masses_of, unknown)
-        found.append(finding if own is not None else finding._replace(value=1.0))  # as it states
+        found.append(finding if own is not None else finding._replace(value=1.0))  # as stated
     return found
 
 
 def _of_masses(name: str, points: FloatArray, masses: FloatArray, before: FloatArray) -> Finding:
-    """Mean, and standard deviation with that of a value anywhere between its point and the next."""
+    """Mean of point masses, and their standard deviation, including the spacing of the points."""
     mean = float(masses @ points)
     between = mean * math.log(points[1] / points[0]) / math.sqrt(12.0)
     variance = float(masses @ np.square(points - mean)) + between**2
@@ -159,10 +159,10 @@ def _of_masses(name: str, points: FloatArray, masses: FloatArray, before: FloatA
 
 
 def _shifted(masses: FloatArray, before: FloatArray) -> bool:
-    """Whether the weights differ: total variation."""
+    """Whether the total variation between the weights exceeds ``_SHIFTED``."""
     return bool(np.abs(masses - before).sum() / 2.0 > _SHIFTED)
 
 
 def to_json(found: list[Finding]) -> dict[str, dict[str, Any]]:
-    """Name → value, stddev, observed."""
+    """Convert to name → value, stddev, observed."""
     return {f.name: {"value": f.value, "stddev": f.stddev, "observed": f.observed} for f in found}

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From when on a silent source counts as lost: after its timeout, or after three periods of its own.
+"""Silence after which a source is lost: its timeout, or three of its periods if these are longer.
 
 T      timeout of the source
 P      usual period of the source: median of the intervals between its messages
-T_l    max(T, 3 P), the silence after which it is lost
+T_l    max(T, 3 P), silence after which the source is lost
 
 A receiver of 1 Hz with a timeout of 1 s is not lost between two fixes. All times have one unit.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PERIODS = 3.0
-_LATEST = 9  # intervals: the period follows a source that changes its rate
+_LATEST = 9  # number of latest intervals, so that P follows a changed rate
 
 
 def lost_after(timeout: float, period: float) -> float:
@@ -24,27 +24,27 @@ def lost_after(timeout: float, period: float) -> float:
 
 
 def usual_period(times: NDArray[np.float64]) -> float:
-    """P of (n,) times of messages; nan of fewer than two different ones."""
+    """P of (n,) times of messages; nan if fewer than two differ."""
     intervals = np.diff(np.sort(times))
     intervals = intervals[intervals > 0.0]
     return float(np.median(intervals)) if len(intervals) else float("nan")
 
 
 class Silence:
-    """Follows the messages of one source while they come; ``timeout`` is that of the source."""
+    """Measures the period of one source from its messages; ``timeout``: of the source."""
 
     def __init__(self) -> None:
         self._last: float | None = None
         self._intervals: deque[float] = deque(maxlen=_LATEST)
 
     def add(self, time: float) -> None:
-        """A message, used or not."""
+        """Add a message, whether it is used or not."""
         if self._last is not None and time > self._last:
             self._intervals.append(time - self._last)
         self._last = time
 
     def limit(self, timeout: float) -> float:
-        """T_l. A source of one message has an unknown period: it may be as long as its timeout."""
+        """T_l. After one message the period is unknown, and the timeout is taken for it."""
         if self._last is None:
             return timeout
         return lost_after(timeout, float(np.median(self._intervals)) if self._intervals else timeout)

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the sources of the estimator do: which are lost, and whether their innovations are consistent.
+"""Monitor the sources of the estimator: which are lost, and whether their innovations are consistent.
 
-d²    normalised innovation squared, χ² with n degrees of freedom if all is consistent
+d²    normalised innovation squared (NIS), χ² with n degrees of freedom if consistent
 """
 
 from collections import defaultdict, deque
@@ -16,53 +16,53 @@ _WINDOW_NS = 10_000_000_000
 
 
 class SourceWatch:
-    """Follows the reports; its time is that of the stamps."""
+    """Collects the reports of all sources; times are stamps."""
 
     def __init__(self, timeouts_ns: Mapping[str, int]) -> None:
-        """``timeouts_ns``: of each source that is expected."""
+        """``timeouts_ns``: expected source → timeout."""
         self._diverged_ns: int | None = None
         self.expect(timeouts_ns)
         self.clear()
 
     def expect(self, timeouts_ns: Mapping[str, int]) -> None:
-        """Other timeouts."""
+        """Replace the timeouts."""
         self._timeouts_ns = timeouts_ns
 
     def clear(self) -> None:
-        """The estimate restarts."""
+        """Discard all reports, as the estimate restarts."""
         self._taken_ns: dict[str, int] = {}
         self._silences: dict[str, Silence] = defaultdict(Silence)
         self._innovations: dict[str, deque[Report]] = defaultdict(deque)
 
     def add(self, report: Report) -> None:
-        """One more report."""
+        """Add a report."""
         if report.outcome in (Outcome.RESTARTED, Outcome.DIVERGED):
             self.clear()
         if report.outcome is Outcome.DIVERGED:
             self._diverged_ns = report.stamp_ns
-        if report.stamp_ns == 0:  # commands have no time
+        if report.stamp_ns == 0:  # commands have no stamp
             return
         self._silences[report.source].add(report.stamp_ns)
         if report.outcome.refused:
             return
-        for source in self._timeouts_ns:  # all are due from the start on
+        for source in self._timeouts_ns:  # timeouts count from the first report
             self._taken_ns.setdefault(source, report.stamp_ns)
         self._taken_ns[report.source] = max(report.stamp_ns, self._taken_ns.get(report.source, 0))
         if report.dof:
             self._innovations[report.source].append(report)
 
     def has_diverged(self, now_ns: int) -> bool:
-        """Whether the estimate was not finite at some time in the last seconds, and restarted."""
+        """Whether the estimate diverged and restarted within the last ``_WINDOW_NS``."""
         return self._diverged_ns is not None and now_ns - self._diverged_ns < _WINDOW_NS
 
     def lost(self, now_ns: int) -> dict[str, float]:
-        """Source → seconds since something of it was last accepted, where it is lost by ``silence``."""
+        """Lost source (``silence``) → seconds since its latest measurement that was not refused."""
         since = {source: now_ns - self._taken_ns.get(source, now_ns) for source in self._timeouts_ns}
         limits = {source: self._silences[source].limit(ns) for source, ns in self._timeouts_ns.items()}
         return {source: ns * 1e-9 for source, ns in since.items() if ns > limits[source]}
 
     def innovations(self, now_ns: int) -> dict[str, str]:
-        """Source → mean d² over the last seconds, and the bounds within which a consistent one lies."""
+        """Source → text: mean d² over the last ``_WINDOW_NS``, and its bounds if consistent."""
         found = {}
         for source, reports in sorted(self._innovations.items()):
             while reports and reports[0].stamp_ns < now_ns - _WINDOW_NS:

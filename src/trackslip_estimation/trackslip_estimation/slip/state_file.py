@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The file that keeps what was learned from one start of the estimator to the next.
+"""State file: stores learned values between two starts of the estimator.
 
-YAML with a checksum over all that stands before it. It is written beside itself and moved into place, by a
-thread of its own: a slow, full or missing disk is counted and costs nothing else. A file that does not fit
-(edited, cut, of another vehicle) is not used; the first one written in its place moves it aside, to a name of
-its own. Another vehicle's is named after that vehicle, which finds it there when its turn comes.
+The file is YAML, with a checksum over the text before it. A separate thread writes a temporary file and
+renames it: a slow, full or missing disk is counted and has no other effect. An invalid file (edited, cut, of
+another vehicle) is not used; the first write then renames it. The file of another vehicle gets a name with
+the digest of that vehicle, under which that vehicle finds it later.
 """
 
 import hashlib
@@ -26,9 +26,9 @@ from trackslip_estimation.slip.learned_text import findings, lines_of
 
 _VERSION = 2
 _LARGEST = 1 << 18  # bytes
-_UNKNOWN_AGE = 7 * 86400.0  # s, where the clock cannot be right: the ground is forgotten, the machine not
-_EARLIEST, _OLDEST = -60.0, 10 * 365 * 86400.0  # s, ages that are believed: some clocks begin in 1970
-_END = 3.0  # s that the last writing may take
+_UNKNOWN_AGE = 7 * 86400.0  # s, with a wrong clock: discards states of the ground, keeps those of the machine
+_EARLIEST, _OLDEST = -60.0, 10 * 365 * 86400.0  # bounds of a plausible age, s: some clocks start in 1970
+_END = 3.0  # longest wait for the last write, s
 CHECKSUM = "\nchecksum: "
 _HEAD = """\
 # What the slip estimator has learned of this machine and its ground; it starts from this the next time.
@@ -38,7 +38,7 @@ _HEAD = """\
 
 
 def state_text(learned: Learned, of: Meaning, written_s: float) -> str:
-    """What the file holds; ``written_s``: seconds since 1970."""
+    """Text of the state file; ``written_s``: seconds since 1970."""
     words = [f"#   {line}\n" for line in lines_of(findings(learned, of))]
     written = datetime.fromtimestamp(written_s, timezone.utc).isoformat()
     tree = {"version": _VERSION, "written": written, **to_tree(learned, of)}
@@ -48,10 +48,10 @@ def state_text(learned: Learned, of: Meaning, written_s: float) -> str:
 
 
 def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
-    """What was learned, and when it was written, seconds since 1970.
+    """Parse the text of a state file: learned values, and the time of writing, seconds since 1970.
 
     Raises:
-        InputError: the text is not as ``state_text`` made it, or of another machine.
+        InputError: the text is not an unchanged output of ``state_text``, or is of another machine.
     """
     body, sign, checksum = text.rpartition(CHECKSUM)
     if not sign or checksum.strip() != digest(body):
@@ -67,31 +67,31 @@ def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
 
 
 class StateFile:
-    """One node's; with an empty path there is none, and nothing is ever done."""
+    """State file of one node; with an empty path all methods do nothing."""
 
     def __init__(self, path: str) -> None:
         """``path`` may begin with ~.
 
         Raises:
-            InputError: nobody knows that home directory.
+            InputError: the home directory is unknown.
         """
         self._path = own_file("state_file", path)
-        self._is_foreign = False  # what is there was not used
-        self._other = ""  # the machine that it is of, where that is known
-        self._damaged: Path | None = None  # what was kept aside of this machine, and was not used
+        self._is_foreign = False  # whether the existing file was not used
+        self._other = ""  # machine of that file, if known
+        self._damaged: Path | None = None  # file of this machine under its digest, if invalid
         self._writer: threading.Thread | None = None
         self._lock = threading.Lock()
         self._written_s: float | None = None
-        self.used = True  # whether what was there could be used, or nothing was
-        self.note = ""  # what became of reading it
+        self.used = True  # False: a file exists but was not used
+        self.note = ""  # result of reading the file
         self.failures = 0
-        self.failure = ""  # why the last writing failed; empty where it did not
+        self.failure = ""  # reason why the last write failed; empty if it succeeded
 
     def __bool__(self) -> bool:
         return self._path is not None
 
     def read(self, of: Meaning) -> Learned | None:
-        """What is there, widened with its age; None where nothing is of use: see ``note``."""
+        """Read the learned values, aged to now; None if no file is usable, see ``note``."""
         if self._path is None:
             return None
         self._is_foreign, self._other, self._damaged, self.used = False, "", None, True
@@ -114,11 +114,11 @@ class StateFile:
         return None
 
     def _used(self, path: Path, of: Meaning) -> Learned:
-        """What a file holds.
+        """Read a file and age its values; set ``note``.
 
         Raises:
-            InputError: it does not fit.
-            OSError: it cannot be read.
+            InputError: the file is invalid or of another machine.
+            OSError: the file cannot be read.
         """
         learned, written_s = parse_state(_content(path), of)
         age_s = time.time() - written_s
@@ -128,7 +128,7 @@ class StateFile:
         return aged(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, of)
 
     def write(self, learned: Learned | None, of: Meaning) -> None:
-        """Begin to write; nothing where the last one still goes on."""
+        """Start writing; count a failure if the previous write is still running."""
         if self._path is None or learned is None:
             return
         if self._writer is not None and self._writer.is_alive():
@@ -139,7 +139,7 @@ class StateFile:
         self._writer.start()
 
     def forget(self, of: Meaning) -> None:
-        """Delete what is kept of this machine; a file that was not used is moved aside."""
+        """Delete the files of this machine; a file that was not used is renamed instead."""
         self.finish()
         try:
             if self._path is not None:
@@ -150,40 +150,40 @@ class StateFile:
             self._fail(f"not deleted: {error.strerror}")
 
     def finish(self) -> None:
-        """Wait for what is being written."""
+        """Wait for a running write."""
         if self._writer is not None:
             self._writer.join(_END)
             if self._writer.is_alive():
                 self._fail("the disk is too slow")
 
     def status(self) -> dict[str, str]:
-        """For /diagnostics."""
+        """Values for /diagnostics."""
         with self._lock:
             ago = "not yet" if self._written_s is None else _words(time.time() - self._written_s)
             values = {"file": str(self._path), "read": self.note, "written": ago}
             return values | {"not written": str(self.failures), "last failure": self.failure or "none"}
 
     def _write(self, path: Path, learned: Learned, of: Meaning) -> None:
-        """In its own thread."""
+        """Write the file; runs in the writer thread."""
         now_s = time.time()
         try:
             text = state_text(learned, of, now_s)
             path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(path, text, sync=True):  # the key may be turned at any time
+            with replacing(path, text, sync=True):  # power may be switched off at any time
                 self._move_aside(path)
-        except (OSError, ValueError) as error:  # ValueError: no path at all
+        except (OSError, ValueError) as error:  # ValueError: invalid path
             self._fail(getattr(error, "strerror", None) or str(error))
             return
         with self._lock:
             self._written_s, self.failure = now_s, ""
 
     def _move_aside(self, path: Path) -> None:
-        """Where it is a file that was not used; and what of this machine was not."""
+        """Rename a file that was not used, and an invalid file of this machine."""
         if self._damaged is not None:
             move_aside(self._damaged)
             self._damaged = None
         if self._is_foreign and self._other and path.exists():
-            path.replace(_aside(path, self._other))  # over what that one knew before
+            path.replace(_aside(path, self._other))  # replaces an older file of that machine
         elif self._is_foreign:
             move_aside(path)
         self._is_foreign = False
@@ -195,7 +195,7 @@ class StateFile:
 
 
 def _aside(path: Path, machine: str) -> Path:
-    """Where the file of a machine is kept while another one's is in its place."""
+    """Path of a machine's file while the state file belongs to another machine."""
     return path.with_name(f"{path.name}.of-{digest(machine)[:8]}")
 
 
@@ -204,11 +204,11 @@ def _refusal(path: Path, error: Exception) -> str:
 
 
 def _content(path: Path) -> str:
-    """Of a file of moderate size.
+    """Text of a file.
 
     Raises:
-        InputError: it is none.
-        OSError: it cannot be read.
+        InputError: the path is no file, or the file is too large.
+        OSError: the file cannot be read.
     """
     if not path.is_file():
         raise InputError("it is no file")
@@ -225,7 +225,7 @@ def digest(body: str) -> str:
 
 
 def _words(age_s: float) -> str:
-    """How long ago."""
+    """Age as text, "2 h ago"."""
     for unit, seconds in (("days", 2 * 86400.0), ("h", 2 * 3600.0), ("min", 2 * 60.0)):
         if age_s >= seconds:
             return f"{age_s / (seconds / 2.0):.0f} {unit} ago"

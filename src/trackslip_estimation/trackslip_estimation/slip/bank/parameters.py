@@ -25,7 +25,7 @@ class BankParameters(Parameters):
         "largest contribution of one innovation to the CUSUM, in standard deviations", gt=0.0
     )
     cusum_calm: float = parameter("CUSUM below which a measurement is consistent with a branch", gt=0.0)
-    look_back: int = parameter("number of latest measurements before which children may start", ge=1)
+    look_back: int = parameter("largest number of measurements since the start of a child", ge=1)
     look_back_time: float = parameter("longest time before now at which children start", unit="s", gt=0.0)
     shortest_time: float = parameter("shortest time in the prior of an event", unit="s", gt=0.0)
     slip_excess: float = parameter("standard deviation of the common slip outside its range", gt=0.0)
@@ -33,7 +33,7 @@ class BankParameters(Parameters):
         "shortest track distance that makes heading and slip observable by positions", unit="m", ge=0.0
     )
     often_outliers: float = parameter(
-        "share of outliers above which a source's first contradiction is taken for one", gt=0.0, lt=1.0
+        "share of outliers above which a first contradicting measurement is an outlier", gt=0.0, lt=1.0
     )
     correlated_penalty: float = parameter(
         "ln of the odds against an event of the machine while errors of fixes are time-correlated", ge=0.0
