@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""All numbers of the compiled estimator in one record, made from its parameters."""
+"""Record of all constants of the compiled estimator, made from its parameters."""
 
 import math
 from collections.abc import Mapping
@@ -39,29 +39,29 @@ ConfigRecord = NDArray[np.void]
 
 
 class Config(Record):
-    """All numbers of the estimator."""
+    """All constants of the estimator."""
 
     model: int
-    active: int  # numbers of the model's state that are uncertain
-    size: int  # numbers of the state that are looked at
-    swings: bool  # whether anything sits on the upper structure
+    active: int  # number of uncertain states
+    size: int  # number of states in use
+    swings: bool  # whether a sensor is on the upper structure
     swing_axis: Annotated[FloatArray, 2]  # in base_link, m
-    swing_place: int  # the first source of poses above; −1: none
+    swing_place: int  # first pose source on the upper structure; −1: none
     sigma_points: bool  # DAF, else EKF
     kappa: float  # of the DAF
     rolling_radius: float  # r, m
     tread: float  # B, m
     encoder_resolution: float  # rad
-    velocity_errors: SpeedConstants  # of the model that is chosen
+    velocity_errors: SpeedConstants  # of the chosen model
     turning: TurningConstants
     free_slips: FreeSlipsConstants
     swing: SwingConstants
     adaptation: AdaptationConstants
-    process_noise: Annotated[FloatArray, (len(Motion), 2, SIZE)]  # variance per s, by motion and changing
+    process_noise: Annotated[FloatArray, (len(Motion), 2, SIZE)]  # variance per s, by ``MotionState``
     prior_mean: Annotated[FloatArray, SIZE]
     prior_variance: Annotated[FloatArray, SIZE]
-    prior_covariance: Annotated[FloatArray, (SIZE, SIZE)]  # but for the pose
-    resumes: bool  # whether the noise starts from ``start``, else as nobody has seen it
+    prior_covariance: Annotated[FloatArray, (SIZE, SIZE)]  # without the pose
+    resumes: bool  # whether the noise estimation starts from ``start``, else from its priors
     start: Adaptation
     initial_pose: Annotated[FloatArray, 3]
     initial_covariance: Annotated[FloatArray, (3, 3)]
@@ -69,20 +69,20 @@ class Config(Record):
     motion_limits: LimitsRecord
     sprocket_timeout_ns: int
     max_sprocket_speed: float  # rad/s
-    unknown_speed: float  # standard deviation of one that may be any, m/s
+    unknown_speed: float  # standard deviation of an unknown speed, m/s
     unknown_yaw_rate: float  # rad/s
-    unseen_yaw_rate: float  # standard deviation of a yaw rate that no state holds, rad/s
+    unseen_yaw_rate: float  # standard deviation of an unknown yaw rate that is no state, rad/s
     max_gap: float  # s
-    shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, and ``TRACKS`` and ``GYROS`` as one
+    shows_motion: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: odometry, ``TRACKS``, and ``GYROS`` if any
     window_ns: int
     clock: ClockLimits
-    gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite where all are used
+    gate_limits: Annotated[FloatArray, 4]  # g by degrees of freedom 0 … 3; infinite: all are accepted
     gate_relaxation: float
     gate_confirmations: int
-    timeouts_ns: Annotated[IntArray, MOST_SOURCES]  # of each source, as all below
+    timeouts_ns: Annotated[IntArray, MOST_SOURCES]  # by source, as all below
     levers: Annotated[FloatArray, (MOST_SOURCES, 3)]  # m
-    above: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether it sits on the upper structure
-    rate_scale: Annotated[FloatArray, MOST_SOURCES]  # what a gyro shows of 1 rad/s
+    above: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether on the upper structure
+    rate_scale: Annotated[FloatArray, MOST_SOURCES]  # signed scale of a gyro
     stamp_errors: Annotated[FloatArray, MOST_SOURCES]  # σ_t, s
     use_heading: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
     use_altitude: Annotated[IntArray, MOST_SOURCES]  # 0 or 1
@@ -90,35 +90,35 @@ class Config(Record):
     heading_floor: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_ceiling: Annotated[FloatArray, MOST_SOURCES]  # rad
     heading_offset: Annotated[FloatArray, MOST_SOURCES]  # rad
-    of_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether its angles are those of the upper structure
+    of_swing: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether the source measures swing angles
     velocity_floor: Annotated[FloatArray, MOST_SOURCES]  # m/s
-    body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether its velocities are along axes of its own
-    repeat_times: Annotated[FloatArray, MOST_SOURCES]  # s, for which fixes err alike by where they are
+    body_axes: Annotated[IntArray, MOST_SOURCES]  # 0 or 1: whether velocities are along the sensor's axes
+    repeat_times: Annotated[FloatArray, MOST_SOURCES]  # correlation time of fixes from the upper structure, s
     standing_share: Annotated[FloatArray, MOST_SOURCES]
     events: EventParameters
     bank: BankParameters
     receivers: ReceiverParameters
     ground: GroundParameters
-    log_rates: Annotated[FloatArray, (len(Event), MOST_SOURCES)]  # ln of 1/s; −∞: not a rate
-    poses: int  # how many sources of poses there are
-    offsets: Annotated[IntArray, MOST_SOURCES]  # place of the offset of its places, or velocities; −1: none
-    yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # place of what all its headings are off by; −1: none
-    source_states: Annotated[IntArray, MOST_SOURCES]  # place of its own error in the state; −1: it has none
-    lean_errors: int  # place of the two of the tilt, over its standard deviation; −1: none
-    lean_stddev: float  # of what lasts of it, rad
-    error_times: Annotated[FloatArray, SIZE]  # s, for which one of variance 1 lasts; 0: it walks
+    log_rates: Annotated[FloatArray, (len(Event), MOST_SOURCES)]  # ln of event rates, 1/s; −∞: no rate
+    poses: int  # number of pose sources
+    offsets: Annotated[IntArray, MOST_SOURCES]  # first state of the position or velocity offset; −1: none
+    yaw_offsets: Annotated[IntArray, MOST_SOURCES]  # state of the heading or swing angle offset; −1: none
+    source_states: Annotated[IntArray, MOST_SOURCES]  # state of the gyro bias or odometry scale; −1: none
+    lean_errors: int  # first of two states of tilt errors, over their standard deviation; −1: none
+    lean_stddev: float  # of the time-correlated tilt error, rad
+    error_times: Annotated[FloatArray, SIZE]  # correlation time of a state of variance 1, s; 0: random walk
     mountings: Annotated[
         FloatArray, (MOST_SOURCES, 4)
-    ]  # of odometry: from its axes to base_link's, x, y, z, w
-    odometries: int  # how many there are
-    odometry_number: Annotated[IntArray, MOST_SOURCES]  # among those
-    odometry_noise: Annotated[IntArray, MOST_SOURCES]  # of ``increments``: where its covariance comes from
-    odometry_variances: Annotated[FloatArray, (MOST_SOURCES, 2)]  # where it has none, (m/s)², (rad/s)²
+    ]  # of odometry: quaternion from its axes to base_link's, x, y, z, w
+    odometries: int  # number of odometry sources
+    odometry_number: Annotated[IntArray, MOST_SOURCES]  # number among the odometry sources
+    odometry_noise: Annotated[IntArray, MOST_SOURCES]  # index in ``COVARIANCES``: origin of its covariance
+    odometry_variances: Annotated[FloatArray, (MOST_SOURCES, 2)]  # declared, (m/s)², (rad/s)²
     odometry_gap: Annotated[FloatArray, MOST_SOURCES]  # s
-    tilt_source: int  # the IMU that tells the attitude; −1: none, the ground is flat
-    tilt_lever: Annotated[FloatArray, 3]  # its place, m
-    tilt_acceleration: int  # 0 or 1: whether its accelerations tell,
-    tilt_orientation: int  # and whether its orientation does
+    tilt_source: int  # IMU that measures the attitude; −1: none, the ground is flat
+    tilt_lever: Annotated[FloatArray, 3]  # lever arm of that IMU, m
+    tilt_acceleration: int  # 0 or 1: whether its accelerations are used
+    tilt_orientation: int  # 0 or 1: whether its orientation is used
     attitude: AttitudeConstants
 
 
@@ -126,7 +126,7 @@ CONFIG = dtype_of(Config)
 
 
 def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> ConfigRecord:
-    """(1,) of ``CONFIG``; ``window_ns``: how late a measurement may come, if not the parameters' window."""
+    """(1,) of ``CONFIG``; ``window_ns``: largest delay of a measurement, instead of the parameters' one."""
     config = np.zeros(1, CONFIG)
     c = config[0]
     c["kappa"], c["sigma_points"] = p.kappa, p.filter == "daf"
@@ -155,7 +155,7 @@ def make_config(p: SlipEstimatorParameters, window_ns: int | None = None) -> Con
 
 
 def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
-    """What the chosen model says of itself."""
+    """Set constants, priors and process noise of the chosen model."""
     model, noise = MODELS[p.model], p.noise_of(p.model)
     c["model"], c["active"] = model.CODE, SENSOR_ERRORS if p.swings else model.ACTIVE
     c["swings"], c["size"] = p.swings, SENSOR_ERRORS if p.swings else UNDERCARRIAGE_SIZE
@@ -182,7 +182,7 @@ def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
 
 
 def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
-    """Sources are numbered as ``timeouts_ns`` names them."""
+    """Set gates, levers and noise of sources; ``numbers``: name → number, in the order of ``timeouts_ns``."""
     tail = 1.0 - p.gate_probability
     c["gate_limits"] = [np.inf, *(chi_square.limit(dof, tail) for dof in (1, 2, 3))]
     c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
@@ -227,7 +227,7 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
 
 
 def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
-    """Of events, by source; one without rates of its own has only those of the machine."""
+    """Set the rates of events by source; a source without own rates uses 1/s for its faults and jumps."""
     own = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
     own |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
     own |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.angles().items()}
@@ -251,7 +251,7 @@ def _set_odometry(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, i
 
 
 def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
-    """Offsets of poses and headings, biases of further gyros, scales of odometries, what lasts of tilt."""
+    """Add states: offsets, biases of further gyros, scales of odometries, time-correlated tilt errors."""
     c["source_states"] = c["yaw_offsets"] = -1
     bias = float(c["prior_variance"][GYRO_BIAS]), c["process_noise"][..., GYRO_BIAS].copy()
     errors = dict.fromkeys(list(p.gyros())[1:], bias)

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whole logs in the order of their stamps: what is worked out once, for many runs with other parameters.
+"""Run the estimator over whole logs in the order of their stamps, many times with different parameters.
 
-Nothing comes late here, so every state is settled: each run gives what the estimator ends with on the same
-measurements. Blocks keep it in bounded memory; machine code holds no lock, so threads share the cores.
+No measurement is late here, so every state is settled: each run ends with the same states as the estimator
+on the same measurements. Blocks bound the memory. Compiled code holds no lock, so threads share the cores.
 """
 
 from collections.abc import Iterator
@@ -29,51 +29,51 @@ from trackslip_estimation.slip.window import (
     make_like,
 )
 
-_BLOCK = 512  # entries: fewer are carried over too often, more do not stay near the processor
+_BLOCK = 512  # entries: fewer cost more copies between blocks, more exceed the processor's cache
 _NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)
 _USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
 
 
 class Log(NamedTuple):
-    """What an estimator takes of a log, as records of ``MEASUREMENT`` in the order of their stamps."""
+    """Measurements of a log that an estimator uses, as records of ``MEASUREMENT`` in the order of stamps."""
 
-    begin: Records  # (b,) up to the one that the estimate starts from, with it
-    rest: Records  # (k,) after it
+    begin: Records  # (b,) up to and including the start of the estimate
+    rest: Records  # (k,) after the start
 
 
 class Block(NamedTuple):
-    """A stretch of a run; the entries before ``begin`` are carried over from the block before."""
+    """A block of a run; the entries before ``begin`` belong to the previous block."""
 
-    first: int  # number in ``Log.rest`` of its first entry
+    first: int  # index in ``Log.rest`` of its first entry
     begin: int  # its first entry in the window
-    window: Window  # is used again for the next block
+    window: Window  # reused by the next block
 
     @property
     def measurements(self) -> Records:
-        """(m,) those of the block."""
+        """(m,) measurements of the block."""
         return self.window.measurements[self.begin : self.window.count]
 
     @property
     def states(self) -> Records:
-        """(m,) the states after them, of the most probable branch."""
+        """(m,) states after the measurements, of the most probable branch."""
         return self.window.best[self.begin : self.window.count]
 
     @property
     def updates(self) -> Records:
-        """(m,) what became of them."""
+        """(m,) results of the steps, of ``UPDATE``."""
         return self.window.updates[self.begin : self.window.count]
 
     @property
     def priors(self) -> Records:
-        """(m,) what was known before each, of a run with a script; else ()."""
+        """(m,) states before the updates, of ``PRIOR``, of a run with a script; else empty."""
         return self.window.priors[self.begin : self.window.count]
 
 
 def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
-    """What the estimator uses of (n,) records of ``MEASUREMENT``, each once.
+    """Select from (n,) records of ``MEASUREMENT`` those that the estimator uses, each once.
 
     Raises:
-        InputError: there is none to start from.
+        InputError: no measurement starts the estimate.
     """
     order = stamp_order(arrivals)
     arrivals = arrivals if (np.diff(order) == 1).all() else arrivals[order]
@@ -90,20 +90,20 @@ def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
         arrivals["kind"][: begins[0]] == SPROCKETS
     )
     head = begins[0] + 1
-    rest = arrivals[head:]  # of a long bag they are hundreds of MB: no copy where all are used
+    rest = arrivals[head:]  # up to hundreds of MB: no copy if all are used
     return Log(arrivals[:head][used[:head]], rest if used[head:].all() else rest[used[head:]])
 
 
 def stamp_order(measurements: Records) -> NDArray[np.int64]:
-    """(n,) places in which (n,) records of ``MEASUREMENT`` stand by stamp, kind and source."""
+    """(n,) indices that sort (n,) records of ``MEASUREMENT`` by stamp, kind and source."""
     keys = measurements["source"], measurements["kind"], measurements["stamp_ns"]
     return np.lexsort(keys).astype(np.int64, copy=False)
 
 
 def run_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> Iterator[Block]:
-    """The estimator that the parameters choose over a log, block by block; each ends at a sprocket sample.
+    """Run an estimator over a log, block by block; each block ends at a sprocket sample.
 
-    From those that the log was made with they may differ in all but what is a measurement at all.
+    The parameters may differ from those of ``make_log``, except in which measurements they use.
     ``script``: (n,) of ``EVENT``, the only events of the run.
     """
     start, config = begin_log(log, p, script)
@@ -113,15 +113,15 @@ def run_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None)
 def begin_log(
     log: Log, p: SlipEstimatorParameters, script: Records | None = None
 ) -> tuple[Window, ConfigRecord]:
-    """The window at the start of a log, and the record of the parameters; ``script`` as in ``run_log``."""
+    """Window at the start of a log, and its (1,) of ``CONFIG``; ``script`` as in ``run_log``."""
     estimator = SlipEstimator(p, script=script)
     estimator.process_records(log.begin)
     return estimator.window, estimator.config
 
 
 def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
-    """Runs over measurements in the order of their stamps, from the first entry of ``start``."""
-    window = _begin(start, 3 * _BLOCK)  # with those that later ones look back to
+    """Run over measurements in the order of their stamps, from the first entry of ``start``."""
+    window = _begin(start, 3 * _BLOCK)  # including older entries that snapshots refer to
     first = 0
     while first < len(rest):
         last = _end_of_block(rest, first)
@@ -135,14 +135,14 @@ def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[B
 
 
 def run_whole(rest: Records, start: Window, config: ConfigRecord) -> Window:
-    """``run_blocks`` in one block: all states at once, for logs that are short."""
+    """Run over measurements in one block, for short logs: the window holds all states."""
     window = _begin(start, len(rest))
     _extend(window, rest, config)
     return window
 
 
 def script_of(log: Log, p: SlipEstimatorParameters) -> Records:
-    """(n,) of ``EVENT``: what the bank finds that happened in a log, by its most probable branch at the end.
+    """(n,) of ``EVENT``: events of the branch that is most probable at the end of a log.
 
     A run with this script has the states of that branch.
     """
@@ -165,7 +165,7 @@ def script_of(log: Log, p: SlipEstimatorParameters) -> Records:
 
 
 def _begin(start: Window, entries: int) -> Window:
-    """A window with room for so many entries after the first one of ``start``."""
+    """Make a window of the first entry of ``start``, with room for ``entries`` more."""
     window = make_like(start, entries + 1 + SPARE)
     window.status["played"] = window.status["begun"] = start.status["played"]
     copy_first(window, start)
@@ -174,7 +174,7 @@ def _begin(start: Window, entries: int) -> Window:
 
 
 def _extend(window: Window, measurements: Records, config: ConfigRecord) -> None:
-    """The states after (m,) further measurements.
+    """Add (m,) measurements to a window, and compute their states.
 
     Raises:
         InputError: the estimate diverges.
@@ -193,7 +193,7 @@ def _extend(window: Window, measurements: Records, config: ConfigRecord) -> None
 
 
 def _end_of_block(rest: Records, first: int) -> int:
-    """After a sprocket sample, so that every interval is closed inside its block."""
+    """End of the block from ``first``: after a sprocket sample, which closes the last interval."""
     last = min(first + _BLOCK, len(rest))
     samples = np.flatnonzero(rest["kind"][first:last] == SPROCKETS)
     return first + int(samples[-1]) + 1 if samples.size and last < len(rest) else last

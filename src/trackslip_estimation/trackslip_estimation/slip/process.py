@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One measurement after the other into the window: checked, put in its place, published; compiled.
+"""Check measurements, insert them into the window, and publish estimates; compiled.
 
-Live node and replay hand their measurements to ``process``, one by one or many at once. It has the only loop
-over measurements: after a live one was inserted it goes on from there; tuning, studies and smoother have it
-run over windows that they filled.
+Live node and replay pass their measurements to ``process``, one by one or many at once. It contains the only
+loop over measurements. After an insertion the loop continues from the inserted entry. Tuning, studies and
+smoother run the loop over windows that they filled.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ _STAMP_BACK = int(StampStatus.BACK)
 
 @compiled
 def process(window: Window, arrivals: Records, results: Records, config: Records) -> int:
-    """Measurements in the order of their arrival; returns how many there was room for.
+    """Process ``arrivals`` in order, and fill ``results``; return the number that the window had room for.
 
-    First come the states that the window's own measurements do not have yet.
+    Measurements that are already in the window get their states first.
     """
     status, c = window.status[0], config[0]
     measurements, arrival = window.measurements, window.measurements[window.measurements.size - 1]
@@ -79,7 +79,7 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
 
 @inlined
 def _accept(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
-    """Outcome so far, and entry of a measurement that was put in its place; 0 where it was not, or begins."""
+    """Check a measurement and insert it, or start with it; return outcome and entry, 0: not inserted."""
     outcome = _check(window, measurement, c)
     if outcome not in (_ACCEPTED, _RESTARTED):
         return outcome, 0
@@ -98,7 +98,7 @@ def _fill_result(
     result: Result,
     c: Config,
 ) -> None:
-    """What became of the arrival, its outcome so far and its entry, once all states are known."""
+    """Fill the result of an arrival once all states are known; ``became``: outcome so far, entry."""
     status, (outcome, entry) = window.status[0], became
     result.published, result.dof, result.attitude = False, 0, 0
     result.fault = 0 if outcome != _INVALID else fault_of(measurement, c)
@@ -115,7 +115,7 @@ def _fill_result(
 
 @inlined
 def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
-    """What its numbers and its stamp say; a clock that goes back clears the window."""
+    """Return the outcome of checks of values and stamp; a clock that went back clears the window."""
     status = window.status[0]
     if fault_of(measurement, c) > 0:
         return _INVALID
@@ -123,7 +123,7 @@ def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
         return _FROZEN
     if measurement.source == MANUAL and measurement.kind == POSE and measurement.stamp_ns == 0:
         if not status.clock.running:
-            return _WAITING  # for the first sprocket sample: now is not known yet
+            return _WAITING  # for the first sprocket sample, as the current time is unknown
         measurement.stamp_ns = status.clock.head_ns
     if measurement.kind != SPROCKETS:
         ahead = check_other(status.clock, c.clock, measurement.stamp_ns) == _STAMP_AHEAD
@@ -145,14 +145,14 @@ def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
 
 @compiled
 def clear(window: Window) -> None:
-    """Forget all measurements and all that was learned; the clock goes on."""
+    """Discard all measurements and states; the clock continues."""
     status = window.status[0]
     status.started, status.count, status.published_ns = False, 0, NEVER_NS
 
 
 @compiled
 def _contradicts(window: Window, sample: MeasurementRecord, c: Config) -> bool:
-    """Whether positions of a late sample cannot be reached from those of the last one up to its stamp."""
+    """Whether angles of a late sample are out of reach from the previous sample at the maximum speed."""
     status, measurements = window.status[0], window.measurements
     if not status.clock.running or sample.stamp_ns > status.clock.head_ns or math.isnan(sample.left_angle):
         return False
@@ -170,22 +170,22 @@ def _contradicts(window: Window, sample: MeasurementRecord, c: Config) -> bool:
 
 @inlined
 def _add(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
-    """Put a measurement in its place; all that depends on it is to be done again."""
+    """Insert a measurement; mark the states after it as unknown; return outcome and entry."""
     status, measurements = window.status[0], window.measurements
     if measurement.stamp_ns < horizon_ns(window, c):
         return _TOO_LATE, 0
-    entry = max(place_of(measurements, status.count, measurement), 1)  # nothing comes before the start
+    entry = max(place_of(measurements, status.count, measurement), 1)  # entry 0 is the start
     if is_at(measurements, status.count, entry, measurement) or is_same(measurement, measurements[0]):
         return _DUPLICATE, 0
     insert(window, entry)
-    if measurement.kind == SPROCKETS:  # also what was extrapolated from the sample before it
+    if measurement.kind == SPROCKETS:  # also states extrapolated from the previous sample
         status.known = min(status.known, max(last_sample(measurements, entry) + 1, 1))
     return _ACCEPTED, entry
 
 
 @inlined
 def _publish(window: Window, entry: int, was_head_ns: int, result: Result, c: Config) -> None:
-    """The estimate at the newest sprocket sample, or at what carries the clock on while they are silent."""
+    """Set ``published`` for the newest sprocket sample, or for a measurement that advances the clock."""
     status, measurement = window.status[0], window.measurements[entry]
     carries = was_head_ns < status.clock.head_ns == measurement.stamp_ns
     if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or carries):
@@ -196,7 +196,7 @@ def _publish(window: Window, entry: int, was_head_ns: int, result: Result, c: Co
 
 @compiled
 def fill_mixture(window: Window, k: int, c: Config, estimate: EstimateRecord) -> None:
-    """What is published of row k: the most probable branch, with the covariance of the whole row about it."""
+    """Fill the estimate of row k: most probable branch, with the covariance of the mixture about it."""
     fill_estimate(window.states[0, k], c, estimate)
     if window.counts[k] == 1:
         return
@@ -219,7 +219,10 @@ def fill_mixture(window: Window, k: int, c: Config, estimate: EstimateRecord) ->
 def _add_spread(
     mean: FloatArray, other: FloatArray, covariance: FloatArray, P: FloatArray, w: float, angle: int
 ) -> None:
-    """To a covariance (3, 3) about ``mean`` that of another Gaussian of weight w; in place."""
+    """Add the second moment about ``mean`` of another Gaussian, of weight w, to a covariance (3, 3).
+
+    ``angle``: index of an angle; −1: none.
+    """
     for i in range(3):
         for j in range(3):
             d, e = other[i] - mean[i], other[j] - mean[j]
@@ -229,6 +232,6 @@ def _add_spread(
 
 @compiled
 def fill_last_estimate(window: Window, config: Records, estimates: Records) -> None:
-    """What is known at the newest stamp, into (1,) of ``ESTIMATE``."""
+    """Fill (1,) of ``ESTIMATE`` with the estimate at the newest stamp."""
     last = window.status[0].count - 1
     fill_mixture(window, last, config[0], estimates[0])

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A window of measurements in the order of their stamps, each with the state after it; compiled.
 
-Late measurements are put in their place and what comes after them is done again, so that the state is a
-function of the *set* of measurements, whatever the order in which they came. ``process.process`` makes them.
+A late measurement is inserted by its stamp, and the states after it are computed again. The state is thus a
+function of the *set* of measurements, independent of their order of arrival. ``process.process`` computes the
+states.
 
-A state is *settled* once it is older than the window: nothing that may still come can change it. Entry 0 is
-where the estimate started, or the last state that was settled.
+A state is *settled* once it is older than the window: no later arrival can change it. Entry 0 is the start of
+the estimate, or the oldest entry still needed.
 """
 
 from __future__ import annotations
@@ -51,27 +52,27 @@ Records = NDArray[np.void]
 
 
 class Status(Record):
-    """Where a window stands."""
+    """Status of a window."""
 
-    started: bool  # else it holds only the sprocket samples of late
-    frozen: bool  # poses are not wanted now
-    count: int  # entries in use
-    known: int  # of these, once started: how many have their state
-    restarts: int  # since the clock went back, not those a user asked for
+    started: bool  # False: the window holds recent sprocket samples only
+    frozen: bool  # whether poses and headings are rejected
+    count: int  # number of entries in use
+    known: int  # number of entries with a state, once started
+    restarts: int  # number of restarts by a clock that went back
     published_ns: int  # stamp of the newest estimate
-    divergences: int  # how often a state was not finite, and the estimate restarted
-    scripted: bool  # one branch, whose events are those of the script
-    played: int  # events of the script so far
-    begun: int  # of these up to the first entry
-    pooled: int  # entries of the pool in use, while children are made
-    steps_left: int  # that further children may make
+    divergences: int  # number of restarts by a state that was not finite
+    scripted: bool  # whether there is one branch, with the events of the script
+    played: int  # number of events of the script so far
+    begun: int  # number of events of the script up to the first entry
+    pooled: int  # entries of the pool in use while children are created
+    steps_left: int  # number of steps left for further children
     clock: Clock
 
 
 WINDOW = dtype_of(Status)
 
-MOST_BRANCHES, POOL = 10, 64  # of the bank that stay; with children
-SPARE = 8  # entries that a full window still has; the last one is where an arrival waits for its place
+MOST_BRANCHES, POOL = 10, 64  # branches of a row, without and with children
+SPARE = 8  # free entries of a full window; the last one holds an arrival before its insertion
 
 
 class Window(NamedTuple):
@@ -79,18 +80,18 @@ class Window(NamedTuple):
 
     status: Table[Status]  # (1,) of ``WINDOW``
     measurements: Table[MeasurementRecord]  # (capacity,) of ``MEASUREMENT``
-    states: Table[State]  # (MOST_BRANCHES, capacity) of ``STATE``; the most probable branch first
+    states: Table[State]  # (MOST_BRANCHES, capacity) of ``STATE``; most probable branch first
     branches: Table[Branch]  # (MOST_BRANCHES, capacity) of ``BRANCH``
-    counts: NDArray[np.int64]  # (capacity,) branches of each entry
+    counts: NDArray[np.int64]  # (capacity,) number of branches by entry
     updates: Table[Update]  # (capacity,) of ``UPDATE``, of the first branch
     priors: Table[Prior]  # of ``PRIOR``: (capacity,) with a script, for the smoother; else (1,)
-    trials: Table[Update]  # (MOST_BRANCHES,) of ``UPDATE``, of the others at the newest entry
-    pool_states: Table[State]  # (POOL,) branches with children while they are weighed
+    trials: Table[Update]  # (MOST_BRANCHES,) of ``UPDATE``, of the other branches at the newest entry
+    pool_states: Table[State]  # (POOL,) branches and children during the weighing
     pool_branches: Table[Branch]
     pool_updates: Table[Update]
     receivers: Table[Receiver]  # (capacity, r) of ``RECEIVER``: errors of the fixes of each pose source
-    masses: Table[Masses]  # (capacity, r) of ``MASSES``; of receivers whose fixes weigh them
-    other: Table[EstimateRecord]  # (1,) of ``ESTIMATE``, of one branch while a mixture is made
+    masses: Table[Masses]  # (capacity, r) of ``MASSES``, of receivers with fixes
+    other: Table[EstimateRecord]  # (1,) of ``ESTIMATE``, of one branch during the merging of the mixture
     script: Table[EventRecord]  # (n,) of ``EVENT``
 
     @property
@@ -100,14 +101,14 @@ class Window(NamedTuple):
 
     @property
     def count(self) -> int:  # type: ignore[override]  # of all tuples
-        """Entries in use."""
+        """Number of entries in use."""
         return int(self.status["count"][0])
 
 
 def make_window(capacity: int, receivers: int, script: Records | None = None) -> Window:
-    """An empty one for so many sources of poses.
+    """Make an empty window; ``receivers``: number of pose sources.
 
-    ``script``: (n,) of ``EVENT``, by which it has one branch, and no event but these.
+    ``script``: (n,) of ``EVENT``, the only events of the only branch.
     """
     window = Window(
         make_table(Status, WINDOW, 1),
@@ -132,13 +133,13 @@ def make_window(capacity: int, receivers: int, script: Records | None = None) ->
 
 
 def make_like(window: Window, capacity: int) -> Window:
-    """An empty one for the same estimator."""
+    """Make an empty window of another capacity for the same estimator."""
     script = window.script if window.status["scripted"][0] else None
     return make_window(capacity, window.receivers.shape[1], script)
 
 
 def enlarged(window: Window) -> Window:
-    """The same with room for twice as many entries."""
+    """Copy a window to one of twice the capacity."""
     larger, count = make_like(window, 2 * len(window.measurements)), window.count
     larger.status[:] = window.status
     last = len(window.measurements)
@@ -146,7 +147,7 @@ def enlarged(window: Window) -> Window:
     larger.updates[:count], larger.counts[:count] = window.updates[:count], window.counts[:count]
     if window.status["scripted"][0]:
         larger.priors[:count] = window.priors[:count]
-    rows = int(window.counts[:count].max(initial=1))  # memory of the others was never touched
+    rows = int(window.counts[:count].max(initial=1))  # further rows are unused memory
     larger.states[:rows, :count] = window.states[:rows, :count]
     larger.branches[:rows, :count] = window.branches[:rows, :count]
     larger.receivers[:count] = window.receivers[:count]
@@ -156,23 +157,23 @@ def enlarged(window: Window) -> Window:
 
 
 def copy_first(window: Window, other: Window) -> None:
-    """The first entry of ``other``, with all that the next row is made from, becomes that of a window."""
+    """Copy the first entry of ``other`` to a window, with all input of the next row."""
     window.measurements[0], window.counts[0] = other.measurements[0], other.counts[0]
-    rows = int(other.counts[0])  # memory of further ones was never touched
+    rows = int(other.counts[0])  # further rows are unused memory
     window.states[:rows, 0], window.branches[:rows, 0] = other.states[:rows, 0], other.branches[:rows, 0]
     window.receivers[0], window.masses[0] = other.receivers[0], other.masses[0]
 
 
 @compiled
 def is_weighed(measurement: MeasurementRecord) -> bool:
-    """Whether branches are weighed by a measurement."""
+    """Whether a measurement weighs branches."""
     kind = measurement.kind
     return bool((kind == POSE and measurement.source != MANUAL) or kind in (HEADING, ON_SWING, VELOCITY))
 
 
 @compiled
 def prior_of(window: Window, k: int) -> Prior:
-    """What a scripted branch knew before measurement k; without a script, what the last step knew before."""
+    """Record of ``PRIOR`` for measurement k of a scripted window; without a script, of the latest step."""
     return window.priors[k if window.status[0].scripted else 0]
 
 
@@ -180,7 +181,7 @@ def prior_of(window: Window, k: int) -> Prior:
 def copy_receivers(
     receivers: Table[Receiver], masses: Table[Masses], k: int, before: int, with_masses: bool
 ) -> None:
-    """Those of entry k become those of the entry ``before``, with their masses or without."""
+    """Copy the receivers of entry ``before`` to entry k, and their masses if ``with_masses``."""
     for n in range(receivers.shape[1]):
         receivers[k, n] = receivers[before, n]
         if with_masses and receivers[k, n].known != 0:
@@ -189,7 +190,7 @@ def copy_receivers(
 
 @compiled
 def next_sample(measurements: Records, first: int, count: int) -> int:
-    """Number of the first sprocket sample from ``first`` on; ``count`` where there is none."""
+    """Entry of the first sprocket sample from ``first`` on; ``count``: none."""
     k = first
     while k < count and measurements[k].kind != SPROCKETS:
         k += 1
@@ -198,7 +199,7 @@ def next_sample(measurements: Records, first: int, count: int) -> int:
 
 @compiled
 def last_sample(measurements: Records, before: int) -> int:
-    """Number of the last sprocket sample before ``before``; −1 where there is none."""
+    """Entry of the last sprocket sample before entry ``before``; −1: none."""
     k = before - 1
     while k >= 0 and measurements[k].kind != SPROCKETS:
         k -= 1
@@ -207,7 +208,7 @@ def last_sample(measurements: Records, before: int) -> int:
 
 @compiled
 def precedes(a: MeasurementRecord, b: MeasurementRecord) -> bool:
-    """The one order of all measurements: stamp, then kind, then source."""
+    """Whether a precedes b in the order of measurements: by stamp, then kind, then source."""
     if a.stamp_ns != b.stamp_ns:
         return bool(a.stamp_ns < b.stamp_ns)
     if a.kind != b.kind:
@@ -217,13 +218,13 @@ def precedes(a: MeasurementRecord, b: MeasurementRecord) -> bool:
 
 @compiled
 def is_same(a: MeasurementRecord, b: MeasurementRecord) -> bool:
-    """Whether two measurements have the same place in it."""
+    """Whether two measurements have the same stamp, kind and source."""
     return not precedes(a, b) and not precedes(b, a)
 
 
 @compiled
 def place_of(measurements: Records, count: int, measurement: MeasurementRecord) -> int:
-    """Where a measurement belongs; after those that precede it."""
+    """Entry at which to insert a measurement: after those that precede it."""
     k = count
     while k > 0 and not precedes(measurements[k - 1], measurement):
         k -= 1
@@ -232,13 +233,13 @@ def place_of(measurements: Records, count: int, measurement: MeasurementRecord) 
 
 @compiled
 def is_at(measurements: Records, count: int, k: int, measurement: MeasurementRecord) -> bool:
-    """Whether the measurement, whose place is k, is there already."""
+    """Whether entry k = ``place_of`` a measurement already holds one of the same stamp, kind and source."""
     return k < count and not precedes(measurement, measurements[k])
 
 
 @compiled
 def insert(window: Window, k: int) -> None:
-    """Put the arrival, which waits in the last entry, into entry k; no row from there on is known."""
+    """Move the arrival from the last entry to entry k; rows from k on become unknown."""
     measurements, status = window.measurements, window.status[0]
     for i in range(status.count, k, -1):
         measurements[i] = measurements[i - 1]
@@ -249,7 +250,7 @@ def insert(window: Window, k: int) -> None:
 
 @compiled
 def drop(window: Window, entries: int, whole: int) -> None:
-    """Remove the first entries, and of rows before ``whole`` all that no row from there on looks back to."""
+    """Remove the first entries; of rows before ``whole`` keep only branches that snapshots refer to."""
     status, measurements, counts = window.status[0], window.measurements, window.counts
     receivers, masses = window.receivers, window.masses
     count, known = status.count - entries, status.known - entries
@@ -270,7 +271,7 @@ def drop(window: Window, entries: int, whole: int) -> None:
 
 @compiled
 def _move_snapshots(window: Window, entries: int, whole: int) -> None:
-    """To where they are without the first entries: what row ``whole`` looks back to, the oldest first."""
+    """Move the branches that snapshots of row ``whole`` refer to by ``entries`` rows, oldest first."""
     moved = entries - 1
     while True:
         oldest = whole
@@ -289,7 +290,7 @@ def _move_snapshots(window: Window, entries: int, whole: int) -> None:
 
 @compiled
 def _move_branch(window: Window, s: int, k: int, entries: int) -> None:
-    """Branch s of row k to where the row is without the first entries."""
+    """Move branch s of row k by ``entries`` rows to the front, with its snapshots."""
     window.states[s, k - entries], window.branches[s, k - entries] = (
         window.states[s, k],
         window.branches[s, k],
@@ -300,7 +301,7 @@ def _move_branch(window: Window, s: int, k: int, entries: int) -> None:
 
 @compiled
 def oldest_needed(window: Window, k: int) -> int:
-    """The oldest entry that rows from k on are made from."""
+    """Oldest entry from which rows after k are computed."""
     oldest = k
     for s in range(window.counts[k]):
         oldest = min(oldest, window.branches[s, k].snapshots[OLDER].entry)
@@ -309,7 +310,7 @@ def oldest_needed(window: Window, k: int) -> int:
 
 @compiled
 def keep_tail(window: Window) -> None:
-    """Remove the entries that no further row is made from."""
+    """Remove the entries that no further row needs."""
     status = window.status[0]
     last, status.begun = status.count - 1, status.played
     drop(window, last if status.scripted else oldest_needed(window, last), last)
@@ -317,7 +318,7 @@ def keep_tail(window: Window) -> None:
 
 @compiled
 def horizon_ns(window: Window, c: Config) -> int:
-    """Measurements before this stamp come too late: the start, or what is settled."""
+    """Oldest stamp of a measurement in time, ns: that of entry 0, or the oldest one that is not settled."""
     status = window.status[0]
     if not status.started:
         return NEVER_NS
@@ -327,13 +328,13 @@ def horizon_ns(window: Window, c: Config) -> int:
 
 @compiled
 def is_full(window: Window) -> bool:
-    """Whether there is no room for one more."""
+    """Whether there is no room for one more entry."""
     return bool(window.status[0].count + SPARE >= window.measurements.size)
 
 
 @compiled
 def trim(window: Window, c: Config) -> bool:
-    """Let settled entries go, but for the one that the window stands on; whether there is room again."""
+    """Remove settled entries that no row needs; return whether there is room again."""
     status = window.status[0]
     settled, kept_samples = 0, 0 if status.started else 2
     oldest_ns = status.clock.head_ns - c.window_ns
