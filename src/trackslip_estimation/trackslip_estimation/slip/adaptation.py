@@ -44,7 +44,7 @@ TRACK_ERRORS, RATE_FACTORS, FIX_FACTORS = 6, 3, 13  # point masses of s, a and f
 _TRACK_RATIO = 3.0  # from one s to the next
 _RATE_RATIO = 4.0  # from one a to the next
 _FIX_STEP = 0.35  # of ln f; twice as large above the ``_USUAL`` masses
-_FIX_BELOW, _USUAL = 2, 9  # numbers of masses with f below 1, and with an f that correlated fixes may have
+_FIX_BELOW, _USUAL = 2, 9  # numbers of masses with f below 1, and with f up to about 8
 _CORRELATION_MEMORY = 0.95  # 20 fixes
 _WHITE = 0.4  # correlation of consecutive innovations, below which f may have any value
 _FIX_PRIOR = 0.5  # standard deviation of ln f
@@ -172,7 +172,7 @@ def add_track_error_noise(state: State, dt: float, c: Config) -> None:
 
 @compiled
 def clear_track_error(a: Adaptation) -> None:
-    """Reset envelope and exposures while sprockets are silent: track errors then have no part in P."""
+    """Reset envelope and exposures while sprockets are silent: velocity errors then contain none of them."""
     a.envelope = a.exposure = a.elapsed = a.speed_exposure = a.speed_elapsed = 0.0
 
 

@@ -44,7 +44,7 @@ def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config)
 
 @compiled
 def note_reception(state: State, measurement: MeasurementRecord, c: Config) -> None:
-    """Add the time since the last measurement, up to one timeout, to the rejection time, or reset that time."""
+    """Add the time since the previous measurement, up to a timeout, to the rejection time, or reset it."""
     source = measurement.source
     if state.consistent_ns[source] >= state.received_ns[source]:
         state.refused_ns[source] = 0

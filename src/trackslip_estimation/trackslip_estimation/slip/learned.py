@@ -53,7 +53,7 @@ class Learned:
     """Kept states and noise weights of one estimator."""
 
     machine: str  # digest of vehicle, sources and model
-    mean: FloatArray  # (n,) in the order of ``kept_states``
+    mean: FloatArray  # (n,) in the order of ``Meaning.places``
     stddev: FloatArray  # (n,)
     correlations: FloatArray  # (n, n)
     track_weights: FloatArray  # (TRACK_ERRORS, RATE_FACTORS) ln of the weights of s and a

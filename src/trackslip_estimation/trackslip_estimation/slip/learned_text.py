@@ -3,7 +3,7 @@
 """Describe learned values in words and numbers, for /diagnostics, reports, replays and the state file.
 
 A state counts as not observed if it is still close to its prior: standard deviation above 0.9 of the prior's,
-and mean within 3 of the prior's standard deviations. Noise does if its weights differ by at most 0.1.
+and mean within 3 of the prior's standard deviations. So does noise whose weights differ by at most 0.1.
 """
 
 import math
@@ -151,7 +151,7 @@ def _noise(known: Learned, of: Meaning) -> list[Finding]:
 
 
 def _of_masses(name: str, points: FloatArray, masses: FloatArray, before: FloatArray) -> Finding:
-    """Mean of point masses, and their standard deviation, including the spacing of the points."""
+    """Mean and standard deviation of point masses, each spread uniformly to the next point."""
     mean = float(masses @ points)
     between = mean * math.log(points[1] / points[0]) / math.sqrt(12.0)
     variance = float(masses @ np.square(points - mean)) + between**2

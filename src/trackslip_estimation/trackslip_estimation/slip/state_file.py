@@ -67,7 +67,7 @@ def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
 
 
 class StateFile:
-    """State file of one node; with an empty path all methods do nothing."""
+    """State file of one node; with an empty path nothing is read or written."""
 
     def __init__(self, path: str) -> None:
         """``path`` may begin with ~.

@@ -12,8 +12,8 @@ not used. ``update.evidence`` is ln of the larger likelihood; the bank weighs th
 coarse receiver contain its offset (``correlated_errors``); a large innovation first inflates that offset's
 variance.
 
-Errors of a compass or an encoder are time-correlated. Angles that agree with a branch raise its evidence only
-by their share of a second; angles that disagree lower it in full each time.
+Errors of a compass or an encoder are time-correlated. An angle that agrees with a branch raises its evidence
+in proportion to the time since the previous angle, up to a second. An angle that disagrees counts in full.
 """
 
 from __future__ import annotations

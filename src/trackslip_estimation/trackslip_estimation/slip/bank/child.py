@@ -59,7 +59,7 @@ def squared_jump(m: MeasurementRecord, before: State) -> float:
 
 @compiled
 def child_now(window: Window, p: int, k: int, event: int, source: int, log_odds: float, c: Config) -> None:
-    """Add a child with an event just before measurement k; ``log_odds``: prior beside rate and time."""
+    """Add a child with an event just before measurement k; ``log_odds``: further term of its prior."""
     prior = log_time(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, 0, False, prior, c)
 
@@ -68,7 +68,7 @@ def child_now(window: Window, p: int, k: int, event: int, source: int, log_odds:
 def child_since(
     window: Window, p: int, k: int, event: int, source: int, part: int, log_odds: float, c: Config
 ) -> None:
-    """Add a child with an event since the snapshot; ``log_odds`` as above, ``part`` as in ``EventRecord``."""
+    """Add a child with an event since the snapshot; ``part`` as in ``EventRecord``, ``log_odds`` as above."""
     prior = log_time_since(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, part, True, prior, c)
 

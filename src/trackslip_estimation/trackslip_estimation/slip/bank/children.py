@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Select the children of branches that a measurement contradicts; compiled."""
+"""Decide whether a branch gets children at a measurement, and which; compiled."""
 
 from __future__ import annotations
 

@@ -115,8 +115,8 @@ def _heading_is_open(before: State) -> bool:
 def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Add children in which sprockets, gyros or an odometry have not measured the motion.
 
-    None while the heading is unknown: both explain the same fixes. A slip nearer to −1 than to its range
-    indicates lost counts; their event then replaces the slip event in the prior of the branch.
+    None while the heading is unknown, as a wrong heading explains the same fixes. A slip nearer to −1 than to
+    its range indicates lost counts; their event replaces the slip event in the prior of the branch.
     """
     before = window.states[p, k - 1]
     if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # infinite gate: everything is used

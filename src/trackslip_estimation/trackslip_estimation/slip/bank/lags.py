@@ -7,8 +7,8 @@
     d    recent displacement, as predicted                                         (2,) m
     s    standard deviation of b due to the event: along d by slip, across d by bias   m
 
-The offset absorbs every lasting error, so no fix contradicts the branch. The component of b in the direction
-of s is N(0, V) if the receiver caused it, and N(0, V + s²) if the event has happened.
+The offset absorbs time-correlated errors, so no fix contradicts the branch. The component of b in the
+direction of s is N(0, V) if the receiver caused it, and N(0, V + s²) if the event has happened.
 
 Source: likelihood ratio of two zero-mean normal densities, Willsky & Jones (1976).
 """

@@ -278,7 +278,7 @@ def _turn(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _swing(state: State, e: EventRecord, c: Config) -> int:
-    """Reset the swing angle to the angle of the event, and the swing rate to zero with any speed."""
+    """Reset the swing angle to that of the event, and the swing rate to 0 ± that of the fastest swing."""
     x = state.mean
     turn, variance = sector(max(e.part, 0))
     if e.part == MEASURED:
