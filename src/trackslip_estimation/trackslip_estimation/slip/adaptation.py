@@ -102,7 +102,7 @@ class AdaptationParameters(Parameters):
         "weight of earlier fixes in the noise of a source that remains after one more fix", gt=0.0, lt=1.0
     )
     soft_gate: float = parameter(
-        "multiple of the gate, up to which altitudes are used and fixes contribute to their noise factor",
+        "multiple of the gate up to which altitudes are used with less weight, and fixes update their noise",
         ge=1.0,
     )
 
