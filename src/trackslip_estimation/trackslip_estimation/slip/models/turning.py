@@ -125,7 +125,7 @@ def couple(P: FloatArray, variance: float) -> None:
 
 @compiled
 def set_slope_noise(Q: FloatArray, distance: float, across: float) -> None:
-    """Add the random walk of ε to Q over ``distance`` m of track distance on a cross slope of sine ``across``."""
+    """Add the random walk of ε to Q over ``distance`` m of track on a cross slope of sine ``across``."""
     Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * distance
 
 
