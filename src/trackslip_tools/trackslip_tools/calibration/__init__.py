@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What drives show of the machine and its sensors: each number with its interval, or why there is none."""
+"""Calibration of machine and sensors from drives: each value with its interval, or why there is none."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that drives show of the machine and its sensors, and the node parameters that follow."""
+"""Calibrates the machine and its sensors from drives, and derives the node parameters."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,18 +16,18 @@ from trackslip_tools.calibration.finding import Finding, found, refused, rounded
 from trackslip_tools.calibration.recording import Recording
 
 _VEHICLE_NODES = (NODE, "soil_estimator", "box_localizer")
-_DRIVERS = {"imu/data_raw": "watson_imu", "box_pose": "sick_pls"}  # whose ``time_offset`` moves a topic
+_DRIVERS = {"imu/data_raw": "watson_imu", "box_pose": "sick_pls"}  # topic → driver with ``time_offset``
 _NOTHING = Finding("", None, None)
-_LEAST_SPREAD = 0.02  # of κ, before the first turn
+_LEAST_SPREAD = 0.02  # of κ, least standard deviation
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What was found, and the parameters that follow from it."""
+    """Findings and the parameters that follow from them."""
 
     findings: Mapping[str, Finding]
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # node → dotted name → value
-    confirmed: tuple[str, ...] = ()  # findings whose interval holds the present value: no parameters
+    confirmed: tuple[str, ...] = ()  # findings whose interval contains the present value: no parameters
 
 
 def calibrate(
@@ -39,11 +39,12 @@ def calibrate(
     hard_ground: bool = False,
     everything: bool = False,
 ) -> Calibration:
-    """``sources``: topics of gyro and poses; ``hard_ground``: that nothing slips on the straights.
+    """Findings and parameters; ``sources``: topics of gyro and poses.
 
-    ``setups``: of the setup check of the same bags; no value is found that it contradicts.
+    ``hard_ground``: no slip on the straights. ``setups``: results of the setup check of the same bags;
+    findings that contradict them have no value.
 
-    ``everything``: also what the present value is as good as becomes a parameter.
+    ``everything``: a finding becomes a parameter even if its interval contains the present value.
     """
     headings = gyro.scale_and_delay(recordings)
     findings = {
@@ -77,7 +78,7 @@ def calibrate(
 
 
 def _confirmed(findings: Mapping[str, Finding], p: SlipEstimatorParameters, gyro: str) -> tuple[str, ...]:
-    """Findings whose intervals hold what the parameters say already."""
+    """Findings whose intervals contain the present parameter."""
     present = {
         "rolling_radius": p.vehicle.kinematics.rolling_radius,
         "turning_efficiency": p.turning.initial_efficiency,
@@ -91,13 +92,13 @@ def _confirmed(findings: Mapping[str, Finding], p: SlipEstimatorParameters, gyro
 
 
 def _gyro_of(findings: Mapping[str, Finding]) -> tracks.Gyro:
-    """Scale, or only its sign where no more is known, and bias."""
+    """Scale (or only its sign, if the scale is not found) and bias."""
     scale = findings["gyro_scale"].value or findings["gyro_sign"].value or 1.0
     return tracks.Gyro(scale, findings["gyro_bias"].value or 0.0)
 
 
 def _sign(scale: Finding, sense: Finding) -> Finding:
-    """1, or −1 for a unit that is upside down; by the headings, or else by the sense of the tracks."""
+    """1, or −1 for a unit mounted upside down; from the headings, else from the tracks' sense of turn."""
     for finding in (scale, sense):
         if finding.interval is not None and finding.interval[0] * finding.interval[1] > 0.0:
             sign = math.copysign(1.0, finding.interval[0])
@@ -115,7 +116,7 @@ def _rolling_radius(distance: Finding, *, hard_ground: bool) -> Finding:
 
 
 def _common_slip(distance: Finding, radius: float) -> Finding:
-    """i₀, if the radius that the parameters give is right."""
+    """i₀, if the present rolling radius is right."""
     if distance.value is None or distance.interval is None:
         return refused(distance.reason, "1")
     spread = (distance.interval[1] - distance.value) / radius
@@ -123,7 +124,7 @@ def _common_slip(distance: Finding, radius: float) -> Finding:
 
 
 def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict[str, Finding]:
-    """κ and B/κ, with what the scale of the gyro leaves open."""
+    """κ and B/κ, with the uncertainty of the gyro's scale."""
     if gain.value is None or gain.interval is None:
         return {"turning_efficiency": refused(gain.reason, "1"), "effective_tread": refused(gain.reason, "m")}
     shares = [(gain.interval[1] - gain.value) / abs(gain.value)]
@@ -147,7 +148,7 @@ def _turning(gain: Finding, scale: Finding, radius: float, tread: float) -> dict
 def _parameters(
     findings: Mapping[str, Finding], spread: float, p: SlipEstimatorParameters, sources: tuple[str, str]
 ) -> dict[str, dict[str, Any]]:
-    """Node → dotted name → value, of all that was found and that is a parameter of a node."""
+    """Node → dotted name → value, of the findings that are node parameters."""
     parameters: dict[str, dict[str, Any]] = {}
 
     def add(node: str, name: str, value: Any) -> None:
@@ -174,9 +175,9 @@ def _parameters(
 
 
 def _time_offsets(findings: Mapping[str, Finding], sources: tuple[str, str]) -> dict[str, float]:
-    """Driver → offset that brings its stamps to those of the sprockets; where the interval leaves out zero.
+    """Driver → ``time_offset`` that aligns its stamps with the sprockets'; only if the interval excludes 0.
 
-    On top of the offset with which the bags were recorded, taken as that of ``config/``.
+    The delay is subtracted from the offset in ``config/``, with which the bags are assumed to be recorded.
     """
     offsets, late = {}, 0.0
     for topic, key in zip(sources, ("gyro_delay", "pose_delay"), strict=True):

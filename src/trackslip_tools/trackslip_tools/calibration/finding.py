@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One number found in the bags, or the reason why they do not show it."""
+"""One calibrated number, or the reason why the bags do not determine it."""
 
 import math
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """A value with its 95 % interval; both None where ``reason`` states why not."""
+    """A value with its 95 % interval; both None with a ``reason``."""
 
     unit: str
     value: float | None
     interval: tuple[float, float] | None
-    basis: str = ""  # what it rests on
+    basis: str = ""  # evidence
     reason: str = ""
 
     @property
@@ -23,28 +23,28 @@ class Finding:
 
     @property
     def decimals(self) -> int:
-        """Of a number with two digits that count of half the interval; 0 where it has no width."""
+        """Decimals that give half the interval two significant digits; 0 for an interval of no width."""
         half = 0.0 if self.interval is None else (self.interval[1] - self.interval[0]) / 2.0
         return 1 - math.floor(math.log10(half)) if 0.0 < half < math.inf else 0
 
     @property
     def rounded(self) -> float | None:
-        """The value, with the digits that its interval gives a meaning."""
+        """The value, rounded to ``decimals``."""
         return None if self.value is None else rounded(self.value, self.decimals)
 
 
 def rounded(value: float, decimals: int) -> float:
-    """Rounded; never −0."""
+    """The rounded value; never −0."""
     return round(value, decimals) + 0.0
 
 
 def found(value: float, spread: float, unit: str, basis: str) -> Finding:
-    """A value, and half the width of its 95 % interval; none where either is no finite number."""
+    """A finding from a value and half the width of its 95 % interval; no value if either is not finite."""
     if not (math.isfinite(value) and math.isfinite(spread)):
         return refused("what was recorded determines no number", unit)
     return Finding(unit, float(value), (float(value - spread), float(value + spread)), basis)
 
 
 def refused(reason: str, unit: str = "") -> Finding:
-    """No value."""
+    """A finding without a value."""
     return Finding(unit, None, None, reason=reason)

@@ -1,20 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The gyro against the headings of the poses and the axis of the turns: scale, sign, delay, mounting.
+"""Calibrates the gyro against the headings of poses and the axis of turns: scale, sign, delay, mounting.
 
 z, ω     rates of the unit about its axes, turn of the machine about the vertical   rad/s
 n        vertical in the frame of the unit, z = s₀ ω n + b                          1
 s, b     scale about the unit's z axis, s₀ n_z, and bias                            1, rad/s
-ψ_k, δ   headings of the poses, and by how much their stamps are later              rad, s
+ψ_k, δ   headings of the poses, and the delay of their stamps                       rad, s
 Θ(t)     integral of z about the unit's z axis                                      rad
 
     ψ_k − ψ_{k−1} = [Θ(t_k − δ) − Θ(t_{k−1} − δ) − b (t_k − t_{k−1})] / s + noise
 
-A machine on a plane turns about the plane's normal, so n is the mounting, whatever the slope. How far it
-leans from z shrinks s by the cosine; how far the unit is turned about z no turn can show.
+A machine on a plane turns about the plane's normal, so n is the mounting on any slope. A tilt of n from z
+reduces s by its cosine. Turns cannot show the rotation of the unit about z.
 
-The noise of z, and what headings are late by, make short increments of Θ larger than the turn: s would be too
-large by a per cent at 10 Hz. So it is found from their means over two seconds each, and δ from all of them.
+The noise of z and the delay of headings make short increments of Θ larger than the turn: s would be too
+large by a per cent at 10 Hz. Therefore s is found from means over two seconds, and δ from all increments.
 """
 
 import math
@@ -31,30 +31,30 @@ from trackslip_tools.calibration.recording import Recording, Series
 from trackslip_tools.calibration.regression import Fit, Increments, clustered, of_increments
 from trackslip_tools.calibration.spans import blocks, spans, unbroken
 
-LEAST_TURN = 1.0  # rad in all, below which turns determine nothing
+LEAST_TURN = 1.0  # rad, all turns together; fewer are not enough
 _LARGEST_DELAY = 1.0  # s
-_WIDEST_DELAY = 0.1  # s, half of an interval that is worth nothing
-_UNCERTAIN = 0.3  # rad, claimed of a heading that is none
+_WIDEST_DELAY = 0.1  # s, half-width beyond which a delay is not reported
+_DOUBTFUL = 0.3  # rad, stated standard deviation beyond which a heading is left out
 _OUTLIER = 5.0  # robust standard deviations
-_FLOOR = 5e-4  # rad, no heading is better
+_FLOOR = 5e-4  # rad, least standard deviation of a heading
 _SHORTEST = 0.5  # s, of a turn
-_MEAN_OF = 2.0  # s, of headings that together show the scale
-_ROUNDS = 5  # of Gauss and Newton, for the delay
+_MEAN_OF = 2.0  # s, block of headings that are averaged for the scale
+_ROUNDS = 5  # Gauss–Newton steps, for the delay
 
 
 class _Pair(NamedTuple):
-    """Headings of a recording, and the gyro over all of their time."""
+    """Headings of a recording within the time of its gyro."""
 
     t: FloatArray  # (k,) s
     headings: FloatArray  # (k,) rad
     variances: FloatArray  # (k,)
-    follows: BoolArray  # (k − 1,) whether the next heading follows from it, as the gyro turned
+    follows: BoolArray  # (k − 1,) whether the next heading is consistent with the gyro
     gyro: Series
     angle: CubicHermiteSpline  # Θ
-    first: IntArray  # (n,) where those begin of which the mean is taken
+    first: IntArray  # (n,) index of the first heading of each block
 
     def averaged(self) -> "_Pair":
-        """The same, for means over up to ``_MEAN_OF``."""
+        """The same, with headings in blocks of up to ``_MEAN_OF``."""
         first = [0]
         for k in range(1, len(self.t)):
             if self.t[k] - self.t[first[-1]] >= _MEAN_OF or not self.follows[k - 1]:
@@ -62,7 +62,7 @@ class _Pair(NamedTuple):
         return self._replace(first=np.array(first))
 
     def increments(self) -> Increments:
-        """From mean to mean, of those that are ``kept``."""
+        """Increments of heading between block means, where ``kept``."""
         kept = self.kept
         joined = kept & np.concatenate(([False], kept[:-1]))
         variances = self._means(self.variances) / self._counts
@@ -71,13 +71,13 @@ class _Pair(NamedTuple):
 
     @property
     def kept(self) -> BoolArray:
-        """(n − 1,) whether heading follows heading, and the gyro has no gap in between."""
+        """(n − 1,) whether the heading increment is consistent, and the gyro has no gap."""
         last = np.append(self.first[2:], len(self.t)) - 1
         margins = self.t[self.first[:-1]] - _LARGEST_DELAY, self.t[last] + _LARGEST_DELAY
         return self.follows[self.first[1:] - 1] & unbroken(self.gyro.t, *margins)
 
     def design(self, delay: float) -> FloatArray:
-        """What the gyro turned, its rate changed, and the time that went by, with them; a row each."""
+        """(n, 3) increments of gyro angle, gyro rate and time between block means, where ``kept``."""
         at = self.t - delay
         columns = (self.angle(at), self.angle(at, 1), self.t)
         return np.column_stack([np.diff(self._means(column)) for column in columns])[self.kept]
@@ -91,7 +91,7 @@ class _Pair(NamedTuple):
 
 
 def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
-    """Roll and pitch that turn the frame of the unit onto the machine's."""
+    """Roll and pitch that rotate the frame of the unit onto the machine's."""
     rows, clusters = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
     for k, recording in enumerate(recordings):
         t, rates = recording.gyro
@@ -114,7 +114,7 @@ def mounting(recordings: Sequence[Recording]) -> dict[str, Finding]:
 
 
 def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
-    """Scale of the gyro, with its sign, and by how much the stamps of the headings are later than its own."""
+    """Scale of the gyro with its sign, and delay of the headings' stamps against the gyro's."""
     pairs = [pair for pair in map(_pair, recordings) if pair is not None]
     late_of = "heading_delay" if any(recording.compass for recording in recordings) else "pose_delay"
     if not pairs:
@@ -137,7 +137,7 @@ def scale_and_delay(recordings: Sequence[Recording]) -> dict[str, Finding]:
 
 
 def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
-    """Coefficients 1/s, δ/s beyond the returned δ, b/s of each recording."""
+    """Fit of 1/s, remaining δ/s, and b/s of each recording; and δ."""
     parts = [pair.increments() for pair in pairs]
     data = Increments(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     counts, delay, fit = [len(part.z) for part in parts], 0.0, None
@@ -156,7 +156,7 @@ def _fitted(pairs: Sequence[_Pair]) -> tuple[Fit | None, float]:
 
 
 def _pair(recording: Recording) -> _Pair | None:
-    """None where either is missing. Doubtful headings are left out."""
+    """Headings and gyro; None if either is missing. Headings with a large variance are left out."""
     gyro, (t, shown) = recording.gyro, recording.headings
     if len(gyro.t) < 4:
         return None
@@ -168,7 +168,7 @@ def _pair(recording: Recording) -> _Pair | None:
     angle = CubicHermiteSpline(gyro.t, recording.turned, gyro.values[:, 2])
     X = np.column_stack((angle(t), t, np.ones(len(t))))
     as_turned = X @ np.linalg.lstsq(X, headings, rcond=None)[0]
-    rest = np.unwrap(headings - as_turned)  # where fixes were missing for a while, whole turns may be too
+    rest = np.unwrap(headings - as_turned)  # removes whole turns, also after missing fixes
     steps = np.abs(np.diff(rest) - np.median(np.diff(rest)))
     follows = steps <= _OUTLIER * max(1.4826 * float(np.median(steps)), 10.0 * _FLOOR)
     if follows.sum() < 4:
@@ -177,7 +177,7 @@ def _pair(recording: Recording) -> _Pair | None:
 
 
 def _turned(recordings: Sequence[Recording]) -> float:
-    """What the gyro shows of all turns, rad."""
+    """Sum of the gyro's angles over all turns, rad."""
     total = 0.0
     for recording in recordings:
         for span in spans(recording, Motion.TURNING, _SHORTEST, settling=0.0):

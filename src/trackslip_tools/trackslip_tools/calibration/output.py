@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration as a table for people, and as a parameter file for the nodes with its evidence in it."""
+"""A calibration as a table for the terminal, and as a parameter file for the nodes with its evidence."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,11 +15,11 @@ from trackslip_tools.calibration.finding import Finding, rounded
 from trackslip_tools.cli.outputs import write_file
 from trackslip_tools.terminal_text import WIDTH, wrapped
 
-BEGINNING = "# from "  # of the parameter file
+BEGINNING = "# from "  # first characters of the parameter file
 
 
 def text(calibration: Calibration) -> str:
-    """A line for each number, found or not, and what it rests on; then what to adopt, and what is no news."""
+    """A line for each finding with its evidence, then what to adopt, and the confirmed parameters."""
     lines = [line for name, finding in calibration.findings.items() for line in _lines(name, finding)]
     adopted = {name: value for values in calibration.parameters.values() for name, value in values.items()}
     named = ", ".join(f"{name} {value:g}" for name, value in adopted.items())
@@ -40,7 +40,7 @@ def summary(calibration: Calibration, bags: Sequence[str]) -> dict[str, Any]:
 
 
 def write_parameters(path: Path, calibration: Calibration, bags: Sequence[str]) -> None:
-    """A ROS parameter file for the nodes; the evidence stands above as comments.
+    """Write a ROS parameter file for the nodes; comments at its top hold the evidence.
 
     Raises:
         InputError: the file cannot be written.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag as arrays: what calibration needs of it, by stamp, in seconds from the bag's first message."""
+"""A bag as arrays for calibration, by stamp, in seconds from the bag's first message."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -49,20 +49,20 @@ Rows = NDArray[np.void]
 
 HYDRAULICS = "hydraulics"
 
-_Readings = tuple[NDArray[np.int64], FloatArray]  # (n,) stamps, (n, k)
+_Readings = tuple[NDArray[np.int64], FloatArray]  # (n,) stamps, (n, k) values
 
 
 class _Request(NamedTuple):
-    """What is read of a topic, and what is kept of it."""
+    """A topic to read, with the conversion and limits of its values."""
 
     topic: str  # "" for none
     kind: RecordClass
     values_of: Callable[[Rows], FloatArray]
-    limits: tuple[float, ...]  # of the first columns: no machine has more; of the others some have none
+    limits: tuple[float, ...]  # limits of the first columns; further columns may be missing
 
     def readings(self, rows: Rows) -> _Readings:
-        """Stamps and values of those that a machine may have."""
-        with np.errstate(all="ignore"):  # of numbers beyond all squares
+        """Stamps and values of the readings within the limits."""
+        with np.errstate(all="ignore"):  # overflow of squares
             values = self.values_of(rows)
         sound = (np.abs(values[:, : len(self.limits)]) <= self.limits).all(axis=1)
         return rows["stamp_ns"][sound], values[sound]
@@ -72,10 +72,8 @@ _FASTEST = 1e3  # rad/s, of a sprocket
 _FASTEST_TURN = 100.0  # rad/s, of a gyro
 _FARTHEST, _LARGEST_VARIANCE = 1e8, 1e12  # m, m²
 _HIGHEST = 1e9  # Pa
-_MOST_ANGLE = 1e9  # rad, of a sprocket since it was first read
-_LONGEST_NS = (
-    100 * 86_400 * 1_000_000_000
-)  # from the stamps that most messages have; beyond it is another clock
+_MOST_ANGLE = 1e9  # rad, of a sprocket since the first reading
+_LONGEST_NS = 100 * 86_400 * 1_000_000_000  # largest distance from the median stamp; beyond: another clock
 
 
 class Series(NamedTuple):
@@ -85,38 +83,38 @@ class Series(NamedTuple):
     values: FloatArray  # (n, k)
 
     def between(self, begin: float, end: float) -> slice:
-        """Where the readings of these times stand, s, both included."""
+        """Slice of the readings from begin to end, s, both included."""
         return slice(int(np.searchsorted(self.t, begin)), int(np.searchsorted(self.t, end, side="right")))
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One drive; what the bag lacks is empty."""
+    """One drive; series without messages in the bag are empty."""
 
     name: str
     sprockets: Series  # left, right: rad, continuous
-    gyro: Series  # about x, y, z of the unit: rad/s, as it gives them
-    poses: Series  # x m, y m, heading rad (continuous); the variances that are claimed for them
-    hydraulics: Series  # left, right: Pa; left, right spool (nan where there is none)
+    gyro: Series  # about x, y, z of the unit: rad/s, uncorrected
+    poses: Series  # x m, y m, heading rad (continuous); their variances
+    hydraulics: Series  # left, right: Pa; left, right spool (nan if unknown)
     motion: NDArray[np.int64]  # (n,) Motion at each sprocket sample
-    compass: Series | None = None  # heading rad (continuous), its variance: of a heading source
-    left_out: Mapping[str, int] = field(default_factory=dict)  # topic → readings that are none
+    compass: Series | None = None  # of a heading source: heading rad (continuous), its variance
+    left_out: Mapping[str, int] = field(default_factory=dict)  # topic → number of invalid readings
 
     @property
     def headings(self) -> Series:
-        """(k, 2) heading and its variance: of the heading source, where there is one, else of the poses."""
+        """(k, 2) heading and its variance: of the heading source if there is one, else of the poses."""
         return self.compass or Series(self.poses.t, self.poses.values[:, (2, 5)])
 
     @cached_property
     def turned(self) -> FloatArray:
-        """(n,) integral of the gyro's rate about its z axis, at its stamps, rad; bias and all."""
+        """(n,) integral of the gyro's z rate at its stamps, rad, bias included."""
         t, rates = self.gyro
         steps = np.diff(t) * (rates[1:, 2] + rates[:-1, 2]) / 2.0
         return np.concatenate(([0.0], np.cumsum(steps)))[: len(t)]
 
     @cached_property
     def mean_angle(self) -> FloatArray:
-        """(n,) of both sprockets, rad."""
+        """(n,) mean angle of both sprockets, rad."""
         return np.asarray(self.sprockets.values.mean(axis=1))
 
     @cached_property
@@ -133,12 +131,12 @@ def read_recording(
     compass: tuple[str, HeadingSource] | None = None,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Recording:
-    """Read the sprockets, the gyro and the pose source of these names, and the hydraulics.
+    """Read sprockets, gyro, pose source (topics by name) and hydraulics of a bag.
 
-    ``compass``: a source of headings, and what is stated of it; ``advance`` hears of the seconds read.
+    ``compass``: a heading source and its parameters; ``advance`` gets the seconds read.
 
     Raises:
-        InputError: the bag lacks the sprockets, or a topic is of a type that does not serve.
+        InputError: the bag lacks the sprockets, or a topic has an unsupported type.
     """
     require_topics(bag, [SPROCKETS])
     of_poses = (_FARTHEST, _FARTHEST, _FARTHEST, _LARGEST_VARIANCE, _LARGEST_VARIANCE)
@@ -159,7 +157,7 @@ def read_recording(
 
 
 def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
-    """(n, 2) heading and its variance, by the type that the bag has."""
+    """Request of (n, 2) heading and its variance, for the message type in the bag."""
     types = {relative(name): info.type_name for name, info in bag.topics.items()}
     is_imu = types.get(topic) == HEADING_MESSAGES["imu"]
 
@@ -175,7 +173,7 @@ def _compass(bag: Bag, topic: str, stated: HeadingSource) -> _Request:
 
 
 def motions(sprockets: Series, limits: MotionParameters) -> NDArray[np.int64]:
-    """(n,) standing, straight or turning at each sample; unknown at the first."""
+    """(n,) motion at each sample: standstill, straight or turning; unknown at the first."""
     found = np.full(len(sprockets.t), int(Motion.UNKNOWN))
     motion, speeds = make_table(MotionRecord, MOTION, 1), make_table(SpeedsRecord, SPEEDS, 1)
     _motions(sprockets.t, sprockets.values, motion, speeds, limits_record(limits), found)
@@ -203,9 +201,10 @@ def _motions(
 def _series(
     bag: Bag, advance: Callable[[float], None], requested: Sequence[_Request]
 ) -> tuple[list[Series], dict[str, int]]:
-    """Topics by stamp, the first of each stamp; and by topic, how many readings are none and left out.
+    """Topics by stamp, the first reading of each stamp; and topic → number of invalid readings.
 
-    None are those that no machine has, and those of another clock than most of the first topic.
+    Readings are invalid outside their limits, and far from the median stamp of the first topic (another
+    clock).
     """
     parts = [[one.readings(np.empty(0, dtype_of(one.kind)))] for one in requested]
     counts: Counter[str] = Counter()
@@ -253,7 +252,7 @@ def _sprockets(rows: Rows) -> FloatArray:
 
 
 def _rates(rows: Rows) -> FloatArray:
-    """(n, 3) about x, y, z."""
+    """(n, 3) rates about x, y, z, rad/s."""
     return np.column_stack((rows["rate_x"], rows["rate_y"], rows["rate_z"]))
 
 
@@ -269,7 +268,7 @@ def _hydraulics(rows: Rows) -> FloatArray:
 
 
 def _integrated(readings: Series) -> Series:
-    """Angles: the positions, or where any is missing the integral of the speeds."""
+    """(n, 2) angles: the positions, or the integral of the speeds if a position is missing."""
     t, values = readings
     if (np.abs(values[:, 2:]) <= _MOST_ANGLE).all():
         return Series(t, values[:, 2:])
@@ -282,6 +281,6 @@ _ACCEPTED: dict[RecordClass, tuple[RecordClass, ...]] = {
     ImuFields: (ImuFields,),
     OrientationFields: (ImuFields,),
     QuaternionFields: (QuaternionFields,),
-    PoseFields: (PoseFields, OdometryFields),  # which have the same pose
+    PoseFields: (PoseFields, OdometryFields),  # both have a pose
     HydraulicsFields: (HydraulicsFields,),
 }

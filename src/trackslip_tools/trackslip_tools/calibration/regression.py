@@ -1,19 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares with intervals that hold although neighbouring errors go together.
+"""Least squares whose intervals hold although neighbouring errors are correlated.
 
     z = X β + e     measured, design, coefficients, errors      (n,), (n, p), (p,), (n,)
 
-``clustered``: errors may go together within a cluster in any way (a second of data, a turn), but not between
-clusters. The covariance of β is the jackknife's: how β moves as each cluster in turn is left out.
+``clustered``: errors may be correlated within a cluster (a second of data, a turn), but not between clusters.
+The covariance of β is the jackknife's: the scatter of β when each cluster in turn is left out.
 
-``of_increments``: z are increments between readings that have noise of their own, on top of a walk:
+``of_increments``: z are increments between noisy readings of a random walk:
 
     Var z_k = q w_k + ρ (R_{k−1} + R_k)      Cov(z_k, z_{k+1}) = −ρ R_k
 
-R are the variances that the readings claim, w_k what the walk goes with (time, way). ρ is found by restricted
-maximum likelihood. A small walk often looks like none, so β is averaged over √q by that likelihood: the
-interval then holds where a single best q would make it too narrow. With three diagonals all this is cheap.
+R are the variances stated in the readings, w_k the exposure of the walk (time, distance). ρ is found by
+restricted maximum likelihood. The likelihood hardly separates a small walk from none, so it weights an
+average of β over √q: a single best q would make the interval too narrow. The covariance is tridiagonal, so
+all this is cheap.
 """
 
 import math
@@ -27,12 +28,12 @@ from scipy.special import stdtrit
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 
 CONFIDENCE = 0.95
-_NEGLIGIBLE = 12.0  # of −2 log likelihood above the lowest
-_GRID = 24  # sizes of the walk
+_NEGLIGIBLE = 12.0  # of −2 log likelihood above its minimum
+_GRID = 24  # values of √q
 
 
 class Fit(NamedTuple):
-    """β and how sure it is."""
+    """Estimate of β and its covariance."""
 
     values: FloatArray  # (p,)
     covariance: FloatArray  # (p, p)
@@ -45,13 +46,13 @@ class Fit(NamedTuple):
 
 
 class Increments(NamedTuple):
-    """Differences between neighbouring readings, in the order of time."""
+    """Differences of neighbouring readings, in order of time."""
 
     z: FloatArray  # (n,)
-    before: FloatArray  # (n,) variance that the earlier reading claims
-    after: FloatArray  # (n,) variance that the later one claims
+    before: FloatArray  # (n,) stated variance of the earlier reading
+    after: FloatArray  # (n,) stated variance of the later reading
     walk: FloatArray  # (n,) w
-    joined: BoolArray  # (n,) whether the earlier reading is the later one of the increment before
+    joined: BoolArray  # (n,) whether the earlier reading ends the increment before
 
 
 def half_width(stddev: float, dof: int) -> float:
@@ -60,26 +61,26 @@ def half_width(stddev: float, dof: int) -> float:
 
 
 def clustered(X: FloatArray, z: FloatArray, clusters: IntArray) -> Fit | None:
-    """Ordinary least squares; ``clusters`` (n,) numbers the cluster of each row. None: too few of them."""
+    """Ordinary least squares; ``clusters`` (n,) numbers the cluster of each row. None: too few clusters."""
     names, of = np.unique(clusters, return_inverse=True)
     count, size = len(names), X.shape[1]
     if count <= size:
         return None
-    products = np.zeros((count, size, size + 1))  # of each cluster: XᵀX and Xᵀz
+    products = np.zeros((count, size, size + 1))  # XᵀX and Xᵀz of each cluster
     for i in range(size):
         for k, column in enumerate((*X.T, z)):
             products[:, i, k] = np.bincount(of, X[:, i] * column, count)
     total = products.sum(axis=0)
     values = _solved(total[np.newaxis])
     without = _solved(total - products)
-    if values is None or without is None:  # None of these: one cluster alone carries a coefficient
+    if values is None or without is None:  # a single cluster determines a coefficient
         return None
     moved = without - values
     return Fit(values[0], (count - 1) / count * moved.T @ moved, count - 1)
 
 
 def of_increments(X: FloatArray, data: Increments) -> Fit | None:
-    """Generalised least squares with noise of unknown size; X (n, p). None: too little to go by."""
+    """Generalised least squares with noise of unknown size; X (n, p). None: too few increments."""
     if len(data.z) <= X.shape[1] + 2:
         return None
     typical = float(np.median(data.before + data.after))
@@ -95,7 +96,7 @@ def of_increments(X: FloatArray, data: Increments) -> Fit | None:
 
 
 def _averaged(X: FloatArray, data: Increments, size: float, rho: float) -> Fit | None:
-    """Over all √q from 0 to where the likelihood is gone; ``size`` is one where it is not."""
+    """Average over √q from 0 to where the likelihood is negligible; ``size`` is a √q of high likelihood."""
     lowest = _weighed(X, data, size**2, rho)
     if lowest is None:
         return None
@@ -117,7 +118,7 @@ def _averaged(X: FloatArray, data: Increments, size: float, rho: float) -> Fit |
 def _weighed(
     X: FloatArray, data: Increments, q: float, rho: float
 ) -> tuple[float, FloatArray, FloatArray] | None:
-    """−2 log likelihood (restricted), β and its covariance; None where the sizes make no sense."""
+    """−2 log likelihood (restricted), β and its covariance; None for indefinite covariances."""
     diagonals = np.zeros((2, len(data.z)))
     diagonals[0] = q * data.walk + rho * (data.before + data.after)
     diagonals[1, :-1] = np.where(data.joined[1:], -rho * data.before[1:], 0.0)
@@ -136,7 +137,7 @@ def _weighed(
 
 
 def _solved(normal: FloatArray) -> FloatArray | None:
-    """(c, p) A⁻¹ b, of A beside b (c, p, p + 1); None where an A is singular, but for rounding."""
+    """(c, p) A⁻¹ b, of A beside b (c, p, p + 1); None if an A is singular to within rounding."""
     A, b = normal[:, :, :-1], normal[:, :, -1]
     diagonals = np.diagonal(A, axis1=1, axis2=2)
     if not (diagonals > 0.0).all():

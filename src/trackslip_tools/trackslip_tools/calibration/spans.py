@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where in a drive the machine stands, goes straight, or turns, long enough to be of use."""
+"""Time spans of a drive at standstill, straight, or in a turn."""
 
 from typing import NamedTuple
 
@@ -10,20 +10,20 @@ from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.calibration.recording import Recording
 
-LONGEST_GAP = 0.5  # s between readings, beyond which what happened in between is unknown
-_MOST_BLOCKS = 10**9  # in one recording
-_SETTLING = 0.5  # s at a change of motion, in which the ground still answers
+LONGEST_GAP = 0.5  # s between readings; the motion within a longer gap is unknown
+_MOST_BLOCKS = 10**9  # per recording
+_SETTLING = 0.5  # s after a change of motion, in which the ground has not settled
 
 
 class Span(NamedTuple):
-    """A stretch of time with one kind of motion, s."""
+    """A span of time with one kind of motion, s."""
 
     begin: float
     end: float
 
 
 def spans(recording: Recording, motion: Motion, least: float, settling: float = _SETTLING) -> list[Span]:
-    """Stretches of ``motion`` without a gap in the sprockets, ``settling`` s less at both ends."""
+    """Spans of ``motion`` without a gap in the sprockets, cut by ``settling`` at both ends, ≥ ``least`` s."""
     t = recording.sprockets.t
     same = (recording.motion[1:] == motion) & (np.diff(t) <= LONGEST_GAP)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], same, [False])).astype(np.int64)))
@@ -32,7 +32,7 @@ def spans(recording: Recording, motion: Motion, least: float, settling: float = 
 
 
 def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
-    """Whether readings at ``t`` cover each stretch from begin to end without a gap."""
+    """(n,) whether readings at ``t`` cover each span from begin to end without a gap."""
     if not len(t):
         return np.zeros(len(begins), dtype=np.bool_)
     gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP)
@@ -43,5 +43,5 @@ def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
 
 
 def blocks(t: FloatArray, length: float, recording: int) -> IntArray:
-    """(n,) numbers of the stretches of ``length`` s in which these times of one recording lie."""
+    """(n,) numbers of the blocks of ``length`` s in which the times of one recording lie."""
     return np.floor(t / length).astype(np.int64) + recording * _MOST_BLOCKS

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors show while nothing moves: the bias of the gyro, the offsets of the pressure transducers."""
+"""Sensor offsets at standstill: bias of the gyro, offsets of the pressure transducers."""
 
 from collections.abc import Sequence
 
@@ -14,20 +14,20 @@ from trackslip_tools.calibration.regression import clustered
 from trackslip_tools.calibration.spans import blocks, spans
 
 _LEAST_BLOCKS = 3
-_CLOSED = 0.02  # of a spool's stroke
+_CLOSED = 0.02  # share of a spool's stroke
 _ODD = 6.0  # robust standard deviations
 
 
 def gyro_bias(recordings: Sequence[Recording]) -> Finding:
-    """What the gyro shows about its z axis at rest."""
+    """Mean rate of the gyro about its z axis at standstill."""
     return _at_rest([(recording, recording.gyro, 2) for recording in recordings], "gyro", "rad/s")
 
 
 def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
-    """What the transducers show while the machine stands with closed spools.
+    """Mean pressures at standstill with closed spools.
 
-    A stop may trap oil in the lines: seconds that differ from most are left out. What all of the standing has
-    in common, as on a slope, cannot be distinguished from an offset.
+    A stop may trap oil in the lines: seconds that differ from most are left out. A pressure common to all
+    standstills, as on a slope, cannot be distinguished from an offset.
     """
     closed = [(recording, _closed(recording.hydraulics)) for recording in recordings]
     return {
@@ -37,14 +37,14 @@ def pressure_offsets(recordings: Sequence[Recording]) -> dict[str, Finding]:
 
 
 def _closed(hydraulics: Series) -> Series:
-    """The readings with both spools closed, or of machines that do not publish their positions."""
+    """The readings with both spools closed; readings without spool positions (nan) are kept."""
     t, values = hydraulics
     kept = ~(np.abs(values[:, 2:]) > _CLOSED).any(axis=1)
     return Series(t[kept], values[kept])
 
 
 def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit: str) -> Finding:
-    """Mean of a column over all standing but odd seconds; the errors within a second may go together."""
+    """Mean of a column over standstill seconds without outliers; errors may be correlated within a second."""
     readings, clusters = [], []
     for k, (recording, own, column) in enumerate(series):
         for span in spans(recording, Motion.STANDING, 1.0):
@@ -61,7 +61,7 @@ def _at_rest(series: Sequence[tuple[Recording, Series, int]], sensor: str, unit:
 
 
 def _usual(z: FloatArray, cluster: IntArray) -> BoolArray:
-    """(n,) whether a reading belongs to a cluster whose mean is like that of most."""
+    """(n,) whether a reading belongs to a cluster whose mean is no outlier."""
     if not len(z):
         return np.zeros(0, dtype=np.bool_)
     _, of = np.unique(cluster, return_inverse=True)

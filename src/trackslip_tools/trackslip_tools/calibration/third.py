@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the setup check of the same bags adds to a calibration, and which of its numbers it contradicts."""
+"""Results of the setup check that complete a calibration, and findings that it contradicts."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ _TURNS = ("turning_efficiency", "effective_tread", "asymmetry")
 _DISTANCES = ("effective_rolling_radius", "rolling_radius", "common_slip")
 _GYRO = ("gyro_sign", "gyro_scale")
 _TRACKS = (*_GYRO, *_TURNS, *_DISTANCES, "gyro_delay")
-_CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that rest on what is wrong
+_CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that are wrong then
     "tracks_swapped": _TRACKS,
     "left_track_sign": _TRACKS,
     "right_track_sign": _TRACKS,
@@ -32,7 +32,7 @@ _CONTRADICTED: Mapping[str, Sequence[str]] = {  # cause → findings that rest o
 
 
 def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> dict[str, Finding]:
-    """The findings, without the values that rest on a mistake of the setup."""
+    """The findings, without the values that a mistake of the setup makes wrong."""
     kept = dict(findings)
     wrong = {cause.cause: _CONTRADICTED.get(cause.cause, ()) for setup in setups for cause in setup.causes}
     wrong |= {question.what: _TRACKS for setup in setups for question in setup.open_questions}
@@ -44,7 +44,7 @@ def contradicted(findings: Mapping[str, Finding], setups: Sequence[Result]) -> d
 
 
 def measured(setups: Sequence[Result]) -> dict[str, Finding]:
-    """Lever arms, yaw offsets and delays by source, of all bags together."""
+    """Lever arms, yaw offsets and delays by source, combined over all bags."""
     groups: dict[str, list[Measured]] = {}
     for setup in setups:
         for one in setup.measured:

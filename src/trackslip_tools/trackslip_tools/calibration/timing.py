@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The clock of the gyro against that of the sprockets.
+"""Calibrates the clock of the gyro against that of the sprockets.
 
-z, Δ     rate that the gyro shows, difference of the sprocket angles, right less left   rad/s, rad
-δ        by how much the stamps of the gyro are later                                   s
+z, Δ     rate of the gyro, difference of the sprocket angles, right less left   rad/s, rad
+δ        delay of the gyro's stamps                                             s
 
     z(t) = a Δ̇(t − δ) + b
 
-The best fit lies at the top of the cross-correlation of z and Δ̇, between samples too. Where the ground is
-weak the yaw rate does not follow the tracks, and the delay cannot be found.
+The best fit is the maximum of the cross-correlation of z and Δ̇, between samples too. On weak ground the
+yaw rate does not follow the tracks, and the delay cannot be found.
 """
 
 from collections.abc import Sequence
@@ -21,21 +21,22 @@ from trackslip_tools.calibration.recording import Recording
 from trackslip_tools.calibration.regression import Fit, clustered
 from trackslip_tools.calibration.spans import blocks, spans, unbroken
 
-GROUND_LAG = 0.03  # s at most by which firm ground answers later than the tracks turn
+GROUND_LAG = 0.03  # s, largest lag of the yaw rate behind the tracks on firm ground
 _SHORTEST = 1.5  # s, of a turn
-_LATEST = 0.5  # s, searched
+_LATEST = 0.5  # s, range of the search
 _GRID = 0.02  # s
-_WINDOW = 0.05  # s, half of that over which sprocket speeds are taken: a count is 5e-4 rad
-_BLOCK = 5.0  # s in which errors of the yaw rate go together: a turn, more or less
-_ROUNDS = 4  # of Gauss and Newton
-_WEAK = 0.05  # of the variance of the yaw rate, left over
+_WINDOW = 0.05  # s, half of the span for sprocket speeds: a count is 5e-4 rad
+_BLOCK = 5.0  # s in which errors of the yaw rate may be correlated: about a turn
+_ROUNDS = 4  # Gauss–Newton steps
+_WEAK = 0.05  # largest unexplained share of the yaw rate's variance
 _NO_TURNS = "no turns with the gyro recorded"
 
 
 def gyro_delay(recordings: Sequence[Recording]) -> Finding:
-    """By how much the stamps of the gyro are later than those of the sprockets.
+    """Delay of the gyro's stamps against the sprockets'.
 
-    Firm ground adds a lag of its own, up to ``GROUND_LAG``: half of it is taken off, the interval covers all.
+    Firm ground adds a lag of up to ``GROUND_LAG``: half of it is subtracted, and the interval covers all of
+    it.
     """
     turning = _with_turns(recordings)
     if not turning:
@@ -54,7 +55,7 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
 
 
 def gyro_sense(recordings: Sequence[Recording]) -> Finding:
-    """a: above zero where the unit is the right way up, for a machine turns the way its tracks do."""
+    """a, positive if the unit is mounted upright: a machine turns in the direction of its tracks."""
     turning = _with_turns(recordings)
     fit = _against_sprockets(turning, 0.0)[0] if turning else None
     if fit is None:
@@ -67,7 +68,7 @@ def _with_turns(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _against_sprockets(recordings: Sequence[Recording], late: float) -> tuple[Fit | None, float, float]:
-    """Fit of a, a δ' and b; the step δ' that it asks for beyond ``late``; the share of variance left over."""
+    """Fit of a, a δ' and b; step δ' from ``late``; unexplained share of variance."""
     rows, rates, clusters = [], [], []
     for k, recording in enumerate(recordings):
         t, z = recording.gyro.t, recording.gyro.values[:, 2]

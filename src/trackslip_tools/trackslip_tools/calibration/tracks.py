@@ -1,18 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tracks against poses and gyro: way for the turn of the sprockets, turn for their difference.
+"""Calibrates the tracks against poses and gyro: distance per sprocket angle, turn per angle difference.
 
 θ̄, Δ     mean of both sprocket angles, right less left                  rad
 r, i₀    rolling radius, slip common to both tracks                     m, 1
 B, κ     tread, turning efficiency                                      m, 1
-ε        side asymmetry                                         rad/m
-s, Ψ     way along the heading, turn (of the gyro, less its bias)       m, rad
+ε        side asymmetry                                                 rad/m
+s, Ψ     distance along the heading, turn (of the gyro, less its bias)  m, rad
 
     straight    ds = r (1 − i₀) dθ̄            turning    dΨ = (r κ/B) dΔ + ε r dθ̄
 
-What of it is r and what is slip no straight line can show, nor a turn what is κ and what is 1/B: tracks turn
-by sliding, on hard ground too (dry clay: κ about 0.5). So there is no tread here. B is measured with a tape;
-B/κ is what plain dead reckoning would have to take for it, on this ground.
+Straights cannot separate r from slip, and turns cannot separate κ from 1/B: tracks turn by sliding, on hard
+ground too (dry clay: κ about 0.5). The tread is therefore not estimated here. B is measured with a tape; B/κ
+is the effective tread for plain dead reckoning on this ground.
 """
 
 from collections.abc import Sequence
@@ -27,35 +27,35 @@ from trackslip_tools.calibration.recording import Recording
 from trackslip_tools.calibration.regression import Increments, clustered, of_increments
 from trackslip_tools.calibration.spans import Span, spans, unbroken
 
-LEAST_DISTANCE = 3.0  # m of straights in all
+LEAST_DISTANCE = 3.0  # m, all straights together
 LEAST_TURNS = 3
 _SHORTEST_STRAIGHT, _SHORTEST_TURN = 2.0, 1.5  # s
-_LEAST_FIXES = 4  # in a straight
-_FLOOR = 1e-3  # m, no fix is better
+_LEAST_FIXES = 4  # per straight
+_FLOOR = 1e-3  # m, least standard deviation of a fix
 _COMPLEX = np.array((1.0, 1.0j))
 
 
 class Gyro(NamedTuple):
-    """What is known of the gyro."""
+    """Scale and bias of the gyro."""
 
-    scale: float  # below 0 where it is upside down
+    scale: float  # negative if mounted upside down
     bias: float  # rad/s
 
     def headings(self, recording: Recording, t: FloatArray) -> FloatArray:
-        """Turn at these times since one that is common to all; the gyro is to be recorded."""
+        """(n,) angles turned at these times, up to a common constant, rad; needs a recorded gyro."""
         shown = np.interp(t, recording.gyro.t, recording.turned)
         return np.asarray((shown - self.bias * t) / self.scale)
 
 
 class Turns(NamedTuple):
-    """How the machine turned."""
+    """Turning of the machine per sprocket angle."""
 
     gain: Finding  # r κ/B, 1
     spread: float  # standard deviation of r κ/B from turn to turn
 
 
 def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
-    """r (1 − i₀) from the straights."""
+    """r (1 − i₀), from the straights."""
     parts = []
     for recording in recordings:
         straights = spans(recording, Motion.STRAIGHT, _SHORTEST_STRAIGHT)
@@ -75,7 +75,7 @@ def distance_per_radian(recordings: Sequence[Recording], gyro: Gyro) -> Finding:
 
 
 def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
-    """r κ/B from the turns."""
+    """r κ/B, from the turns."""
     turned, differences = np.empty(0), np.empty(0)
     for recording in recordings:
         turns = spans(recording, Motion.TURNING, _SHORTEST_TURN)
@@ -116,16 +116,16 @@ def asymmetry(recordings: Sequence[Recording], gyro: Gyro, gain: float | None, r
 
 
 def _with_gyro(recording: Recording, stretches: Sequence[Span]) -> BoolArray:
-    """(n,) of which the gyro was recorded throughout."""
+    """(n,) whether the gyro was recorded throughout each span."""
     begins, ends = np.array(stretches).reshape(-1, 2).T
     return unbroken(recording.gyro.t, begins, ends)
 
 
 def _straight(recording: Recording, span: Span, gyro: Gyro | None) -> tuple[Increments, FloatArray] | None:
-    """Way from fix to fix along the heading, and what the sprockets turned; None where there is little of it.
+    """Distances between fixes along the heading, and sprocket angles; None with few fixes or no motion.
 
-    The gyro carries the heading within the straight, where it is recorded; the whole is turned so that no
-    way is left across.
+    The recorded gyro gives the heading within the straight. The track of fixes is rotated so that its end
+    lies straight ahead of its start.
     """
     inside = recording.poses.between(*span)
     t, fixes = recording.poses.t[inside], recording.poses.values[inside]

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator's inputs as numpy records: whole batches of them go into compiled code.
+"""The estimator's inputs as numpy records, which compiled code takes in batches.
 
-``ARRIVAL`` is a ``MEASUREMENT`` of the estimator, with what a bag knows beside it:
+``ARRIVAL`` is a ``MEASUREMENT`` of the estimator with further fields from the bag:
 
     kind           of ``slip.records``, or IS_COMMAND, IS_RELOAD, IS_START
     source         number of the source, in ``InputStream.sources``
-    stamp_ns       of the measurement; 0 where there is none
+    stamp_ns       of the measurement; 0 if there is none
     log_time_ns    of its message
     reload         IS_RELOAD: number in ``InputStream.reloads``; −1: nothing changes
     start          IS_RELOAD, IS_START: number in ``InputStream.starts``; −1: unknown
@@ -58,7 +58,7 @@ from trackslip_estimation.slip.sources import (
     YawRateSource,
 )
 
-# More kinds: its source is the command; new parameters; the estimator is started again.
+# Further kinds: a command (its source); new parameters; a restart of the estimator.
 IS_COMMAND, IS_RELOAD, IS_START = VELOCITY + 1, VELOCITY + 2, VELOCITY + 3
 
 _FIELDS = MEASUREMENT.names or ()
@@ -75,12 +75,12 @@ Stated = YawRateSource | HeadingSource | SwingSource | OdometrySource | Velocity
 
 
 class SourceReader(NamedTuple):
-    """How the messages of a source become rows."""
+    """Converts the messages of a source to rows."""
 
     kind: int
-    fields: RecordClass  # record class that is read
-    stated: Stated | None = None  # group of parameters of an IMU or a heading source
-    absent: tuple[str, Refusal] | None = None  # field whose ABSENT refuses a message, and the name of that
+    fields: RecordClass  # record class of the messages
+    stated: Stated | None = None  # parameters of the source
+    absent: tuple[str, Refusal] | None = None  # field whose ABSENT rejects a message, and the reason
 
     def rows(self, read: Rows) -> Rows:
         """(n,) ARRIVAL, without source and log time, of (n,) records of ``fields``."""
@@ -96,7 +96,7 @@ SLIP_READER = SourceReader(SLIPS, SlipFields)
 
 
 def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
-    """Of a source by its group of parameters; ``type_name``: of the messages of a source of headings."""
+    """Reader of a source with these parameters; ``type_name``: message type of a heading source."""
     match stated:
         case YawRateSource():
             return SourceReader(YAW_RATE, ImuFields, stated, ("variance_x", Refusal.NO_RATE))
@@ -106,7 +106,7 @@ def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
             return SourceReader(HEADING, QuaternionFields, stated)
         case SwingSource():
             return SourceReader(ON_SWING, SwingFields, stated)
-        case OdometrySource():  # the numbers of frames are still to be filled in
+        case OdometrySource():  # caller fills in the numbers of frames
             _, field, refusal = ODOMETRY_FIELDS[stated.covariance]
             return SourceReader(ODOMETRY, OdometryPoseFields, stated, (field, refusal) if field else None)
         case _:
@@ -114,7 +114,7 @@ def reader_of(stated: Stated, type_name: str = "") -> SourceReader:
 
 
 def to_measurements(rows: Rows, sources: Sequence[str], numbers: Mapping[str, int]) -> Rows:
-    """(n,) MEASUREMENT of (n,) ARRIVAL from ``sources``; ``numbers``: those that the estimator gives them."""
+    """(n,) MEASUREMENT of (n,) ARRIVAL from ``sources``; ``numbers``: source numbers of the estimator."""
     found = np.empty(len(rows), MEASUREMENT)
     for name in _FIELDS:
         found[name] = rows[name]
@@ -130,7 +130,7 @@ def _fill_sprockets(rows: Rows, read: Rows, _: object) -> None:
 
 
 def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
-    """As ``conversions.yaw_rate`` does, to the last bit."""
+    """Fill yaw rates, equal to ``conversions.yaw_rate`` to the last bit."""
     R, unknown = imu.mounting, imu.stddev**2
     stated = [read[f"variance_{axis}"] for axis in "xyz"]
     p, q, r = turned(R, [read[f"rate_{axis}"] for axis in "xyz"])
@@ -182,7 +182,7 @@ def _fill_odometry(rows: Rows, read: Rows, odometry: OdometrySource) -> None:
 
 
 def _fill_velocities(rows: Rows, read: Rows, velocity: VelocitySource) -> None:
-    """As ``conversions.velocity_fix`` does, to the last bit."""
+    """Fill velocities, equal to ``conversions.velocity_fix`` to the last bit."""
     rows["stamp_ns"] -= velocity.latency_ns
     rows["value"][:, 0], rows["value"][:, 1] = read["v_x"], read["v_y"]
     rows["noise"][:, :2, :2] = read["covariance"]

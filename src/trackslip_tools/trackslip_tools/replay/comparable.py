@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which parts of a bag a replay can compare with live estimates, by the journal of the live estimator.
+"""Finds the parts of a bag in which a replay can be compared with live estimates, from the live journal.
 
 A state depends on all measurements since the start of the estimator. A part therefore begins with an estimate
-of whose run the bag has everything from the start, and ends before the first measurement that was used live
-and is missing in the bag, before lost lines of the journal, where the estimator is started again, or with the
-bag. What a waiting estimator did not keep may be missing.
+of a run whose measurements the bag has from the start. A part ends before the first measurement that was used
+live and is missing in the bag, before lost lines of the journal, at a restart of the estimator, or with the
+bag. Measurements that the estimator discarded before its first estimate may be missing.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,15 +32,15 @@ OUT_OF_ORDER = -1
 """In the place of a count of missing lines: the number of a line goes back although no run begins."""
 
 _NEVER_USED = (Outcome.DUPLICATE, Outcome.INVALID, Outcome.FROZEN)
-_USED_OF_SPROCKETS_ALONE = (Outcome.TOO_LATE, Outcome.WAITING, Outcome.AHEAD)  # they are the clock
-_WITHOUT_ESTIMATE = (*_NEVER_USED, *_USED_OF_SPROCKETS_ALONE)  # there need not be one
-_IN_LINE = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)  # sprockets with which an estimate may come
-_KEPT_SAMPLES = 3  # of sprockets before an estimate begins, which it may depend on
+_USED_OF_SPROCKETS_ALONE = (Outcome.TOO_LATE, Outcome.WAITING, Outcome.AHEAD)  # sprockets are the clock
+_WITHOUT_ESTIMATE = (*_NEVER_USED, *_USED_OF_SPROCKETS_ALONE)  # possible without estimate
+_IN_LINE = (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)  # sprocket outcomes with estimates
+_KEPT_SAMPLES = 3  # sprocket samples before its first estimate on which an estimate may depend
 
 
 @dataclass
 class ComparablePart:
-    """One part; stamps are those of its sprockets, None where there are none."""
+    """One part; stamps are those of its sprocket samples, None without any."""
 
     begin_log_ns: int
     end_log_ns: int
@@ -48,13 +48,13 @@ class ComparablePart:
     last_ns: int | None = None
 
     def holds(self, stamps_ns: IntArray) -> BoolArray:
-        """(n,) which stamps lie in it."""
+        """(n,) whether each stamp lies in the part."""
         if self.first_ns is None or self.last_ns is None:
             return np.zeros(len(stamps_ns), np.bool_)
         return (stamps_ns >= self.first_ns) & (stamps_ns <= self.last_ns)
 
     def extend(self, lines: Rows, sprockets: int) -> None:
-        """More lines; ``sprockets``: number of that source."""
+        """Add lines of the journal to the part; ``sprockets``: number of the sprocket source."""
         self.end_log_ns = int(lines["log_time_ns"][-1])
         in_line = (lines["source"] == sprockets) & np.isin(lines["outcome"], _IN_LINE)
         stamps_ns = lines["stamp_ns"][in_line]
@@ -73,13 +73,13 @@ class Break(NamedTuple):
 
 @dataclass
 class Comparability:
-    """The parts of a journal so far, and what came between them."""
+    """The comparable parts of a journal, and the reasons for the breaks between them."""
 
     parts: list[ComparablePart] = field(default_factory=list)
     breaks: list[Break] = field(default_factory=list)
 
     def from_the_beginning(self) -> tuple[bool, int | None]:
-        """Whether what the bag begins with can be compared, and up to which stamp; None: to its end."""
+        """Whether the beginning of the bag can be compared, and up to which stamp; None: to the bag's end."""
         if not self.parts and not self.breaks:
             return True, None
         first = self.parts[0] if self.parts else None
@@ -89,33 +89,33 @@ class Comparability:
 
 
 class JournalRuns:
-    """Follows the lines of a journal through the runs of the estimator.
+    """Assigns the lines of a journal to runs of the estimator and to comparable parts.
 
     Args:
-        found: is filled.
-        sources: names, by number.
-        sprockets: number of theirs.
+        found: receives the parts and breaks.
+        sources: names of the sources, by number.
+        sprockets: number of the sprocket source.
     """
 
     def __init__(self, found: Comparability, sources: Sequence[str], sprockets: int) -> None:
         self._found, self._sources, self._sprockets = found, sources, sprockets
-        self._part: ComparablePart | None = None  # that the next line belongs to
-        self._waits = False  # for the first estimate of the run
+        self._part: ComparablePart | None = None  # part of the next line
+        self._waits = False  # whether the run has no estimate yet
         self._samples, self._requested = (
             0,
             0,
-        )  # sprocket samples since something was missing; how many it takes
-        self._why = ""  # what was missing
+        )  # sprocket samples since the last loss; number required
+        self._why = ""  # reason of the last loss
 
     def follow(self, lines: Rows, missing: BoolArray, lost: IntArray, starts: Mapping[int, str]) -> IntArray:
-        """(n,) the number of the part of each line, from 1 on; 0 outside.
+        """(n,) number of the part of each line, from 1 on; 0: outside all parts.
 
         Args:
             lines: (n,) LINE.
             missing: (n,) whether the bag lacks the measurement.
-            lost: (n,) lines that are missing before it, or ``OUT_OF_ORDER``.
-            starts: by the number of a line with which a run of the estimator begins, why that start cannot be
-                repeated, or an empty text; the first of all lines is one.
+            lost: (n,) number of lines missing before it, or ``OUT_OF_ORDER``.
+            starts: index of the first line of each run → why that start cannot be repeated, empty if it can.
+                The first line of all is one of them.
         """
         numbers, used, at = np.zeros(len(lines), np.int64), missing & self._is_used(lines), 0
         interrupted = used | (lost != 0)
@@ -133,7 +133,7 @@ class JournalRuns:
         return numbers
 
     def _go_on(self, lines: Rows, numbers: IntArray) -> None:
-        """Lines of which nothing is missing."""
+        """Assign lines without losses to the current part; starts a part at the first estimate of a run."""
         begin = 0
         if self._waits:
             has_estimate = ~np.isin(lines["outcome"], _WITHOUT_ESTIMATE)
@@ -146,7 +146,7 @@ class JournalRuns:
             self._part.extend(lines[begin:], self._sprockets)
 
     def _begin(self, line: np.void, lost: int, unknown: str) -> None:
-        """A run of the estimator."""
+        """Begin a run after ``lost`` missing lines; ``unknown``: why its start cannot be repeated."""
         self._part, self._waits = None, not unknown
         self._samples, self._requested = 0, _KEPT_SAMPLES if lost else 0
         self._why = f"the bag lacks the first {lost} measurements of the estimator's run" if lost else ""
@@ -154,7 +154,7 @@ class JournalRuns:
             self._break(line, unknown)
 
     def _start(self, line: np.void) -> None:
-        """The first estimate of a run."""
+        """Begin a part at the first estimate of a run, if enough sprocket samples precede it."""
         self._waits, log_time_ns = False, int(line["log_time_ns"])
         if self._samples >= self._requested:
             self._part = ComparablePart(log_time_ns, log_time_ns)
@@ -163,14 +163,14 @@ class JournalRuns:
             self._break(line, self._why)
 
     def _skip(self, line: np.void) -> None:
-        """A line whose measurement was used live and is missing."""
+        """End the part at a line whose measurement was used live and is missing."""
         source = self._sources[line["source"]]
         self._interrupt(line, f"the bag lacks a measurement of {source} that was used live")
         if self._waits and line["outcome"] not in _WITHOUT_ESTIMATE:
             self._start(line)
 
     def _interrupt(self, line: np.void, why: str) -> None:
-        """Something is missing before the line, or its own measurement."""
+        """End the part: a line before this one, or the measurement of this one, is missing."""
         if self._part is not None:
             self._break(line, why)
         self._part, self._why = None, self._why or why
@@ -186,7 +186,7 @@ class JournalRuns:
 
 
 def _gap(lost: int) -> str:
-    """Why the journal cannot be followed to a line before which so many are missing."""
+    """Why no line can be compared after ``lost`` missing lines."""
     if lost == OUT_OF_ORDER:
         return "the bag merges recordings of several runs: the journal's lines are out of order"
     return f"the bag lacks {lost} lines of the live estimator's journal"

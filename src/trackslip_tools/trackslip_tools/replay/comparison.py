@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live estimates of a bag against the replayed ones, while both come: every number of the same stamp.
+"""Compares the live estimates of a bag with the replayed ones, in pieces: every number of the same stamp.
 
-Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance,
-twist_covariance, and for its tilt z; rows of ``track_slip`` have left_slip, right_slip, slip_angle,
-covariance. Replayed attitudes are to go through ``carried`` first.
+Rows of ``odometry`` have x, y, heading (or the quaternion), v_x, v_y, yaw_rate, covariance, twist_covariance,
+and z for the tilt. Rows of ``track_slip`` have left_slip, right_slip, slip_angle, covariance. Replayed
+attitudes have to be converted by ``carried`` first.
 """
 
 import math
@@ -23,34 +23,34 @@ from trackslip_tools.replay.comparable import Comparability, ComparablePart
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import in_order
 
-WAITING_NS = 2 * HORIZON_NS  # for a partner: the replay may be a horizon behind what is read, and a batch
-TOLERANCE = 1e-9  # between a live and a replayed number
+WAITING_NS = 2 * HORIZON_NS  # wait for a pair: the replay lags the reading by up to a horizon and a batch
+TOLERANCE = 1e-9  # largest difference between a live and a replayed number
 _ODOMETRY = ("x", "y", "heading", "v_x", "v_y", "yaw_rate", "covariance", "twist_covariance")
 _TILT = ("roll", "pitch", "z")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _SLIPS = ("left_slip", "right_slip", "slip_angle", "covariance")
-TILT = "tilt"  # of odometry, with its height
+TILT = "tilt"  # roll, pitch and height of odometry
 _COLUMNS = {ODOMETRY: _ODOMETRY, LOCAL_ODOMETRY: _ODOMETRY, TRACK_SLIP: _SLIPS, TILT: _TILT}
 _SHAPES = {"covariance": (3, 3), "twist_covariance": (3, 3)}
-_MOST_NAMED = 3  # parts in a line
+_MOST_NAMED = 3  # parts named in a line
 
 
 @dataclass(frozen=True)
 class LiveComparison:
-    """What a comparison found."""
+    """Result of a comparison of live with replayed estimates."""
 
     compared: int  # live estimates
-    unmatched: int  # messages of one side at a stamp that the other does not have
+    unmatched: int  # messages without a message of the same stamp on the other side
     largest_difference: float
     lost_reports: int  # lines of the live journal that the bag lacks
     lost_inputs: int  # measurements that the journal names and the bag lacks
-    comparability: Comparability = field(default_factory=Comparability)  # what was compared, and why no more
-    disordered_reports: int = 0  # lines of the live journal that are out of order: of several runs at once
-    differing: str = ""  # the number of that difference, and of which message
+    comparability: Comparability = field(default_factory=Comparability)  # compared parts, reasons of breaks
+    disordered_reports: int = 0  # lines of the live journal out of order, as of several simultaneous runs
+    differing: str = ""  # column and message of the largest difference
 
     @property
     def matches(self) -> bool:
-        """Same stamps, same numbers."""
+        """Whether both have the same stamps and the same numbers."""
         return self.compared > 0 and self.unmatched == 0 and self.largest_difference <= TOLERANCE
 
     def __str__(self) -> str:
@@ -65,30 +65,28 @@ class LiveComparison:
 
 
 class _Difference(NamedTuple):
-    """Between numbers of a column, in its own unit."""
+    """Largest difference between numbers of a column, in the unit of the column."""
 
     size: float
     column: str
 
 
 class TopicComparison:
-    """One topic, by stamp; memory holds what the other side may still bring within ``WAITING_NS``."""
+    """Compares one topic by stamp; keeps rows that may still find a pair, up to ``WAITING_NS`` old."""
 
     def __init__(self) -> None:
         self.largest = _Difference(0.0, "")
         self._compared = self._unmatched = 0
-        self._live: Rows | None = None  # still without partner, as below
+        self._live: Rows | None = None  # unpaired live rows; below: unpaired replayed rows
         self._replayed: Rows | None = None
-        self._newest_ns: int | None = None  # stamp of live rows so far
-        self._spans: dict[int, tuple[int, int]] = {}  # of each part the stamps of its first and last pair
-        self._beyond: Counter[int] = (
-            Counter()
-        )  # of each part, replayed rows without partner after its last pair
+        self._newest_ns: int | None = None  # newest stamp of live rows
+        self._spans: dict[int, tuple[int, int]] = {}  # part → stamps of its first and last pair
+        self._beyond: Counter[int] = Counter()  # part → unpaired replayed rows after its last pair
 
     def add(self, live: Rows, replayed: Rows, parts: Sequence[ComparablePart] = ()) -> None:
-        """More of both; of several rows with one stamp the last counts.
+        """Add rows of both; the last of several rows with one stamp counts.
 
-        ``parts``: of the bag so far that can be compared; none where the whole of it can.
+        ``parts``: comparable parts of the bag so far; empty: the whole bag is comparable.
         """
         if len(live):
             newest_ns = int(live["stamp_ns"].max())
@@ -107,11 +105,11 @@ class TopicComparison:
         self._unmatched += alone + self._within(unpaired)
 
     def compared(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
-        """Live rows in the parts, those after ``end_ns`` left out."""
+        """Number of live rows in the parts, without those after ``end_ns``."""
         return self._compared + self._alone(parts, end_ns)
 
     def unmatched(self, parts: Sequence[ComparablePart], end_ns: int | None) -> int:
-        """Rows without partner: live ones in the parts up to ``end_ns``, replayed ones between live ones."""
+        """Number of unpaired rows: live ones in the parts up to ``end_ns``, replayed ones between pairs."""
         if self._replayed is None:
             return 0
         return self._unmatched + self._alone(parts, end_ns) + self._within(self._replayed)
@@ -121,7 +119,7 @@ class TopicComparison:
         return _count_in(parts, stamps_ns[stamps_ns <= end_ns] if end_ns is not None else stamps_ns)
 
     def _pair(self, live: Rows, replayed: Rows) -> None:
-        """Rows of the same stamps."""
+        """Compare rows of the same stamps."""
         if not len(live):
             return
         self._compared += len(live)
@@ -134,7 +132,7 @@ class TopicComparison:
             self._unmatched += self._beyond.pop(part, 0)
 
     def _within(self, rows: Rows) -> int:
-        """Replayed rows without partner that lie between live ones; those after them may do so later."""
+        """Number of unpaired replayed rows between pairs; counts those after the last pair in ``_beyond``."""
         count = 0
         for part, (first_ns, last_ns) in self._spans.items():
             stamps_ns = rows["stamp_ns"][rows["part"] == part]
@@ -144,9 +142,9 @@ class TopicComparison:
 
 
 class LiveComparer:
-    """The topics of the slip estimator.
+    """Compares all topics of the slip estimator.
 
-    A recording ends in the middle of things: what it holds beyond its last journal line is left out.
+    Estimates after the last sprocket line of the journal are left out: the end of a recording is incomplete.
     """
 
     def __init__(self) -> None:
@@ -160,13 +158,13 @@ class LiveComparer:
         numbers: IntArray | None = None,
         parts: Sequence[ComparablePart] = (),
     ) -> None:
-        """More of a topic, or of ``TILT``, either may be empty.
+        """Add rows of a topic or of ``TILT``; either side may be empty.
 
         Args:
             what: the topic.
-            live: rows of it.
-            replayed: (n,) rows of it.
-            numbers: (n,) of the parts that they belong to, 0 for none; None: all to the first.
+            live: rows of the topic.
+            replayed: (n,) rows of the topic.
+            numbers: (n,) parts of the replayed rows, 0 for none; None: all in the first part.
             parts: as ``TopicComparison.add``.
         """
         columns = _COLUMNS[what]
@@ -174,7 +172,7 @@ class LiveComparer:
         self._compared[what].add(_picked(live, columns), _picked(replayed, columns, numbers), parts)
 
     def result(self, counts: JournalCounts) -> LiveComparison:
-        """When all was added; ``counts`` are those of the whole journal."""
+        """Result over all topics; ``counts`` are those of the whole journal."""
         all_of_them = self._compared.values()
         parts, end_ns = counts.parts, counts.last_sprockets_ns
         largest, what = max((one.largest, what) for what, one in self._compared.items())
@@ -191,7 +189,7 @@ class LiveComparer:
 
 
 def _count_in(parts: Sequence[ComparablePart], stamps_ns: IntArray) -> int:
-    """How many stamps lie in any of the parts; all, where there are none."""
+    """Number of stamps that lie in any of the parts; of all stamps without parts."""
     if not parts:
         return len(stamps_ns)
     return int(np.any([part.holds(stamps_ns) for part in parts], axis=0).sum())
@@ -222,7 +220,7 @@ def tilt_rows(estimates: Rows) -> Rows:
 
 
 def carried(estimates: Rows, headings: FloatArray) -> Rows:
-    """(n,) quaternions as messages carry the attitude: equal to live ones to the last bit."""
+    """(n,) quaternions of the attitude as in messages: equal to live ones to the last bit."""
     tilts = estimates["tilt"]["tilt"]
     halves = [(angles / 2.0).tolist() for angles in (tilts[:, 0], tilts[:, 1], headings)]
     columns = [(np.array(list(map(math.sin, h))), np.array(list(map(math.cos, h)))) for h in halves]
@@ -247,7 +245,7 @@ def _dtype(names: Sequence[str]) -> np.dtype[np.void]:
 
 
 def _picked(rows: Rows, names: Sequence[str], numbers: IntArray | None = None) -> Rows:
-    """The columns to compare and, where given, numbers, by stamp; of several rows with one stamp the last."""
+    """The columns to compare and the part ``numbers``, by stamp; of several rows with one stamp the last."""
     dtype = _dtype(names)
     if numbers is not None:
         dtype = np.dtype([*dtype.descr, ("part", np.int64)])
@@ -270,13 +268,13 @@ def _together(known: Rows | None, more: Rows) -> Rows:
 
 
 def _divided(rows: Rows, oldest_ns: int) -> tuple[Rows, Rows]:
-    """Those that may still find a partner, and the others."""
+    """The rows that may still find a pair, and the others."""
     young = rows["stamp_ns"] >= oldest_ns
     return rows[young], rows[~young]
 
 
 def _difference(a: Rows, b: Rows) -> _Difference:
-    """The largest of any column; of headings the short way round. Nothing differs from nothing."""
+    """The largest difference of any column, headings wrapped; nan and nan differ by 0."""
     largest = _Difference(0.0, "")
     for name in (a.dtype.names or ())[1:]:
         apart: FloatArray = np.abs(a[name] - b[name])
@@ -288,7 +286,7 @@ def _difference(a: Rows, b: Rows) -> _Difference:
 
 
 def compared_parts(live: LiveComparison, start_ns: int) -> dict[str, Any]:
-    """For JSON: seconds from the bag's first message at ``start_ns``, as ``--start`` counts them."""
+    """The compared parts for JSON, in s from the bag's first message at ``start_ns``, as in ``--start``."""
 
     def seconds(log_time_ns: int) -> float:
         return (log_time_ns - start_ns) * 1e-9
@@ -302,7 +300,7 @@ def compared_parts(live: LiveComparison, start_ns: int) -> dict[str, Any]:
 
 
 def compared_lines(live: LiveComparison, start_ns: int) -> list[str]:
-    """For a terminal: a line where not all was compared that follows the estimator's start."""
+    """A line for the terminal if the replay was only compared in part."""
     found = live.comparability
     if not found.breaks or not found.parts:
         return []

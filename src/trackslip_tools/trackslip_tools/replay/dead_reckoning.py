@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Paths without a filter, for comparison: encoders alone, and encoders with the gyro's heading.
+"""Dead-reckoned paths for comparison: encoders alone, and encoders with the heading of the gyro.
 
 ω_L, ω_R   sprocket speeds        rad/s
 r, B       rolling radius, tread  m
@@ -16,9 +16,9 @@ from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.slip.records import SPROCKETS, YAW_RATE
 from trackslip_tools.replay.series import series_of
 
-_REORDERED_NS = 2_000_000_000  # by which stamps may be out of order: the estimator's window
-_SILENT_NS = 60_000_000_000  # of the gyro, after which its rate is held
-_LARGEST = 1e9  # rad, rad/s: beyond it is no measurement
+_REORDERED_NS = 2_000_000_000  # largest disorder of stamps: the estimator's window
+_SILENT_NS = 60_000_000_000  # gyro silence after which its rate is held constant
+_LARGEST = 1e9  # rad, rad/s: largest plausible value
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Path:
 
     stamps_ns: IntArray  # (n,) increasing
     poses: FloatArray  # (n, 3) x m, y m, heading rad (continuous)
-    covariances: FloatArray | None = None  # (n, 3, 3) of the poses, where messages of a reference state them
+    covariances: FloatArray | None = None  # (n, 3, 3) of the poses, if the messages of a reference have them
 
     def at(self, stamps_ns: IntArray) -> FloatArray:
         """(k, 3) poses at other stamps, linear between samples; nan outside the path."""
@@ -38,17 +38,17 @@ class Path:
 
 
 class DeadReckoner:
-    """Dead reckoning of arrivals that come piece by piece, once it is known where it begins."""
+    """Dead reckoning of arrivals in pieces, from a given pose on."""
 
     def __init__(self, vehicle: Kinematics, *, with_gyro: bool) -> None:
         self._vehicle, self._with_gyro = vehicle, with_gyro
         self._sprockets: list[Rows] = []
         self._gyro: list[Rows] = []
-        self._at: tuple[int, FloatArray] | None = None  # stamp and pose at the end of what is done
+        self._at: tuple[int, FloatArray] | None = None  # stamp and pose at the end of the path so far
         self.first_ns: int | None = None  # stamp of the first sprocket sample
 
     def add(self, rows: Rows) -> None:
-        """More rows of ``ARRIVAL``."""
+        """Add rows of ``ARRIVAL``."""
         for parts, found in ((self._sprockets, _sprocketed(rows)), (self._gyro, _yaw_rates(rows))):
             if len(found):
                 parts.append(found)
@@ -56,11 +56,11 @@ class DeadReckoner:
             self.first_ns = int(self._sprockets[0]["stamp_ns"].min())
 
     def begin(self, stamp_ns: int, pose: FloatArray) -> None:
-        """From this pose (3,) on."""
+        """Start from this pose (3,) at a stamp."""
         self._at = stamp_ns, pose
 
     def advance(self, *, whole: bool = False) -> Path | None:
-        """On from where it has come to, as far as no late sample can change it, or all the way."""
+        """The next piece of the path, as far as no late sample can change it, or ``whole`` to the end."""
         if self._at is None or not self._sprockets or (self._with_gyro and not self._gyro):
             return None
         sprockets = _by_stamp(np.concatenate(self._sprockets))
@@ -81,7 +81,7 @@ class DeadReckoner:
 
 
 def _sprocketed(rows: Rows) -> Rows:
-    """Speeds and positions of the samples that are numbers; positions may be missing as a pair."""
+    """Speeds and positions of the valid sprocket samples; both positions may be missing (nan)."""
     rows = rows[rows["kind"] == SPROCKETS]
     speeds, positions = (
         np.column_stack((rows[f"left_{name}"], rows[f"right_{name}"])) for name in ("speed", "angle")
@@ -93,7 +93,7 @@ def _sprocketed(rows: Rows) -> Rows:
 
 
 def _yaw_rates(rows: Rows) -> Rows:
-    """Those that are numbers."""
+    """The valid yaw rates."""
     rows = rows[rows["kind"] == YAW_RATE]
     rates, variances = rows["value"][:, 0], rows["noise"][:, 0, 0]
     sound = (np.abs(rates) < _LARGEST) & (variances > 0.0) & (variances < _LARGEST**2)
@@ -109,9 +109,9 @@ def _by_stamp(rows: Rows) -> Rows:
 def dead_reckon(
     vehicle: Kinematics, sprockets: Rows, start_ns: int, start_pose: FloatArray, gyro: Rows | None
 ) -> Path:
-    """Path from ``start_pose`` (3,) at ``start_ns``, with no slip.
+    """Path from ``start_pose`` (3,) at ``start_ns``, without slip.
 
-    The heading is the integral of the gyro's rate where it is given (bias and all), else that of the
+    The heading is the integral of the gyro's rate (bias included). Without a gyro it follows from the
     difference of the tracks' speeds.
     """
     stamps = sprockets["stamp_ns"]
@@ -133,7 +133,7 @@ def dead_reckon(
 
 
 def _turned(sprockets: Rows) -> FloatArray:
-    """(2, n) rad turned by the left and right sprocket: their positions, or the integral of their speeds."""
+    """(2, n) angle of the left and right sprocket, rad: the positions, or the integral of the speeds."""
     if not np.isnan(sprockets["positions"]).any():
         return np.asarray(sprockets["positions"].T)
     steps = sprockets["speeds"][1:] * (np.diff(sprockets["stamp_ns"]) * 1e-9)[:, np.newaxis]
@@ -141,7 +141,7 @@ def _turned(sprockets: Rows) -> FloatArray:
 
 
 def _integral(gyro: Rows, grid: IntArray) -> FloatArray:
-    """(n,) rad turned since grid[0] by the trapezoidal rule, the rate held before and after the log."""
+    """(n,) angle since grid[0], rad, by the trapezoidal rule; the rate is held before and after the log."""
     stamps, rates = gyro["stamp_ns"], gyro["rate"]
     edges = np.unique(np.concatenate((stamps, grid)))
     rate = np.interp(edges - edges[0], stamps - edges[0], rates)

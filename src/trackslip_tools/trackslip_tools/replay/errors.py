@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of what comes piece by piece, against a truth that is never behind it: exact, in bounded memory."""
+"""Exact errors against a truth that is logged with the estimates, in pieces and in bounded memory."""
 
 import math
 
@@ -11,27 +11,27 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.scoring import Score, errors_of, moving_slips, nees_of_each, path_of, slip_errors
 from trackslip_tools.replay.series import Series, in_order, series_of
 
-_RECENT_NS = 1_000_000_000  # a truth of the same time may be logged so much later
+_RECENT_NS = 1_000_000_000  # largest delay of a truth of the same stamp
 
 
 class Waiting:
-    """Rows that wait until something else has come as far."""
+    """Rows that wait for another series to reach their stamps."""
 
     def __init__(self) -> None:
         self._parts: list[Rows] = []
 
     def add(self, rows: Rows | None) -> None:
-        """More of them, with the field ``stamp_ns``."""
+        """Add rows with the field ``stamp_ns``."""
         if rows is not None and len(rows):
             self._parts.append(rows)
 
     @property
     def last_ns(self) -> int:
-        """The newest stamp; 0 where none waits."""
+        """The newest stamp; 0 without rows."""
         return max((int(rows["stamp_ns"].max()) for rows in self._parts), default=0)
 
     def due(self, stamp_ns: int) -> Rows | None:
-        """Those up to a stamp, which leave, by stamp; of several with one stamp the last. None: none."""
+        """Remove and return the rows up to a stamp, by stamp; the last of equal stamps. None: no rows."""
         if not self._parts:
             return None
         rows = self._parts[0] if len(self._parts) == 1 else np.concatenate(self._parts)
@@ -41,13 +41,13 @@ class Waiting:
 
 
 class Pairs:
-    """Estimates, and true rows around them, both of which come piece by piece."""
+    """Pairs estimates with the true rows around them; both come in pieces."""
 
     def __init__(self) -> None:
         self._truth, self._estimates = Waiting(), Waiting()
 
     def add(self, estimates: Rows, truth: Rows | None) -> tuple[Rows, Rows] | None:
-        """More of both; the estimates that have true rows on both sides, and those. None: none yet."""
+        """Add both; returns the estimates between two true rows, and these rows. None: no pairs yet."""
         self._truth.add(truth)
         self._estimates.add(estimates)
         until_ns = min(self._estimates.last_ns, self._truth.last_ns)
@@ -61,19 +61,19 @@ class Pairs:
 class PathErrors:
     """RMS errors of a path, and its mean NEES where its poses have covariances.
 
-    Samples of the reference without a heading (nan) count for the position alone. A reference with a
-    ``covariance`` counts with it in the NEES; samples at which the sum of both is singular do not.
+    Reference samples without a heading (nan) count for the position alone. The NEES adds the ``covariance``
+    of a reference to that of the path. It leaves out samples at which the sum is singular.
     """
 
     def __init__(self) -> None:
-        self._reference = Waiting()  # stamp_ns, x, y, heading, and covariance where it has one
-        self._recent: tuple[Path, FloatArray] | None = None  # the end of the piece before
+        self._reference = Waiting()  # rows of stamp_ns, x, y, heading, and covariance if there is one
+        self._recent: tuple[Path, FloatArray] | None = None  # end of the previous piece
         self._position = self._heading = self._nees = self._nees_position = 0.0  # sums of squares
-        self.last_position: float | None = None  # m, at the newest sample that was compared
+        self.last_position: float | None = None  # m, at the newest compared sample
         self._count = self._headed = self._with_nees = self._with_nees_position = 0
 
     def add(self, path: Path, reference: Rows | None, covariances: FloatArray | None = None) -> None:
-        """More of both; ``covariances`` (n, 3, 3) of the path's poses."""
+        """Add both; ``covariances`` (n, 3, 3) of the path's poses."""
         self._reference.add(reference)
         if not len(path.stamps_ns):
             return
@@ -104,13 +104,13 @@ class PathErrors:
             self._with_nees_position += int(known_position.sum())
 
     def add_estimates(self, estimates: Rows, reference: Rows | None) -> None:
-        """More of both; (n,) with stamp_ns, pose, pose_covariance."""
+        """Add both; estimates (n,) with stamp_ns, pose, pose_covariance."""
         estimates = in_order(estimates)
         self.add(path_of(estimates), reference, estimates["pose_covariance"])
 
     @property
     def score(self) -> Score | None:
-        """None where nothing was compared."""
+        """RMS errors; None without compared samples."""
         if not self._count:
             return None
         heading = math.sqrt(self._heading / self._headed) if self._headed else None
@@ -118,17 +118,17 @@ class PathErrors:
 
     @property
     def nees(self) -> float | None:
-        """Mean of the pose's; None where nothing was compared."""
+        """Mean NEES of the pose; None without compared samples."""
         return self._nees / self._with_nees if self._with_nees else None
 
     @property
     def nees_position(self) -> float | None:
-        """Mean of the position's; None where nothing was compared."""
+        """Mean NEES of the position; None without compared samples."""
         return self._nees_position / self._with_nees_position if self._with_nees_position else None
 
 
 class SlipErrors:
-    """RMS error of left and right slip together, as ``moving_slips`` has them; ``tread`` in m."""
+    """RMS error of left and right slip together, over the samples of ``moving_slips``; ``tread`` in m."""
 
     def __init__(self, tread: float) -> None:
         self._tread = tread
@@ -137,7 +137,7 @@ class SlipErrors:
         self._sum, self._count = 0.0, 0
 
     def add(self, estimates: Rows, slips: Rows | None, odometry: Rows | None) -> None:
-        """More of the estimates (stamp_ns, slips) and of both truths."""
+        """Add estimates (stamp_ns, slips) and both truths."""
         self._slips.add(slips)
         self._odometry.add(odometry)
         if not len(estimates):
@@ -159,12 +159,12 @@ class SlipErrors:
 
     @property
     def rmse(self) -> float | None:
-        """None where nothing was compared."""
+        """RMS error; None without compared samples."""
         return math.sqrt(self._sum / self._count) if self._count else None
 
 
 def _joined(before: Path, P_before: FloatArray, path: Path, P: FloatArray) -> tuple[Path, FloatArray]:
-    """Two pieces of a path, its heading continuous, and their covariances."""
+    """Two pieces of a path as one, with continuous heading, and their covariances."""
     stamps_ns = np.concatenate((before.stamps_ns, path.stamps_ns))
     poses = np.concatenate((before.poses, path.poses))
     poses[:, 2] = np.unwrap(poses[:, 2])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Withholds and thins arrivals while a bag is read, as ``InputFilters`` ask for."""
+"""Withholds and thins arrivals during reading, as set by ``InputFilters``."""
 
 from collections.abc import Sequence
 
@@ -12,15 +12,15 @@ from trackslip_estimation.slip.records import POSE
 
 
 class Filtering:
-    """Passes on what the estimator shall see; ``origin_ns`` is the bag's first log time."""
+    """Removes arrivals that the filters hide from the estimator; ``origin_ns``: first log time of the bag."""
 
     def __init__(self, filters: InputFilters, sources: Sequence[str], origin_ns: int) -> None:
         self._filters, self._sources, self._origin_ns = filters, sources, origin_ns
-        self.hidden = [0] * len(filters.withhold)  # messages, by each
+        self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
         self._thinned = [_Thinned(thin, sources, filters.seed) for thin in filters.thin]
 
     def __call__(self, rows: Rows) -> Rows:
-        """Of more rows in log order those to see, with the noise that thinning adds."""
+        """The arrivals (in log order) that remain, with the noise that thinning adds."""
         t = (rows["log_time_ns"] - self._origin_ns) * 1e-9
         hidden = np.zeros(len(rows), np.bool_)
         for k, withhold in enumerate(self._filters.withhold):

@@ -1,28 +1,28 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records that come piece by piece, in an array that grows in place: joining parts takes twice the memory."""
+"""Records that are added in pieces to an array that grows in place: joining parts takes twice the memory."""
 
 import numpy as np
 
 from trackslip_common.arrays import Rows
 
-MOST_DRAWN = 300_000  # records of what is kept for pictures, not for scores: 50 min of 100 Hz
-_FIRST, _GROWTH = 4096, 1.1  # records; share of those there are
+MOST_DRAWN = 300_000  # records kept for plots, not for scores: 50 min of 100 Hz
+_FIRST, _GROWTH = 4096, 1.1  # records; factor of growth
 
 
 class GrowingRows:
-    """Keeps the fields of ``dtype`` of the records that are added: all, or so many that are evenly spread."""
+    """Keeps the fields of ``dtype`` of added records: all records, or at most ``most``, evenly spread."""
 
     def __init__(self, dtype: np.dtype[np.void], most: int | None = None) -> None:
         self._rows = np.empty(_FIRST, dtype)
         self._count, self._most = 0, most
-        self._seen, self._stride = 0, 1  # of all that were added, which are kept
+        self._seen, self._stride = 0, 1  # number of added records; step between kept ones
 
     def __len__(self) -> int:
         return self._count
 
     def add(self, more: Rows) -> None:
-        """(n,) records that have at least these fields."""
+        """Add (n,) records that have at least these fields."""
         kept = more[-self._seen % self._stride :: self._stride]
         self._seen += len(more)
         end = self._count + len(kept)
@@ -39,6 +39,6 @@ class GrowingRows:
             self._rows[: self._count] = half
 
     def rows(self) -> Rows:
-        """All that were kept; nothing is added after this."""
+        """All kept records; nothing may be added afterwards."""
         self._rows.resize(self._count, refcheck=False)
         return self._rows

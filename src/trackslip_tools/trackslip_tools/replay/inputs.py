@@ -62,32 +62,32 @@ from trackslip_tools.replay.live_order import JournalCounts, LiveOrder
 
 SPROCKETS, REPORTS = "sprockets", "measurement_reports"
 
-_COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # of them the bag has nothing but their line in the journal
+_COMMANDS = (RESET, FORGET, FREEZE, UNFREEZE)  # the bag holds only their lines in the journal
 
 
 class Logged(NamedTuple):
-    """Messages of a topic in log order."""
+    """Messages of a topic, in log order."""
 
     log_times_ns: IntArray  # (n,)
-    rows: Rows  # (n,) of the record class that ``message_fields`` has for the type
-    table: TopicTable  # for what the rows do not hold
+    rows: Rows  # (n,) records of the class that ``message_fields`` has for the type
+    table: TopicTable  # for fields that the rows lack
 
 
 class Batch(NamedTuple):
-    """What some seconds of a bag give."""
+    """Inputs from some seconds of a bag."""
 
     rows: Rows  # (n,) ARRIVAL in live order
-    tables: dict[str, Logged]  # by topic, of those asked for; never later than the rows of the same time
+    tables: dict[str, Logged]  # requested topic → messages; never later than the rows of the same time
 
 
 class InputStream:
-    """The inputs of one bag; iterating reads it once.
+    """The inputs of one bag; iteration reads the bag once.
 
-    ``tables`` names further topics to read beside. Topics have the names that the filters give them.
+    ``tables`` names further topics to read. Topics have their names after the filters' remapping.
 
     Raises:
-        InputError: the bag lacks the sprockets, or a topic is of a type that does not serve; while
-            iterating: the bag is damaged inside.
+        InputError: the bag lacks the sprockets, or a topic has an unsupported type; during iteration: the bag
+            is damaged.
     """
 
     def __init__(
@@ -106,15 +106,15 @@ class InputStream:
         self._span = tuple(absolute_time(bag, t) for t in (filters.start_s, filters.stop_s))
         self.reloads: list[Reload] = []
         self.starts: list[Start] = []
-        self.messages: Counter[str] = Counter()  # by topic, all that was read
+        self.messages: Counter[str] = Counter()  # topic → number of messages read
         self.counts = JournalCounts()
         self.refused, self._frames = Tally(), p.frames_of_sources()
-        self.hidden = [0] * len(filters.withhold)  # messages, by each
+        self.hidden = [0] * len(filters.withhold)  # withheld messages, by filter
         self._first_ns, self._last_ns = np.iinfo(np.int64).max, 0
 
     @property
     def topics(self) -> frozenset[str]:
-        """All that are read, of those that the bag has."""
+        """Names of the topics that are read and that the bag has."""
         return frozenset(self._names.values())
 
     @property
@@ -124,7 +124,7 @@ class InputStream:
 
     @property
     def duration_s(self) -> float:
-        """From the first stamp of a measurement to the last, of what was read so far."""
+        """Time between the first and last stamps of the measurements read so far, s."""
         return max(self._last_ns - self._first_ns, 0) * 1e-9
 
     def __iter__(self) -> Iterator[Batch]:
@@ -144,10 +144,10 @@ class InputStream:
             yield Batch(rest, {})
 
     def _journaled(self) -> set[int]:
-        """Sources that the journal knows; read only as far as there are others to be found."""
+        """Sources with lines in the journal; the journal is read until all sources of the bag are found."""
         counts = {name: self._bag.topics[topic].count for topic, name in self._names.items()}
         missing = {name for name in self._readers if counts.get(name, 0)}
-        missing |= {RELOAD} if counts.get(RELOAD, 0) > 1 else set()  # the first one changes nothing
+        missing |= {RELOAD} if counts.get(RELOAD, 0) > 1 else set()  # the first message changes nothing
         found: set[int] = set()
         reports = [topic for topic in self._names if self._names[topic] == REPORTS]
         for stretch in read_tables(self._bag, reports, *self._span) if reports else ():
@@ -159,7 +159,7 @@ class InputStream:
         return found
 
     def _lines(self, stretch: Stretch) -> Rows:
-        """(n,) LINE: those of the journal; a source that is no input has the number −1."""
+        """(n,) LINE of the journal; source −1 for topics that are no inputs."""
         parts = [np.empty(0, LINE)]
         for topic, table in stretch.items():
             if self._names[topic] == REPORTS:
@@ -173,7 +173,7 @@ class InputStream:
         return np.concatenate(parts)
 
     def _arrivals(self, stretch: Stretch, parameters: "_ParameterChanges") -> Rows:
-        """(n,) ARRIVAL in log order; changes of parameters after what was logged at the same time."""
+        """(n,) ARRIVAL in log order; changes of parameters come after inputs of the same log time."""
         parts, places = [np.empty(0, ARRIVAL)], [np.empty(0, np.int64)]
         changes = [np.empty(0, ARRIVAL)]
         for topic, table in stretch.items():
@@ -199,7 +199,7 @@ class InputStream:
         return rows[np.argsort(rows["log_time_ns"], kind="stable")]
 
     def _in_frame(self, name: str, table: TopicTable) -> BoolArray:
-        """(n,) which messages are in the frame that a source may send, as the live node has it."""
+        """(n,) whether each message has the frame_id required of its source, as the live node checks."""
         requested = self._frames.get(name)
         if requested is None:
             return np.ones(len(table), np.bool_)
@@ -209,7 +209,7 @@ class InputStream:
         return np.asarray(usable)
 
     def _present(self, name: str, reader: SourceReader, read: Rows, usable: BoolArray) -> BoolArray:
-        """(n,) which messages have what the source is for, as the live node has it."""
+        """(n,) whether each message contains the measured quantity, as the live node checks."""
         if reader.absent is None:
             return usable
         field_, reason = reader.absent
@@ -218,7 +218,7 @@ class InputStream:
         return np.asarray(~lacks)
 
     def _extend(self, stamps_ns: IntArray, name: str) -> None:
-        if len(stamps_ns) and name != SET_POSE:  # it may have none
+        if len(stamps_ns) and name != SET_POSE:  # a manual pose may lack a stamp
             self._first_ns = min(self._first_ns, int(stamps_ns.min()))
             self._last_ns = max(self._last_ns, int(stamps_ns.max()))
 
@@ -235,26 +235,26 @@ class InputStream:
 
 
 class Start(NamedTuple):
-    """What a run of the estimator may have started from, as its parameters' message has it."""
+    """Initial values of a run of the estimator, from the message of its parameters."""
 
-    changed: dict[str, Any]  # parameters that a running estimator takes, other than the bag begins with
-    learned: Any  # before, as ``learned.from_tree`` takes it; None: nothing
+    changed: dict[str, Any]  # reloadable parameters that differ from those at the bag's start
+    learned: Any  # learned before, for ``learned.from_tree``; None: nothing
 
 
 class _ParameterChanges:
-    """The later messages of the estimator's parameters: changed while it ran, or it was started again."""
+    """Later messages of the estimator's parameters: changes at run time, or restarts."""
 
     def __init__(self, bag: Bag, names: Collection[str], reloads: list[Reload], starts: list[Start]) -> None:
-        """``names``: of the parameters that may change."""
+        """``names``: names of the parameters that may change at run time."""
         self._bag, self._names, self._reloads, self._starts = bag, frozenset(names), reloads, starts
         self._first: dict[str, Any] | None = None
         self._before: dict[str, Any] = {}
         messages = bag.messages([PARAMETERS_TOPIC])
         self._first_ns = next((message.log_time_ns for message in messages), 0)
-        self.unknown: list[str] = []  # of each start, why it cannot be repeated, or an empty text
+        self.unknown: list[str] = []  # of each start, why it cannot be repeated; empty if it can
 
     def rows(self, table: TopicTable, source: int) -> Rows:
-        """(n,) ARRIVAL; what they change is added to the reloads, and what a run had then to the starts."""
+        """(n,) ARRIVAL of the messages; appends changes to the reloads, initial values to the starts."""
         rows = np.zeros(len(table), ARRIVAL)
         rows["kind"], rows["source"], rows["log_time_ns"] = IS_RELOAD, source, table.log_times_ns
         if self._first is None:
@@ -281,7 +281,7 @@ class _ParameterChanges:
 
 
 def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
-    """Of each source; ``types``: topic → type of its messages in the bag."""
+    """Source → reader; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
     for stated in (p.gyros(), p.compasses(), p.angles(), p.odometries(), p.velocities()):
         readers |= {topic: reader_of(one, types.get(topic, "")) for topic, one in stated.items()}
@@ -290,7 +290,7 @@ def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, 
 
 
 def _frames(table: TopicTable) -> IntArray:
-    """(n,) the number of each message's frame_id, as the live node has it."""
+    """(n,) the number of each message's frame_id, as in the live node."""
     numbers = table.rows(FrameFields)["frame"]
     of_texts: IntArray = np.array([frame_number(text) for text in table.texts], np.int64)
     return np.asarray(of_texts[numbers])
@@ -299,7 +299,7 @@ def _frames(table: TopicTable) -> IntArray:
 def _require_types(
     bag: Bag, names: dict[str, str], p: SlipEstimatorParameters, tables: Collection[str]
 ) -> None:
-    """What is read must be of the type that its reader knows."""
+    """Raise InputError for a topic whose type its reader does not support."""
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
@@ -317,5 +317,5 @@ def _require_types(
 
 
 def absolute_time(bag: Bag, seconds: float) -> int | None:
-    """Log time of a time from the bag's first message; None for no limit."""
+    """Log time of a time from the bag's first message, ns; None for no limit."""
     return bag.start_ns + round(seconds * 1e9) if np.isfinite(seconds) else None

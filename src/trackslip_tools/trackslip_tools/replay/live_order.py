@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The order in which the live estimator processed its inputs, restored while a bag is read.
+"""Restores the order in which the live estimator processed its inputs, while a bag is read.
 
 The live estimator's journal (``measurement_reports``) has one line for each input, in that order. A line is
-followed once everything is read that was logged up to ``HORIZON_NS`` later; an input that no line has named
-by then was not processed live and is left out. A source that the journal does not know (another bag's, a
-remapped one) is merged in by log time; without a journal, log time orders all.
+processed once all messages with log times up to ``HORIZON_NS`` later are read. An input that no line names by
+then was not processed live and is left out. A source that is missing in the journal (from another bag, or
+remapped) is merged by log time. Without a journal, all inputs are ordered by log time.
 
-Where the numbers of the lines restart, the estimator was started again: a row of ``IS_START`` comes first,
-with the parameters that were published since the line before. Several recordings of one run may be merged in
-a bag: of a line that stands in it twice the first counts. Lines of several runs at once have no order.
+A restart of the line numbers marks a restart of the estimator. A row of ``IS_START`` then comes first, with
+the parameters that were published since the line before. A bag may merge several recordings of one run: the
+first copy of a line counts. Lines of several simultaneous runs have no order.
 """
 
 from collections.abc import Collection, Sequence
@@ -23,39 +23,39 @@ from trackslip_estimation.slip.measurements import RELOAD
 from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_START
 from trackslip_tools.replay.comparable import LINE, OUT_OF_ORDER, Comparability, ComparablePart, JournalRuns
 
-HORIZON_NS = 60_000_000_000  # of log time between an input and its line; a repair by DDS takes 5 s at most
-_COPY_NS = 5_000_000_000  # of log time between a line and its copy in another recording of the same run
-_MOST_RECENT = 10_000  # lines of which copies are known: ten times what a machine logs in that time
-_LATE_NS = 5_000_000_000  # by which the parameters of a run may be logged after its first line
+HORIZON_NS = 60_000_000_000  # log time between an input and its line; a repair by DDS takes 5 s at most
+_COPY_NS = 5_000_000_000  # log time between a line and its copy in another recording of the same run
+_MOST_RECENT = 10_000  # lines in which copies are sought: ten times what a machine logs in that time
+_LATE_NS = 5_000_000_000  # largest delay of a run's parameters after its first line, log time
 _END_NS, _NONE = np.iinfo(np.int64).max, np.iinfo(np.int64).max
 _NO_PARAMETERS = "the bag lacks the parameters of the estimator that was started again"
 
 
 @dataclass
 class JournalCounts:
-    """What the journal states, and what the bag lacks."""
+    """Counts of the lines of the journal and of lines and inputs that the bag lacks."""
 
     lines: int = 0
-    lost_lines: int = 0  # missing in the journal, those before its first line included
-    disordered_lines: int = 0  # whose numbers go back although no run begins with them
-    lost_inputs: int = 0  # that the journal names and the bag lacks
-    last_sprockets_ns: int | None = None  # latest stamp of sprockets in it
-    comparable: Comparability = field(default_factory=Comparability)  # as far as it was followed
+    lost_lines: int = 0  # missing in the journal, including those before its first line
+    disordered_lines: int = 0  # lines whose numbers go back without a start of a run
+    lost_inputs: int = 0  # inputs that the journal names and the bag lacks
+    last_sprockets_ns: int | None = None  # latest stamp of sprockets in the journal
+    comparable: Comparability = field(default_factory=Comparability)  # up to the last processed line
 
     @property
     def parts(self) -> list[ComparablePart]:
-        """That can be compared with live estimates; none where there is no journal: the whole bag can."""
+        """Parts that can be compared with live estimates; empty without a journal: the whole bag can."""
         return self.comparable.parts or ([ComparablePart(0, 0)] if self.lines else [])
 
 
 class LiveOrder:
-    """Puts arrivals into live order.
+    """Reorders arrivals from log order to the order of live processing.
 
     Args:
         sources: names of the sources, by number.
-        journaled: numbers of those that the journal knows anywhere; empty without a journal.
-        commands: numbers of those of which the bag holds nothing but their line.
-        sprockets: number of the sprockets.
+        journaled: numbers of the sources with a line anywhere in the journal; empty without a journal.
+        commands: numbers of the commands, which the bag holds only as lines of the journal.
+        sprockets: number of the sprocket source.
         unknown: by ``start`` of a row of ``IS_RELOAD``, why a run cannot begin with these parameters.
     """
 
@@ -73,13 +73,13 @@ class LiveOrder:
         self._sources, self._sprockets, self._unknown = sources, sprockets, unknown
         self._runs = JournalRuns(self.counts.comparable, sources, sprockets)
         self._rows, self._lines = np.empty(0, ARRIVAL), np.empty(0, LINE)
-        self._recent = np.empty(0, LINE)  # the last lines, of which copies may come
+        self._recent = np.empty(0, LINE)  # recent lines, with which new ones are compared to find copies
         self._numbered = False  # whether lines have numbers
-        self._followed, self._followed_ns = _NONE, 0  # of the last that was followed, and its log time
-        self._part = 0  # the number of the part that it is in
+        self._followed, self._followed_ns = _NONE, 0  # number and log time of the last processed line
+        self._part = 0  # part of the last processed line
 
     def push(self, rows: Rows, lines: Rows, until_ns: int) -> Rows:
-        """More arrivals and lines, all that were logged before ``until_ns``; those in order by now."""
+        """Arrivals that are now in live order, after adding arrivals and lines logged before ``until_ns``."""
         lines = self._without_copies(lines)
         self._count(lines)
         if not self._journaled.size:
@@ -90,7 +90,7 @@ class LiveOrder:
         return self._follow(until_ns - HORIZON_NS)
 
     def finish(self) -> Rows:
-        """The rest, when all was read."""
+        """The remaining arrivals in live order; called after the last ``push``."""
         return self._follow(_END_NS)
 
     def _count(self, lines: Rows) -> None:
@@ -102,7 +102,7 @@ class LiveOrder:
             self.counts.last_sprockets_ns = newest if before is None else max(before, newest)
 
     def _without_copies(self, lines: Rows) -> Rows:
-        """Those that do not repeat one which was logged up to ``_COPY_NS`` before."""
+        """The lines without those that repeat a line logged up to ``_COPY_NS`` earlier."""
         self._numbered |= bool((lines["sequence"] > 0).any())
         known = np.concatenate((self._recent, lines))
         if self._numbered and not (np.diff(known["sequence"]) > 0).all():
@@ -118,7 +118,7 @@ class LiveOrder:
         return lines
 
     def _follow(self, limit_ns: int) -> Rows:
-        """The lines logged before ``limit_ns``, and of unknown sources what was."""
+        """Arrivals named by lines logged before ``limit_ns``, merged with those of sources without lines."""
         rows, following = self._rows, self._lines["log_time_ns"] < limit_ns
         lines = self._lines[following]
         starts = self._starts(lines)
@@ -131,7 +131,7 @@ class LiveOrder:
         is_command = np.isin(lines["source"], self._commands)
         missing = (named < 0) & ~is_command
         self.counts.lost_inputs += int(missing.sum())
-        missing &= lines["source"] >= 0  # others are no sources by the parameters of the replay
+        missing &= lines["source"] >= 0  # source −1: no input under the parameters of the replay
         parts = self._runs.follow(lines, missing, lost, {start.line: start.unknown for start in starts})
         if len(lines):
             self._followed, self._followed_ns = int(lines["sequence"][-1]), int(lines["log_time_ns"][-1])
@@ -153,7 +153,7 @@ class LiveOrder:
         return found[order]
 
     def _starts(self, lines: Rows) -> list["_Start"]:
-        """Of the runs that begin with these lines: their numbers restart, and parameters were published.
+        """Starts of runs: lines whose number goes back, after new parameters or to number 0.
 
         The first run of all has the parameters of the bag.
         """
@@ -166,26 +166,26 @@ class LiveOrder:
             row = self._parameters(reloads, lines[k], after_ns, is_first=is_first)
             if row >= 0:
                 found.append(_Start(k, row, self._unknown[self._rows["start"][row]], again=True))
-            elif is_first or before[k] > 0 == lines["sequence"][k]:  # lines without numbers are no runs
+            elif is_first or before[k] > 0 == lines["sequence"][k]:  # lines without numbers start no run
                 found.append(_Start(k, -1, "" if is_first else _NO_PARAMETERS, again=not is_first))
         return found
 
     def _parameters(self, reloads: IntArray, line: np.void, after_ns: int, *, is_first: bool) -> int:
-        """Of these rows of parameters that with which the run of this line begins; −1: none."""
+        """Row of the parameters with which the run of this line begins; −1: none."""
         logged_ns, at_ns = self._rows["log_time_ns"], line["log_time_ns"]
         own = reloads[logged_ns[reloads] > after_ns]
         earlier, later = own[logged_ns[own] <= at_ns], own[logged_ns[own] > at_ns]
         if self._sources[line["source"]] == RELOAD:
-            earlier = earlier[:-1]  # that one is what the line names
+            earlier = earlier[:-1]  # the line itself names the last one
         if earlier.size:
             return int(earlier[-1])
         later = later[logged_ns[later] <= at_ns + _LATE_NS]
         return int(later[0]) if later.size and not is_first else -1
 
     def _is_other(self, rows: Rows, limit_ns: int) -> BoolArray:
-        """(n,) which rows, of sources that the journal does not know, log time merges in by now.
+        """(n,) whether a row of a source without journal lines is due for merging by log time.
 
-        Parameters may be those of a run whose first line is still to come.
+        Parameters may belong to a run whose first line is still to come.
         """
         is_due = (
             (rows["kind"] != IS_RELOAD) | (rows["log_time_ns"] <= self._followed_ns) | (limit_ns == _END_NS)
@@ -194,25 +194,25 @@ class LiveOrder:
         return np.asarray(is_unknown & (rows["log_time_ns"] < limit_ns) & is_due)
 
     def _is_past(self, rows: Rows, limit_ns: int) -> BoolArray:
-        """(n,) which rows no line can name any more."""
+        """(n,) whether a row is too old to be named by any later line."""
         oldest_ns = limit_ns - HORIZON_NS if limit_ns > 0 else limit_ns
         may_begin = (rows["kind"] == IS_RELOAD) & (rows["log_time_ns"] > self._followed_ns)
         return np.asarray((rows["log_time_ns"] < oldest_ns) & ~may_begin)
 
 
 class _Start(NamedTuple):
-    """The beginning of a run."""
+    """Start of a run of the estimator."""
 
     line: int
-    row: int  # of its parameters; −1 where there is none
-    unknown: str  # why it cannot be repeated, or an empty text
+    row: int  # row of its parameters; −1: none
+    unknown: str  # why the start cannot be repeated; empty if it can
     again: bool  # whether the estimator has to be created again
 
 
 def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
-    """(n,) how many lines are missing before each, by their numbers; ``last`` came before.
+    """(n,) number of lines missing before each line, by their numbers; ``last``: number of the line before.
 
-    ``OUT_OF_ORDER`` where the number goes back and no run begins; lines without numbers (0) do not go back.
+    ``OUT_OF_ORDER`` where the number goes back and no run starts. Lines without numbers (0) never go back.
     """
     before = np.append(last, sequences)[:-1]
     lost: IntArray = sequences - before - 1
@@ -223,12 +223,12 @@ def _lost(sequences: IntArray, last: int, starts: Sequence[int]) -> IntArray:
 
 
 def _changes_nothing(rows: Rows) -> BoolArray:
-    """(n,) which rows are parameters as before; a run may begin with them all the same."""
+    """(n,) whether a row repeats the parameters before it; a run may still begin with such a row."""
     return np.asarray((rows["kind"] == IS_RELOAD) & (rows["reload"] < 0))
 
 
 def _start_rows(rows: Rows, lines: Rows, starts: Sequence[_Start]) -> Rows:
-    """(n,) ARRIVAL of ``IS_START``."""
+    """(n,) ARRIVAL of ``IS_START``, one for each start."""
     found = np.zeros(len(starts), ARRIVAL)
     found["kind"] = IS_START
     for row, start in zip(found, starts, strict=True):
@@ -238,7 +238,7 @@ def _start_rows(rows: Rows, lines: Rows, starts: Sequence[_Start]) -> Rows:
 
 
 def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
-    """The rows that the lines name, and commands made of the lines that name none."""
+    """(n,) ARRIVAL of the lines: the rows that they name; a command where a line names none."""
     found = np.zeros(len(lines), ARRIVAL)
     is_row = named >= 0
     found[is_row] = rows[named[is_row]]
@@ -251,10 +251,10 @@ def _processed(rows: Rows, lines: Rows, named: IntArray) -> Rows:
 
 
 def _named(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
-    """(n,) the row that each line names, of those that are free; −1 where there is none.
+    """(n,) row that each line names, among the free ones; −1: none.
 
-    Of several with one source and stamp the first line names the first row, and so on. A manual pose without
-    a stamp has in its line that of its use.
+    Among rows and lines of one source and stamp, the first line names the first row, and so on. The line of a
+    manual pose without a stamp has the stamp at which the pose was used.
     """
     if is_free.all():
         return _named_of(rows, lines)
@@ -265,7 +265,7 @@ def _named(rows: Rows, lines: Rows, is_free: BoolArray) -> IntArray:
 
 def _named_of(rows: Rows, lines: Rows) -> IntArray:
     sources, stamps_ns = (np.concatenate((rows[n], lines[n])) for n in ("source", "stamp_ns"))
-    order = np.lexsort((stamps_ns, sources))  # within a key: rows, then lines, both in order
+    order = np.lexsort((stamps_ns, sources))  # by key; within a key: rows, then lines, both in order
     sources, stamps_ns = sources[order], stamps_ns[order]
     begins = np.ones(order.size, np.bool_)
     begins[1:] = (np.diff(sources) != 0) | (np.diff(stamps_ns) != 0)
@@ -273,7 +273,7 @@ def _named_of(rows: Rows, lines: Rows) -> IntArray:
     is_line = order >= len(rows)
     count = np.bincount(key[~is_line], minlength=first.size)  # rows of each key
     at = np.flatnonzero(is_line)
-    number = at - first[key[at]] - count[key[at]]  # of the line within its key
+    number = at - first[key[at]] - count[key[at]]  # number of the line within its key
     matched = number < count[key[at]]
     found = np.full(len(lines), -1)
     found[order[at[matched]] - len(rows)] = order[first[key[at[matched]]] + number[matched]]

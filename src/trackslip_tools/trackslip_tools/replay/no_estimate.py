@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why a replay gives no estimate, or none of the heading: in the words of what a user can change."""
+"""Explains why a replay gives no estimate, or no heading, in terms of what a user can change."""
 
 import math
 from collections import Counter
@@ -19,20 +19,20 @@ from trackslip_estimation.slip.sources import named
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _WAITING = Outcome.WAITING.name.lower()
-_NO_FIXES = ("reference_pose",)  # poses that are no source unless somebody says so
+_NO_FIXES = ("reference_pose",)  # poses that are no source by default
 
 
 @dataclass
 class Processed:
-    """What the estimator was given, and what it made of it."""
+    """Inputs and results of the estimator, as counts."""
 
     given: Counter[str]  # by source
     rejected: Tally
-    heading_variance: float | None = None  # rad², of the last estimate; None: there is none
+    heading_variance: float | None = None  # rad², of the last estimate; None: no estimate
 
 
 def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, processed: Processed) -> str:
-    """One clause; empty where there is an estimate."""
+    """The reason in one clause; empty if there is an estimate with a heading."""
     if processed.heading_variance is not None:
         if processed.heading_variance <= UNKNOWN_HEADING**2:
             return ""
@@ -50,7 +50,7 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
     if p.start != "first_fix":
         return "no sprocket sample could start it"
     sources = named(p.pose_sources)
-    refused = processed.rejected.by_source()  # what is of another frame is not given to it
+    refused = processed.rejected.by_source()  # messages of another frame do not reach the estimator
     came = [source for source in (*sources, SET_POSE) if processed.given[source] or source in refused]
     if not sources:
         return f"no fix came: pose_sources names none{_elsewhere(bag, filters, sources)}"
@@ -64,7 +64,7 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
 
 
 def _all_refused(processed: Processed, sources: Iterable[str]) -> bool:
-    """Whether none would have served; what only waits for a start would have."""
+    """Whether all inputs of these sources were rejected; those that waited for a start count as usable."""
     by_source = processed.rejected.by_source()
     for source in sources:
         refused = sum(n for reason, n in by_source.get(source, {}).items() if reason != _WAITING)
@@ -82,7 +82,7 @@ def _reasons(processed: Processed, sources: Iterable[str]) -> str:
 
 
 def _elsewhere(bag: Bag, filters: InputFilters, sources: Iterable[str]) -> str:
-    """Topics of the bag that could be a source, and how to name one."""
+    """Other topics of the bag that could be a pose source, and the option that names one."""
     pose = TOPICS["box_pose"].type_name
     names = [
         filters.remap.get(relative(topic), relative(topic))

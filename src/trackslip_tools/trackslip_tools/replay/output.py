@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay leaves behind: a bag of its estimates, a summary for people, and one for programs."""
+"""Outputs of a replay: a bag of the estimates, a text summary, and a JSON summary."""
 
 import math
 from pathlib import Path
@@ -41,14 +41,14 @@ from trackslip_tools.replay.soil_output import soil_lines, soil_messages, soil_s
 from trackslip_tools.replay.troubles import trouble_lines
 from trackslip_tools.terminal_text import wrapped
 
-_MOST_EVENTS = 12  # listed
+_MOST_EVENTS = 12  # listed in the text
 _NAMES = {"dead_reckoning": "encoders alone", "encoder_gyro": "encoders + gyro", "filter": "filter"}
 
 
 class EstimateWriter:
-    """A bag of the estimates, the report on each measurement and the parameters, each logged at its stamp.
+    """Writes a bag of the estimates, measurement reports and parameters, each logged at its stamp.
 
-    ``learned``: what the estimator started from, where it is not the parameters alone.
+    ``learned``: learned quantities from which the estimator started, if there are any.
 
     Raises:
         InputError: the path exists already.
@@ -68,7 +68,7 @@ class EstimateWriter:
         self._bag.__exit__(*raised)
 
     def add(self, part: Part) -> None:
-        """More of a replay."""
+        """Write the results of a part."""
         if part.again is not None:
             self._begin_again(part.again)
         names = map(part.sources.__getitem__, part.arrivals["source"].tolist())
@@ -91,12 +91,12 @@ class EstimateWriter:
                 self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
     def add_soil(self, soil: SoilReplay) -> None:
-        """What the soil estimator gave, when all is done."""
+        """Write the outputs of the soil estimator; called after the last part."""
         for topic, message, stamp_ns in soil_messages(soil):
             self._write(topic, message, stamp_ns)
 
     def _begin(self, stamp_ns: int) -> None:
-        """With the parameters, at the first stamp of a run."""
+        """Write the parameters at the first stamp of a run, and the vehicle at that of the first run."""
         if not self._begun and stamp_ns:
             self._begun = True
             content = parameters_text(to_flat(self._p), SLIP_NODE, **self._start)
@@ -107,7 +107,7 @@ class EstimateWriter:
                 self._write(VEHICLE, vehicle, stamp_ns)
 
     def _begin_again(self, start: Begin) -> None:
-        """Another run."""
+        """Prepare for another run of the estimator."""
         self._p, self._start = start.parameters, _started_from(start.parameters, start.learned)
         self._sequence, self._local, self._begun = 0, LocalOdometry(), False
 
@@ -120,7 +120,7 @@ def _started_from(p: SlipEstimatorParameters, learned: Learned | None) -> dict[s
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
-    """The message that the live node publishes for an estimate on one of its topics."""
+    """The message that the live node publishes on a topic for an estimate."""
     frames = conversions.Frames(*p.frames)
     if topic in (ODOMETRY, LOCAL_ODOMETRY):
         parent = frames.map if topic == ODOMETRY else frames.odom
@@ -135,9 +135,9 @@ def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> An
 
 
 def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
-    """The contents of ``--json``; null where something could not be computed.
+    """The contents of ``--json``; null where a value could not be computed.
 
-    ``elapsed_s`` is what the user waited for.
+    ``elapsed_s``: waiting time of the user.
     """
     rmse: dict[str, Any] = {}
     for name in _NAMES:
@@ -184,7 +184,7 @@ def summary(result: Replay, elapsed_s: float) -> dict[str, Any]:
 
 
 def text(result: Replay, elapsed_s: float) -> str:
-    """The summary as lines for a terminal; ``elapsed_s`` is what the user waited for."""
+    """The summary as lines for a terminal; ``elapsed_s``: waiting time of the user."""
     speed = result.duration_s / elapsed_s
     lines = [f"{result.duration_s:.1f} s replayed in {elapsed_s:.1f} s ({speed:.0f} × real time)"]
     lines += [f"  {topic:<24}{n:>8} messages" for topic, n in sorted(result.messages.items())]
@@ -210,7 +210,7 @@ def text(result: Replay, elapsed_s: float) -> str:
 
 
 def _troubles(result: Replay) -> list[str]:
-    """Tracks that stalled or got stuck, and the longest time without fixes."""
+    """Lines on tracks that stalled or got stuck, and on the longest time without fixes."""
     lines = trouble_lines(result.soil.forces, result.start_ns) if result.soil is not None else []
     if result.longest_gap is not None:
         begin, end = result.longest_gap
@@ -221,7 +221,7 @@ def _troubles(result: Replay) -> list[str]:
 
 
 def _happened(result: Replay) -> list[str]:
-    """What explains contradictions, but for single outliers, which are counted."""
+    """Lines on the events that explain contradictions; single outliers are only counted."""
     events = [h for h in result.happened if h.event is not Event.OUTLIER]
     outliers = len(result.happened) - len(events)
     lines = [f"  {(h.stamp_ns - result.start_ns) * 1e-9:8.1f} s  {h.text}" for h in events[:_MOST_EVENTS]]
@@ -231,7 +231,7 @@ def _happened(result: Replay) -> list[str]:
 
 
 def _learned(result: Replay) -> list[str]:
-    """One line for each quantity that was observed, and one for all others."""
+    """One line for each observed quantity, and one for all others."""
     lines = lines_of(result.learned[-1].findings) if result.learned else []
     return ["learned: of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 

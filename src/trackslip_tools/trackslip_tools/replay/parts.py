@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag's inputs in live order through the slip estimator, part by part."""
+"""Runs the slip estimator over the inputs of a bag in live order, part by part."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -19,35 +19,35 @@ from trackslip_estimation.slip.records import RESULT
 from trackslip_tools.replay.arrivals import IS_COMMAND, IS_RELOAD, IS_START, to_measurements
 from trackslip_tools.replay.inputs import InputStream, Logged
 
-_PIECE = 512  # arrivals between looks at what was learned: seconds
-_LOOK_NS = 500_000_000  # between looks at what is explained
+_PIECE = 512  # arrivals between records of the learned quantities: seconds
+_LOOK_NS = 500_000_000  # between records of the explanations
 
 
 class Known(NamedTuple):
-    """What the estimator knew of the machine and its ground."""
+    """Learned quantities of the machine and its ground at one time."""
 
     stamp_ns: int
     findings: list[Finding]
 
 
 class Begin(NamedTuple):
-    """How an estimator begins."""
+    """Parameters and learned quantities from which an estimator starts."""
 
     parameters: SlipEstimatorParameters
     learned: Learned | None
 
 
 class Part(NamedTuple):
-    """What some seconds of a bag gave."""
+    """Inputs and results of some seconds of a bag."""
 
     sources: tuple[str, ...]
     arrivals: Rows  # (n,) ARRIVAL in live order
-    results: Rows  # (n,) RESULT, what became of them
-    tables: dict[str, Logged]  # what was logged by then of other topics
-    learned: list[Known]  # in the course of it
-    again: Begin | None = None  # the estimator was started again before it
+    results: Rows  # (n,) RESULT, one for each arrival
+    tables: dict[str, Logged]  # tables of other topics, up to the same log time
+    learned: list[Known]  # learned quantities within the part
+    again: Begin | None = None  # start of the estimator before this part, if it was started again
     happened: Sequence[Happened] = ()  # events of the most probable branch since the estimator was started
-    explained: Sequence[Explained] = ()  # in the course of it
+    explained: Sequence[Explained] = ()  # explanations within the part
 
     @property
     def estimates(self) -> Rows:
@@ -60,7 +60,7 @@ Watch = Callable[[Part], None]
 
 
 def together(*watches: Watch) -> Watch:
-    """Each of them sees a part, one after the other."""
+    """A watch that passes each part to all of these, in their order."""
 
     def watch(part: Part) -> None:
         for one in watches:
@@ -70,7 +70,7 @@ def together(*watches: Watch) -> Watch:
 
 
 def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Part]:
-    """Part by part of a bag; commands, changes of parameters and starts act where they came."""
+    """The parts of a bag; commands, changes of parameters and restarts act at their place in the order."""
     p = estimator.parameters
     for batch in stream:
         tables, again, begin = batch.tables, None, 0
@@ -86,9 +86,9 @@ def run_estimator(stream: InputStream, estimator: SlipEstimator) -> Iterator[Par
 
 
 def _begin_again(p: SlipEstimatorParameters, stream: InputStream, number: int) -> Begin:
-    """What a later run starts from; the parameters where nobody knows.
+    """Start of a later run: its changed parameters over ``p``, and what was learned before it.
 
-    ``p`` are those of the first run.
+    ``p``: parameters of the first run, used alone where the bag lacks those of the later (``number`` < 0).
     """
     if number < 0:
         return Begin(p, None)
@@ -103,7 +103,7 @@ def _begin_again(p: SlipEstimatorParameters, stream: InputStream, number: int) -
 def _process(
     stream: InputStream, estimator: SlipEstimator, rows: Rows
 ) -> tuple[Rows, list[Known], list[Explained]]:
-    """(n,) RESULT of (n,) ARRIVAL of one run, and what was known and explained meanwhile."""
+    """(n,) RESULT of (n,) ARRIVAL of one run, with the learned quantities and explanations in between."""
     results = np.zeros(len(rows), RESULT)
     commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
     learned: list[Known] = []
@@ -119,7 +119,7 @@ def _process(
             explained.append(estimator.explained)
         if estimator.started and end > 0 and (end in pieces or end in commands):
             learned.append(Known(estimator.newest_ns or 0, findings(estimator.learned, estimator.meaning)))
-            estimator.read_events()  # before the branch forgets them
+            estimator.read_events()  # before the branch discards them
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD
             command = Command(stream.sources[rows["source"][end]], int(rows["stamp_ns"][end]))

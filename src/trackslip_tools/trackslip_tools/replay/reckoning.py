@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A path without a filter beside a replay: begun at the reference's first pose, scored, kept for pictures."""
+"""Dead reckoning beside a replay: started at the reference's first pose, scored, kept for plots."""
 
 import numpy as np
 
@@ -15,12 +15,12 @@ _PATH = np.dtype([("stamp_ns", np.int64), ("pose", np.float64, (3,))])
 
 
 class Reckoning:
-    """One of them: of a long bag it is thinned, once it is scored."""
+    """One dead-reckoned path; the path is thinned for plots, the score uses all of it."""
 
     def __init__(self, vehicle: Kinematics, *, with_gyro: bool) -> None:
         self._reckoner = DeadReckoner(vehicle, with_gyro=with_gyro)
         self._errors, self._drawn = PathErrors(), GrowingRows(_PATH, MOST_DRAWN)
-        self._unbegun: list[Rows] | None = []  # of the reference, until it is known where to begin
+        self._unbegun: list[Rows] | None = []  # reference rows until the start
 
     @property
     def first_ns(self) -> int | None:
@@ -28,7 +28,7 @@ class Reckoning:
         return self._reckoner.first_ns
 
     def add(self, arrivals: Rows, reference: Rows | None) -> None:
-        """More of both; rows of the reference have stamp_ns, x, y, heading."""
+        """Add both; rows of the reference have stamp_ns, x, y, heading."""
         self._reckoner.add(arrivals)
         if self._unbegun is not None:
             self._unbegun += [] if reference is None else [reference]
@@ -36,13 +36,13 @@ class Reckoning:
         self._extend(self._reckoner.advance(), reference)
 
     def result(self) -> tuple[Path | None, Score | None]:
-        """When all was added."""
+        """Path and score after the last piece."""
         self._extend(self._reckoner.advance(whole=True), None)
         rows = self._drawn.rows()
         return (Path(rows["stamp_ns"], rows["pose"]) if len(rows) else None), self._errors.score
 
     def _begin(self, known: list[Rows]) -> None:
-        """At the first pose of the reference with a heading that is not before the first sprocket sample."""
+        """Start at the first reference pose with a heading at or after the first sprocket sample."""
         first_ns = self.first_ns
         if first_ns is None or not known:
             return

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay found out, collected part by part: of the estimates is kept what the scores need."""
+"""Collects the results of a replay part by part; keeps of the estimates what the scores need."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -52,43 +52,43 @@ KEPT = np.dtype([(n, ESTIMATE[n]) for n in ("stamp_ns", "pose", "slips")], align
 
 @dataclass
 class Replay:
-    """All that a replay found out; of long bags estimates, series and paths are thinned, not the scores."""
+    """Results of a replay; estimates, series and paths of long bags are thinned, the scores are not."""
 
     duration_s: float
     elapsed_s: float
-    messages: Counter[str]  # by topic, all that was read
-    estimates: Rows  # (n,) KEPT, what the estimator published
+    messages: Counter[str]  # topic → number of messages read
+    estimates: Rows  # (n,) KEPT of the published estimates
     rejected: Tally
-    last: Rows = field(default_factory=lambda: np.empty(0, KEPT))  # (1,), or (0,) where there is none
+    last: Rows = field(default_factory=lambda: np.empty(0, KEPT))  # (1,), or (0,) without an estimate
     reference: str | None = None
     series: dict[str, Series] = field(default_factory=dict)  # of truth and reference
     scores: dict[str, Score | None] = field(default_factory=dict)
-    nees: float | None = None  # of the pose, where the reference has headings
+    nees: float | None = None  # of the pose, if the reference has headings
     nees_position: float | None = None
     slip_rmse: float | None = None
-    attitude_rmse: float | None = None  # of roll and of pitch, rad
+    attitude_rmse: float | None = None  # of roll and pitch, rad
     height_rmse: float | None = None  # m
     swing_rmse: float | None = None  # rad
     live: LiveComparison | None = None
     paths: dict[str, Path] = field(default_factory=dict)
-    soil: SoilReplay | None = None  # where the bag has hydraulics
-    no_estimate: str = ""  # why there is none, or none with a heading
+    soil: SoilReplay | None = None  # if the bag has hydraulics
+    no_estimate: str = ""  # why there is no estimate, or none with a heading
     vehicle: str = ""  # its name
-    learned: list[Known] = field(default_factory=list)  # in the course of it
+    learned: list[Known] = field(default_factory=list)  # course of the learned quantities
     happened: list[Happened] = field(default_factory=list)  # events that explain contradictions
     withheld: list[Withheld] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
-    start: str = ""  # what it started from, where that is not the parameters alone
+    start: str = ""  # what was learned before the bag, if that is used
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
-    setup: Setup = field(default_factory=Setup)  # whether the sensors agree
+    setup: Setup = field(default_factory=Setup)  # result of the setup check
 
     def has_failed(self, *, force: bool) -> bool:
-        """Whether there is no estimate, or one by a setup that is wrong, unless ``force`` accepts it."""
+        """Whether there is no estimate, or one from a wrong setup that ``force`` does not accept."""
         return bool(self.no_estimate) or not (force or self.setup.is_plausible)
 
 
 class Collector:
-    """What is kept of the parts."""
+    """Collects the results of the parts."""
 
     def __init__(
         self,
@@ -114,11 +114,11 @@ class Collector:
         self.processed = Processed(Counter(), self._rejected)
         self._learned: list[Known] = []
         self._gaps, self._newest_ns = FixGaps(), 0
-        self._before: list[Happened] = []  # of runs that ended
+        self._before: list[Happened] = []  # of ended runs
         self._happened: list[Happened] = []
 
     def add(self, part: Part) -> None:
-        """More of the bag."""
+        """Add a part."""
         estimates = part.estimates
         self._keep(estimates)
         self._learned += part.learned
@@ -151,7 +151,7 @@ class Collector:
             self._compare(part)
 
     def result(self) -> Replay:
-        """When all was added."""
+        """All results but those of soil, setup and withheld topics; called after the last part."""
         stream = self._stream
         found = Replay(
             stream.duration_s, 0.0, stream.messages, self._estimates.rows(), self._rejected, self._last
@@ -180,7 +180,7 @@ class Collector:
             self.processed.heading_variance = float(estimates["pose_covariance"][-1, 2, 2])
 
     def _score(self, found: Replay, reference: str) -> None:
-        """Paths beside the filter's, and the errors of all against the reference."""
+        """Add the paths of reference and dead reckoning, and the errors of all against the reference."""
         first_ns = next((r.first_ns for r in self._reckonings.values()), None)
         found.paths["reference"] = path_of_series(found.series[reference].since(first_ns or 0))
         found.scores["filter"] = self._errors.score
@@ -191,7 +191,7 @@ class Collector:
                 found.paths[name] = path
 
     def _compare(self, part: Part) -> None:
-        """Every live number against the replayed one of the same stamp."""
+        """Compare every live number with the replayed one of the same stamp."""
         nothing, topics = np.empty(0, ESTIMATE), {ODOMETRY, LOCAL_ODOMETRY, TRACK_SLIP} & self._stream.topics
         tables, estimates = part.tables, part.estimates
         live = {topic: tables[topic].rows if topic in tables else nothing for topic in topics}
@@ -210,7 +210,7 @@ class Collector:
 
 
 def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
-    """Source, reason and how many of what a field of the results is not 0 for."""
+    """Source, reason and count of the results whose ``field_`` is not 0."""
     refused = part.results[field_] != 0
     pairs = np.column_stack((part.arrivals["source"][refused], part.results[field_][refused]))
     for (source, reason), count in zip(*np.unique(pairs, axis=0, return_counts=True), strict=True):
@@ -218,5 +218,5 @@ def _refused(part: Part, field_: str) -> Iterator[tuple[str, int, int]]:
 
 
 def scored_topics(reference: str | None) -> frozenset[str]:
-    """Topics that estimates are scored against, where the bag holds them."""
+    """Topics against which estimates are scored, if the bag holds them."""
     return frozenset(filter(None, (TRUE_SLIP, TRUE_ODOMETRY, TRUE_SWING, reference)))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One replay: a bag's inputs in live order through both estimators, then the comparison and the scores.
 
-Batch by batch, in bounded memory: what is kept of the estimates is what the scores need.
+Works in batches and in bounded memory: of the estimates it keeps what the scores need.
 """
 
 import time
@@ -26,7 +26,7 @@ from trackslip_tools.replay.result import Collector, Replay, scored_topics
 from trackslip_tools.replay.soil import SOIL_TOPICS, SoilRun
 from trackslip_tools.replay.withheld import WithheldErrors
 
-REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # used where none is named, if the bag has one
+REFERENCES = ("reference_pose", TRUE_ODOMETRY)  # default references, the first that the bag has
 
 
 def replay(
@@ -37,10 +37,10 @@ def replay(
     of_soil: SoilEstimatorParameters | None = None,
     watch: Watch = lambda _: None,
 ) -> Replay:
-    """Run the estimators over a bag, the soil's where it has parameters; ``watch`` sees each part.
+    """Run the slip estimator and, with ``of_soil``, the soil estimator over a bag; ``watch`` gets each part.
 
     Raises:
-        InputError: the bag lacks what is needed, or is damaged inside.
+        InputError: the bag lacks a required topic, or is damaged.
     """
     began = time.monotonic()
     reference = reference or own_reference(bag)
@@ -78,12 +78,12 @@ def replay(
 
 
 def own_reference(bag: Bag) -> str | None:
-    """The topic to score against where none is named, if the bag has one."""
+    """The default reference topic that the bag has; None without one."""
     return next((r for r in REFERENCES if f"/{r}" in bag.topics or r in bag.topics), None)
 
 
 def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None, str]:
-    """It, or None where the bag has nothing of the kind for these parameters; a line for the user.
+    """What was learned before the bag, None if the bag lacks it for these parameters; a line for the user.
 
     Raises:
         InputError: the topic of the parameters holds something else.

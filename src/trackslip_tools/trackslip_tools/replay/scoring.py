@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors against a reference: every sample of it, at its own stamp, with no re-alignment.
+"""Errors against a reference at each of its samples and stamps, without re-alignment.
 
 e      error of x, y, heading        m, m, rad
-P      covariance that was claimed   (3, 3)
-R      covariance of the reference's own pose, 0 where its message states none   (3, 3)
-S      P + R: errors of estimate and reference count as independent
+P      covariance of the estimate    (3, 3)
+R      covariance of the reference's own pose, 0 if its message has none   (3, 3)
+S      P + R: errors of estimate and reference are taken as independent
 NEES   eᵀ S⁻¹ e, on average 3 if P and R are consistent; of x and y alone 2; nan where S is singular
 
-A reference may have no heading, at all or at some samples: nan. Its positions count all the same.
+Samples of a reference without a heading have nan; their positions are scored all the same.
 """
 
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ from trackslip_tools.replay.dead_reckoning import Path
 from trackslip_tools.replay.series import Series
 
 MOVING = 0.05  # m/s of the faster track's frame, and of the track itself, below which slip is not scored
-_SINGULAR = 1e-12  # eigenvalue of correlations at which rounding hides what a covariance states
+_SINGULAR = 1e-12  # eigenvalue of correlations below which S counts as singular, because of rounding
 
 
 @dataclass(frozen=True)
 class Score:
-    """Root mean square errors of one path, over the samples that it covers."""
+    """Root mean square errors of one path, over the reference samples that it covers."""
 
     samples: int
     position: float  # m
-    heading: float | None  # rad; None where the reference has none
+    heading: float | None  # rad; None if the reference has none
 
 
 def path_of(estimates: Rows) -> Path:
@@ -41,7 +41,7 @@ def path_of(estimates: Rows) -> Path:
 
 
 def path_of_series(series: Series) -> Path:
-    """The poses of messages as a path, its heading continuous where there is one."""
+    """The poses of messages as a path, with continuous heading where there is one."""
     poses = series.columns("x", "y", "heading")
     known = np.isfinite(poses[:, 2])
     poses[known, 2] = np.unwrap(poses[known, 2])
@@ -50,7 +50,7 @@ def path_of_series(series: Series) -> Path:
 
 
 def score(path: Path, reference: Path) -> Score | None:
-    """Errors at the stamps of the reference; None where the path covers none of them."""
+    """RMS errors at the stamps of the reference; None if the path covers none of them."""
     errors = errors_of(path, reference)
     if not len(errors):
         return None
@@ -64,7 +64,7 @@ def nees_of_each(
     """(k,) NEES at the samples of the reference that the path covers, and (k,) ln |S| there.
 
     ``size`` 3: of the pose, nan where the reference has no heading; 2: of the position. nan where S is
-    singular: correlations that have an eigenvalue below 1e-12, or a variance that is not positive.
+    singular: correlations with an eigenvalue below 1e-12, or a variance that is not positive.
     """
     errors = errors_of(path, reference)[:, :size]
     midpoints = (path.stamps_ns[1:] + path.stamps_ns[:-1]) // 2
@@ -80,9 +80,9 @@ def nees_of_each(
 
 
 def _correlations(S: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """(n, m) standard deviations and (n, m, m) correlations of S, and (n,) whether it is regular.
+    """(n, m) standard deviations and (n, m, m) correlations of S, and (n,) whether S is regular.
 
-    1 and the identity where it is not.
+    1 and the identity where S is singular.
     """
     variances = np.diagonal(S, axis1=1, axis2=2)
     regular: BoolArray = np.asarray(np.isfinite(S).all(axis=(1, 2)) & (variances > 0.0).all(axis=1), np.bool_)
@@ -105,10 +105,10 @@ def usable_covariances(R: FloatArray) -> FloatArray:
 
 
 def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
-    """The samples of the true slips at which a track's frame moves: elsewhere a slip means nothing.
+    """The true slips at samples at which a track's frame moves: slip is undefined at standstill.
 
-    Nor does that of a track that hardly turns, however fast the other one carries its frame: such are nan.
-    Its speed r ω is v/(1 - i); where the truth gives a standing track the slip 0, it seems to roll with its
+    The slip of a track that hardly turns is nan, even if the other track moves its frame. The track's speed
+    is r ω = v/(1 − i); if the truth gives a stopped track the slip 0, the track counts as rolling with its
     frame. ``odometry`` is the truth at the same stamps.
     """
     _, at, of = np.intersect1d(slips.stamps_ns, odometry.stamps_ns, return_indices=True)
@@ -122,7 +122,7 @@ def moving_slips(odometry: Series, slips: Series, tread: float) -> Series:
 
 
 def slip_errors(estimated: Series, true: Series) -> FloatArray:
-    """(k,) of left and right slip, at the samples that the estimate covers; none where the truth is nan."""
+    """(k,) errors of left and right slip, at the samples that the estimate covers, without nan truths."""
     own = estimated.stamps_ns
     inside = (true.stamps_ns >= own[0]) & (true.stamps_ns <= own[-1])
     t, requested = (own - own[0]) * 1e-9, (true.stamps_ns[inside] - own[0]) * 1e-9
@@ -144,7 +144,7 @@ def _inside(path: Path, reference: Path) -> BoolArray:
 
 
 def errors_of(path: Path, reference: Path) -> FloatArray:
-    """(k, 3) at the samples of the reference that the path covers, heading in (−π, π]."""
+    """(k, 3) errors at the samples of the reference that the path covers, heading in (−π, π]."""
     inside = _inside(path, reference)
     stamps_ns = reference.stamps_ns[inside]
     errors: FloatArray = path.at(stamps_ns) - reference.poses[inside]

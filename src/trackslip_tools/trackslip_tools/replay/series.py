@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a topic holds over time, for scoring: named columns, by stamp."""
+"""Time series of a topic for scoring: named columns, by stamp."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,13 +20,13 @@ _COVARIANCES = ("covariance", "twist_covariance")
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Rows with the field ``stamp_ns``, which rises; of poses also x, y, heading (nan: unknown)."""
+    """Rows with the field ``stamp_ns`` in increasing order; of poses also x, y, heading (nan: unknown)."""
 
     rows: Rows  # (n,)
 
     @property
     def stamps_ns(self) -> IntArray:
-        """(n,)."""
+        """(n,) stamps, ns."""
         stamps: IntArray = self.rows["stamp_ns"]
         return stamps
 
@@ -37,16 +37,16 @@ class Series:
         return len(self.rows)
 
     def columns(self, *names: str) -> FloatArray:
-        """(n, k) of the columns side by side."""
+        """(n, k) array of the named columns."""
         return np.column_stack([self.rows[name] for name in names]).astype(np.float64, copy=False)
 
     def since(self, start_ns: int) -> "Series":
-        """What is not before a stamp."""
+        """The rows at or after a stamp."""
         return Series(self.rows[np.searchsorted(self.stamps_ns, start_ns) :])
 
 
 def series_of(**columns: Any) -> Series:
-    """From columns of equal length, ``stamp_ns`` among them."""
+    """A series of columns of equal length, ``stamp_ns`` among them."""
     arrays = {name: np.asarray(column) for name, column in columns.items()}
     rows = np.empty(len(arrays["stamp_ns"]), [(n, a.dtype, a.shape[1:]) for n, a in arrays.items()])
     for name, column in arrays.items():
@@ -55,9 +55,9 @@ def series_of(**columns: Any) -> Series:
 
 
 class SeriesCollector:
-    """Makes series of tables that come piece by piece; ``detailed`` topics keep their covariances.
+    """Collects series from tables that come in pieces; ``detailed`` topics keep their covariances.
 
-    ``most``: so many rows of each are kept, evenly spread; None: all.
+    ``most``: largest number of rows of each, evenly spread; None: all rows.
     """
 
     def __init__(self, detailed: frozenset[str] = frozenset(), most: int | None = None) -> None:
@@ -65,17 +65,17 @@ class SeriesCollector:
         self._parts: dict[str, GrowingRows] = {}
 
     def add(self, topic: str, rows: Rows) -> None:
-        """More of a topic: records of a class of ``message_fields``."""
+        """Add rows of a topic, records of a class of ``message_fields``."""
         found = reduced(rows, detailed=topic in self._detailed)
         self._parts.setdefault(topic, GrowingRows(found.dtype, self._most)).add(found)
 
     def series(self) -> dict[str, Series]:
-        """Each in the order of the stamps; of several rows with the same stamp the last."""
+        """Topic → series by stamp; of several rows with one stamp the last."""
         return {topic: Series(in_order(self._parts.pop(topic).rows())) for topic in list(self._parts)}
 
 
 def in_order(rows: Rows) -> Rows:
-    """(n,) rows by stamp; of several with the same one, before and after a restart, the last."""
+    """(n,) rows by stamp; of several with one stamp, as before and after a restart, the last."""
     stamps_ns = rows["stamp_ns"]
     if (np.diff(stamps_ns) > 0).all():
         return rows
@@ -84,7 +84,7 @@ def in_order(rows: Rows) -> Rows:
 
 
 def reduced(rows: Rows, *, detailed: bool = False) -> Rows:
-    """What scoring needs of them: 8 h of 100 Hz are to fit into memory."""
+    """The columns needed for scoring, so that 8 h of 100 Hz fit into memory."""
     names = rows.dtype.names or ()
     if "qx" not in names and "left_slip" not in names:
         return rows

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A whole bag's measurements in the order of their stamps, as smoother and tuner run over them."""
+"""A whole bag's measurements in the order of their stamps, for smoother and tuner."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from trackslip_tools.replay.series import Series, SeriesCollector
 
 
 class SettledInputs(NamedTuple):
-    """What was asked of the estimator while it ran (to restart, to hold still) is left out."""
+    """Measurements and series of a bag; commands at run time (restart, hold still) are left out."""
 
     measurements: Rows  # (n,) MEASUREMENT by stamp
     series: dict[str, Series]  # by topic
@@ -34,7 +34,7 @@ def read_settled(
     series: tuple[str, ...],
     detailed: frozenset[str] = frozenset(),
 ) -> SettledInputs:
-    """All measurements, the filters applied, and the series of the topics; ``detailed``: with covariances.
+    """All measurements after the filters, and the series of the topics; ``detailed`` ones with covariances.
 
     Raises:
         InputError: as ``InputStream``; or the clock of the sprockets goes back by more than the window.
@@ -54,14 +54,14 @@ def read_settled(
 
 
 class _Clock:
-    """A clock that was set back makes two times of one: their stamps cannot be distinguished."""
+    """Rejects a bag whose clock was set back: stamps then occur twice and cannot be told apart."""
 
     def __init__(self, bag: Bag, window_s: float) -> None:
         self._bag, self._window_s = bag, window_s
         self._last_ns: int | None = None
 
     def check(self, rows: Rows) -> None:
-        """More rows of ``ARRIVAL`` in live order."""
+        """Check rows of ``ARRIVAL`` in live order."""
         rows = rows[rows["kind"] == SPROCKETS]
         if not len(rows):
             return
@@ -76,7 +76,7 @@ class _Clock:
 
 
 def _reorder(rows: Rows, order: IntArray) -> None:
-    """In place, a column after the other: a copy of a long bag's measurements would not fit into memory."""
+    """Reorder in place, column by column: a copy of a long bag's measurements would not fit into memory."""
     if (np.diff(order) == 1).all():
         return
     columns = rows.view(np.int64).reshape(len(rows), -1)

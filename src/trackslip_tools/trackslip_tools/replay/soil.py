@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator over a replay: its inputs are the replayed slips and the hydraulics of the bag."""
+"""Runs the soil estimator over a replay; its inputs are the replayed slips and the hydraulics of the bag."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -33,13 +33,13 @@ from trackslip_tools.replay.growing import GrowingRows
 from trackslip_tools.replay.inputs import Logged
 from trackslip_tools.replay.series import Series, SeriesCollector
 
-SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # that a replay reads
+SOIL_TOPICS = (HYDRAULICS, FORCES, SOIL, TRUE_FORCES, TRUE_SOIL)  # read by a replay
 _END_NS = int(np.iinfo(np.int64).max)
-_TOLERANCE = 1e-9  # relative, between a live and a replayed number
+_TOLERANCE = 1e-9  # relative difference allowed between a live and a replayed number
 
 
 class SoilComparison(NamedTuple):
-    """The live forces and soils in the bag against the replayed ones, where both are."""
+    """Comparison of live and replayed forces and soils, over the stamps of both."""
 
     compared: int
     unmatched: int
@@ -47,7 +47,7 @@ class SoilComparison(NamedTuple):
 
     @property
     def matches(self) -> bool:
-        """Same stamps, same numbers."""
+        """Whether both have the same stamps and the same numbers."""
         return self.compared > 0 and self.unmatched == 0 and self.largest_difference <= _TOLERANCE
 
     def __str__(self) -> str:
@@ -58,41 +58,41 @@ class SoilComparison(NamedTuple):
 
 @dataclass
 class SoilReplay:
-    """What the soil estimator made of a replay."""
+    """Outputs of the soil estimator in a replay."""
 
     parameters: SoilEstimatorParameters
     forces: Rows = field(default_factory=lambda: np.empty(0, FORCES_RECORD))  # (n,)
     states: list[SoilState] = field(default_factory=list)
     seeds: list[SlipSeed] = field(default_factory=list)
     rejected: Tally = field(default_factory=Tally)
-    series: dict[str, Series] = field(default_factory=dict)  # by topic, what the bag holds of live and truth
-    live_classes: dict[int, FloatArray] = field(default_factory=dict)  # stamp → probabilities, live
+    series: dict[str, Series] = field(default_factory=dict)  # topic → live and true values of the bag
+    live_classes: dict[int, FloatArray] = field(default_factory=dict)  # stamp → live probabilities
     live: SoilComparison | None = None
 
     @property
     def outputs(self) -> list[SoilOutput]:
-        """All that is published, by stamp."""
+        """All published outputs, by stamp."""
         return SoilOutputs(self.forces, self.states, self.seeds).in_order()
 
 
 class SoilRun:
-    """The soil estimator over what a replay publishes, piece by piece; ``start_ns`` is that of the bag."""
+    """Soil estimator over the estimates of a replay, in pieces; ``start_ns``: first log time of the bag."""
 
     def __init__(self, start_ns: int, filters: InputFilters, p: SoilEstimatorParameters) -> None:
         self._start_ns, self._filters = start_ns, filters
         self._estimator = SoilEstimator(p)
-        self.hidden = [0] * len(filters.withhold)  # readings, by each
+        self.hidden = [0] * len(filters.withhold)  # withheld readings, by filter
         self._waiting, self._logged_ns = np.empty(0, SOIL_INPUT), np.empty(0, np.int64)  # readings
-        self._published_ns = 0  # log time up to which estimates were published
+        self._published_ns = 0  # largest log time of an estimate so far
         self._forces = GrowingRows(FORCES_RECORD)
         self._states: list[SoilState] = []
         self._seeds: list[SlipSeed] = []
         self._series, self._classes = SeriesCollector(), dict[int, FloatArray]()
 
     def add(self, estimates: Rows, logged_ns: IntArray, tables: dict[str, Logged]) -> None:
-        """More of the bag: (n,) ESTIMATE, the log times of the samples with which they come, and tables.
+        """Add (n,) ESTIMATE, the log times of their sprocket samples, and tables of the bag.
 
-        A reading in a later piece was logged after the estimates of this one.
+        Readings in a later piece were logged after the estimates of this one.
         """
         for topic, logged in tables.items():
             if topic == HYDRAULICS:
@@ -105,7 +105,7 @@ class SoilRun:
             self._advance(estimates, logged_ns)
 
     def result(self, comparability: Comparability) -> SoilReplay:
-        """When all was added; slips are the live ones only where these can be compared."""
+        """Outputs of the whole bag; compared with live ones only where the slips can be compared."""
         self._feed(self._waiting)
         found = SoilReplay(
             self._estimator.parameters,
@@ -122,7 +122,7 @@ class SoilRun:
         return found
 
     def _wait(self, logged: Logged) -> None:
-        """Readings that are not withheld wait for the estimates that they precede."""
+        """Queue the readings of hydraulics that are not withheld."""
         t = np.asarray((logged.log_times_ns - self._start_ns) * 1e-9, np.float64)
         hidden = np.zeros(len(logged.rows), np.bool_)
         for k, withhold in enumerate(self._filters.withhold):
@@ -134,7 +134,7 @@ class SoilRun:
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
 
     def _advance(self, estimates: Rows, logged_ns: IntArray) -> None:
-        """As a live estimator has them: a reading before the first estimate that is published later."""
+        """Pass each reading before the first estimate that is published later, as live."""
         published_ns = np.maximum.accumulate(np.maximum(logged_ns, self._published_ns))
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
@@ -166,7 +166,7 @@ def _classes(table: TopicTable) -> dict[int, FloatArray]:
 
 
 def _compare(result: SoilReplay, until_ns: int) -> SoilComparison:
-    """Every live number against the replayed one, between the first and last stamp of both on a topic."""
+    """Compare every live number with the replayed one; per topic, between first and last common stamps."""
     compared = unmatched = 0
     largest = 0.0
     for topic, own in ((FORCES, _force_rows(result.forces)), (SOIL, _soil_rows(result))):
@@ -190,7 +190,7 @@ def _compare(result: SoilReplay, until_ns: int) -> SoilComparison:
 
 
 def _force_rows(forces: Rows) -> Rows:
-    """(n,) records of ``ForceFields``, as messages carry them."""
+    """(n,) records of ``ForceFields``, with the values of messages."""
     rows = np.empty(len(forces), dtype_of(ForceFields))
     rows["stamp_ns"] = forces["stamp_ns"]
     for name, column in conversions.force_columns(forces).items():
@@ -199,7 +199,7 @@ def _force_rows(forces: Rows) -> Rows:
 
 
 def _soil_rows(result: SoilReplay) -> Rows:
-    """(n,) records of ``SoilFields``, as messages carry them."""
+    """(n,) records of ``SoilFields``, with the values of messages."""
     messages = (conversions.soil_estimate(make, s, result.parameters.base_frame) for s in result.states)
     return np.array([tuple(read(SoilFields, m)) for m in messages], dtype=dtype_of(SoilFields))
 
@@ -209,7 +209,7 @@ def _between(rows: Rows, first_ns: int, last_ns: int) -> Rows:
 
 
 def _difference(a: FloatArray, b: FloatArray) -> float:
-    """Largest relative difference; nothing equals nothing."""
+    """Largest relative difference; 0 of empty arrays, infinite where shapes or nans differ."""
     a, b = a.astype(np.float64), b.astype(np.float64)
     if a.shape != b.shape or (np.isnan(a) != np.isnan(b)).any():
         return float("inf")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the soil estimator's part of a replay leaves behind: messages, lines for people, JSON for programs."""
+"""Output of the soil estimator in a replay: messages, lines for a terminal, JSON."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -26,7 +26,7 @@ def soil_messages(result: SoilReplay) -> Iterator[tuple[str, Any, int]]:
 
 
 def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
-    """The last state of the soil, as ``--json`` has it; None where there is none."""
+    """The last state of the soil for ``--json``; None without a state."""
     if not result.states:
         return None
     last = result.states[-1]
@@ -49,12 +49,12 @@ def soil_summary(result: SoilReplay) -> dict[str, Any] | None:
 
 
 def is_certain(probability: float, is_identifiable: bool) -> bool:
-    """Whether the likeliest class may be called the soil."""
+    """Whether the likeliest class is probable enough to name the soil."""
     return is_identifiable and probability >= CERTAIN
 
 
 def soil_lines(result: SoilReplay) -> list[str]:
-    """The same for a terminal."""
+    """The last state of the soil, as lines for a terminal."""
     lines = []
     for source, reasons in result.rejected.by_source().items():
         lines += [f"  {source:<24}{n:>8} not used: {reason}" for reason, n in reasons.items()]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of roll, pitch and height, and of the swing, of a machine that estimates them."""
+"""Errors of the estimated roll, pitch, height and swing."""
 
 import math
 
@@ -12,7 +12,7 @@ from trackslip_tools.replay.errors import Pairs
 
 
 class TiltErrors:
-    """Of estimates that come piece by piece, against true odometry that is never behind them."""
+    """Errors of tilt against true odometry that is logged with the estimates; both come in pieces."""
 
     def __init__(self) -> None:
         self._pairs = Pairs()
@@ -20,7 +20,7 @@ class TiltErrors:
         self._count = 0
 
     def add(self, estimates: Rows, truth: Rows | None) -> None:
-        """More of both: records of ``ESTIMATE``, and rows of odometry."""
+        """Add records of ``ESTIMATE``, and rows of odometry."""
         known = estimates[estimates["tilt"]["known"] == 1]
         rows = np.zeros(len(known), [("stamp_ns", np.int64), ("tilt", np.float64, (3,))])
         rows["stamp_ns"], rows["tilt"] = known["stamp_ns"], known["tilt"]["tilt"]
@@ -41,24 +41,24 @@ class TiltErrors:
 
     @property
     def attitude(self) -> float | None:
-        """RMS of roll and of pitch, rad; None where nothing was compared."""
+        """RMS error of roll and pitch, rad; None without compared samples."""
         return math.sqrt(self._tilt / self._count) if self._count else None
 
     @property
     def height(self) -> float | None:
-        """RMS, m; None where nothing was compared."""
+        """RMS error of the height, m; None without compared samples."""
         return math.sqrt(self._height / self._count) if self._count else None
 
 
 class SwingErrors:
-    """Of estimates that come piece by piece, against a true swing that is never behind them."""
+    """Errors of the swing angle against a true one that is logged with the estimates; both in pieces."""
 
     def __init__(self) -> None:
         self._pairs = Pairs()
         self._sum, self._count = 0.0, 0
 
     def add(self, estimates: Rows, truth: Rows | None) -> None:
-        """More of both: records of ``ESTIMATE``, and rows of ``SwingFields``."""
+        """Add records of ``ESTIMATE``, and rows of ``SwingFields``."""
         known = estimates[estimates["swing"]["known"] == 1]
         rows = np.zeros(len(known), [("stamp_ns", np.int64), ("angle", np.float64)])
         rows["stamp_ns"], rows["angle"] = known["stamp_ns"], known["swing"]["angle"]
@@ -72,5 +72,5 @@ class SwingErrors:
 
     @property
     def rmse(self) -> float | None:
-        """RMS, rad; None where nothing was compared."""
+        """RMS error of the swing angle, rad; None without compared samples."""
         return math.sqrt(self._sum / self._count) if self._count else None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a user should know of a run besides estimates: tracks in trouble, longest time without fixes."""
+"""Stalled or stuck tracks, and the longest time without fixes, for the summary of a run."""
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from trackslip_tools.report.spells import Spell, spells
 
 SIDES = ("left", "right")
 WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
-_LEAST_S = 0.5  # s of a trouble that is worth a line
+_LEAST_S = 0.5  # shortest listed trouble, s
 
 
 def trouble_spells(times: FloatArray, forces: Rows) -> dict[str, list[Spell]]:
-    """Side → stretches in which its track was in trouble: states of ``Trouble``; (n,) s of the forces."""
+    """Side → spells of ``Trouble`` of its track; ``times`` (n,) of the forces, s."""
     return {
         side: [spell for spell in spells(times, forces["trouble"][:, k]) if spell.state != Trouble.NONE]
         for k, side in enumerate(SIDES)
@@ -24,7 +24,7 @@ def trouble_spells(times: FloatArray, forces: Rows) -> dict[str, list[Spell]]:
 
 
 def trouble_lines(forces: Rows, start_ns: int) -> list[str]:
-    """A line for each stretch in which a track stalled or got stuck; s from the bag's first message."""
+    """A line for each spell in which a track stalled or got stuck, in s from the bag's first message."""
     return [
         f"{side} track {WORDS[Trouble(state)]} for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
         for side, own in trouble_spells((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
@@ -34,14 +34,14 @@ def trouble_lines(forces: Rows, start_ns: int) -> list[str]:
 
 
 class FixGaps:
-    """The longest time without an accepted fix, over the parts of a replay."""
+    """Finds the longest time without an accepted fix, over the parts of a replay."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
         self._longest_ns = (0, 0)
 
     def add(self, arrivals: Rows, results: Rows) -> None:
-        """More of the bag."""
+        """Add a part."""
         accepted = (arrivals["kind"] == POSE) & (results["outcome"] == Outcome.ACCEPTED)
         stamps = np.sort(arrivals["stamp_ns"][accepted]).tolist()
         for stamp_ns in stamps:
@@ -49,7 +49,7 @@ class FixGaps:
             self._last_ns = max(stamp_ns, self._last_ns or stamp_ns)
 
     def longest(self, stop_ns: int, start_ns: int) -> tuple[float, float] | None:
-        """Begin and end, s from ``start_ns``; the end of a run counts; None: no fix was accepted."""
+        """Begin and end of the longest gap, s from ``start_ns``; it may end at ``stop_ns``. None: no fix."""
         if self._last_ns is None:
             return None
         self._end(stop_ns)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay withheld, and how far off the estimate was meanwhile and at the end of it."""
+"""Errors of the estimate while a replay withheld a topic, and at the end of that time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ from trackslip_tools.replay.series import reduced
 
 @dataclass(frozen=True)
 class Withheld:
-    """One ``--withhold``; errors are those of the position, None where nothing is compared."""
+    """Messages withheld by one ``--withhold``, and position errors; None without compared samples."""
 
     given: Withhold
     messages: int
-    score: Score | None  # inside
-    end: float | None  # m, at the last sample of the reference inside
+    score: Score | None  # over the withheld time
+    end: float | None  # m, at the last sample of the reference in the withheld time
 
     def __str__(self) -> str:
-        """For a terminal."""
+        """A line for the terminal."""
         start, stop = self.given.start_s, self.given.stop_s
         when = f" from {start:g} to {stop:g} s" if np.isfinite(start) else ""
         line = f"withheld: {self.messages} messages of {self.given.topic}{when}"
@@ -37,20 +37,20 @@ class Withheld:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The entry of ``--json``."""
         rmse = None if self.score is None else self.score.position
         return {"topic": self.given.topic, "messages": self.messages, "rmse": rmse, "end": self.end}
 
 
 class WithheldErrors:
-    """Gathers them while a bag is replayed; ``start_ns``: of the bag."""
+    """Collects the errors during a replay; ``start_ns``: log time of the bag's first message."""
 
     def __init__(self, filters: InputFilters, start_ns: int) -> None:
         self._given, self._start_ns = filters.withhold, start_ns
         self._errors = [PathErrors() for _ in self._given]
 
     def add(self, estimates: Rows, reference: Logged | None) -> None:
-        """More of both: (n,) ESTIMATE."""
+        """Add (n,) ESTIMATE and rows of the reference."""
         for given, errors in zip(self._given, self._errors, strict=True):
             inside = (
                 None if reference is None else reduced(reference.rows[given.covers(self._times(reference))])
@@ -58,7 +58,7 @@ class WithheldErrors:
             errors.add_estimates(estimates, inside)
 
     def result(self, counts: Sequence[int]) -> list[Withheld]:
-        """When all was added; ``counts``: messages hidden by each."""
+        """Results after the last part; ``counts``: messages hidden by each ``--withhold``."""
         return [
             Withheld(given, count, errors.score, errors.last_position)
             for given, errors, count in zip(self._given, self._errors, counts, strict=True)

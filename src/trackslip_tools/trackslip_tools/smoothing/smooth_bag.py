@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Filter and smoother over a bag, each scored against the reference."""
+"""Runs filter and smoother over a bag and scores both against the reference."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -34,11 +34,11 @@ from trackslip_tools.terminal_text import wrapped
 Watch = Callable[[Smoothed], None]
 
 _COLUMNS = ("position m", "heading rad", "slip", "NEES")
-SMOOTHED = "smoothed/"  # before the names of the topics
+SMOOTHED = "smoothed/"  # prefix of the topics
 
 
 class Errors(NamedTuple):
-    """Of one set of estimates; None where there is nothing to compare with."""
+    """Errors of one set of estimates; None without anything to compare with."""
 
     position: float | None  # m, RMS
     heading: float | None  # rad, RMS
@@ -48,7 +48,7 @@ class Errors(NamedTuple):
 
 @dataclass(frozen=True)
 class SmoothedBag:
-    """What a bag gives."""
+    """Counts and errors of a smoothed bag."""
 
     estimates: int
     duration_s: float  # from the first estimate to the last
@@ -67,7 +67,7 @@ class SmoothedBag:
         }
 
     def text(self, elapsed_s: float) -> str:
-        """For a terminal; ``elapsed_s`` is what the user waited for."""
+        """The results for a terminal; ``elapsed_s``: waiting time of the user."""
         lines = [f"{self.duration_s:.1f} s smoothed in {elapsed_s:.1f} s"]
         if not self.estimates:
             return "no estimate: nothing to start from (no fix of a pose source, no initial pose)"
@@ -88,10 +88,10 @@ def smooth_bag(
     reference: str | None,
     watch: Watch = lambda _: None,
 ) -> SmoothedBag:
-    """Run filter and smoother over a bag; ``watch`` sees each block of estimates.
+    """Run filter and smoother over a bag; ``watch`` gets each block of estimates.
 
     Raises:
-        InputError: the bag lacks what is needed.
+        InputError: the bag lacks a required topic.
     """
     reference = reference or own_reference(bag)
     requested = (TRUE_SLIP, TRUE_ODOMETRY, *((reference,) if reference else ()))
@@ -118,7 +118,7 @@ def smooth_bag(
 
 
 def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
-    """Filter and smoother over a bag's measurements; nothing where there is nothing to start from."""
+    """Filter and smoother over a bag's measurements; empty if nothing in the log can start the filter."""
     try:
         log = make_log(measurements, p)
     except InputError:
@@ -127,14 +127,14 @@ def smoothed_blocks(measurements: Rows, p: SlipEstimatorParameters) -> Iterator[
 
 
 class _Truth:
-    """Series of truth and reference, a stretch after the other."""
+    """Series of truth and reference, returned piece by piece."""
 
     def __init__(self, series: dict[str, Series], reference: str | None) -> None:
         self._series = [series.get(topic or "") for topic in (TRUE_SLIP, TRUE_ODOMETRY, reference)]
         self._begin = [0, 0, 0]
 
     def until(self, stamp_ns: int) -> list[Rows | None]:
-        """Rows of true slips, true odometry and reference, from where the last stretch ended."""
+        """Rows of true slips, true odometry and reference, from the end of the previous piece to a stamp."""
         found: list[Rows | None] = []
         for k, series in enumerate(self._series):
             if series is None:
@@ -147,26 +147,26 @@ class _Truth:
 
 
 class _Compared:
-    """One set of estimates against the truth."""
+    """Errors of one set of estimates against the truth."""
 
     def __init__(self, tread: float) -> None:
         self._path, self._slips = PathErrors(), SlipErrors(tread)
 
     def add(self, estimates: Rows, truth: list[Rows | None]) -> None:
-        """More of both."""
+        """Add estimates and rows of the truth."""
         slips, odometry, reference = truth
         self._path.add_estimates(estimates, reference)
         self._slips.add(estimates, slips, odometry)
 
     def errors(self) -> Errors:
-        """Of all that was added."""
+        """Errors of all added estimates."""
         score = self._path.score
         position, heading = (None, None) if score is None else (score.position, score.heading)
         return Errors(position, heading, self._slips.rmse, self._path.nees)
 
 
 class SmoothedWriter:
-    """A bag of the smoothed estimates and the parameters, each logged at its stamp.
+    """Writes a bag of the smoothed estimates and the parameters, each logged at its stamp.
 
     Raises:
         InputError: the path exists already.
@@ -183,7 +183,7 @@ class SmoothedWriter:
         self._bag.__exit__(*raised)
 
     def add(self, block: Smoothed) -> None:
-        """More of the bag."""
+        """Write a block of estimates."""
         for estimate in (make_estimate(record.item()) for record in block.smoothed):
             if not self._begun:
                 text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(self._p), SLIP_NODE))

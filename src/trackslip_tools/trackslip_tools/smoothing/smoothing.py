@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimates that a whole log gives: at each time from what came before and after it.
+"""Smoothed estimates of a whole log: each state from the measurements before and after it.
 
-The slip estimator runs over the log in the order of the stamps, so that every state is settled: once to find
-the events that explain contradictions, then with these as its script, in one branch. ``kalman.smoother`` goes
-back over the states of that branch. A state that an event replaced does not follow from the one before. Where
-no state does (a start, a manual pose, silent sprockets) nothing is carried back: each piece is smoothed by
-itself. The filter is the extended Kalman filter, whichever the parameters name.
+The slip estimator processes the log in the order of the stamps, so that every state is final: a first pass
+finds the events that explain contradictions, later passes take these events as a script, in one branch.
+``kalman.smoother`` runs backwards over the states of that branch. A state that an event replaced does not
+follow from the state before. Where a state does not follow (a start, a manual pose, silent sprockets) nothing
+is carried back: each piece is smoothed by itself. The filter is always the extended Kalman filter.
 
-Memory is bounded: the first pass keeps the state at which each block begins, the second goes back through the
-blocks, made again from there, and keeps what is carried into each; the third makes them once more, in order.
+Memory is bounded. The first pass keeps the state at the start of each block. The second pass goes backwards,
+recomputes each block from there and keeps the smoothed state that enters each block. The third pass
+recomputes the blocks in order.
 """
 
 from collections.abc import Iterator
@@ -31,24 +32,24 @@ from trackslip_estimation.slip.window import Records, Window, copy_first, make_l
 
 
 class Smoothed(NamedTuple):
-    """Records of ``ESTIMATE`` at the stamps of sprocket samples; of both the same number."""
+    """Records of ``ESTIMATE`` at the stamps of sprocket samples; both have the same length."""
 
-    filtered: Records  # settled: from all that has an earlier stamp
-    smoothed: Records  # from all there is
+    filtered: Records  # from measurements with earlier stamps
+    smoothed: Records  # from all measurements
 
 
 class _Begin(NamedTuple):
-    """Where a block begins, and how far it goes."""
+    """Range of a block in the log, and the state at its start."""
 
     first: int
     last: int
-    start: Window  # whose first entry is the last one before it
+    start: Window  # its first entry is the last entry of the block before
 
 
 def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
     """Filter and smoother over a log, block by block.
 
-    What was asked of the estimator while it ran (to restart, to hold still, new parameters) is left out.
+    Commands at run time (restart, hold still, new parameters) are left out.
     """
     p = replace(p, filter="ekf")
     start, config = begin_log(log, p, script_of(log, p))
@@ -56,7 +57,7 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
         _Begin(b.first, b.first + len(b.states), _first_row(b.window))
         for b in run_blocks(log.rest, start, config)
     ]
-    carried: Records | None = None  # into the block that was done last
+    carried: Records | None = None  # smoothed state that enters the block before, of the last block done
     ends: list[Records | None] = []
     for begin in reversed(begins):
         ends.append(carried)
@@ -83,7 +84,7 @@ def _again(log: Log, begin: _Begin, config: Records) -> Block:
 
 
 def _smooth(window: Window, end: Records | None, config: Records) -> None:
-    """The states of a window, smoothed; ``end`` (1,) is the last one, if something came after it."""
+    """Smooth the states of a window; ``end`` (1,) is the smoothed last state, None at the end of the log."""
     last, states = window.count - 1, window.best
     if end is not None:
         states["mean"][last], states["covariance"][last] = end["mean"][0], end["covariance"][0]
@@ -91,7 +92,7 @@ def _smooth(window: Window, end: Records | None, config: Records) -> None:
 
 
 def _estimates(window: Window, config: Records) -> Records:
-    """(s,) of ``ESTIMATE`` at the sprocket samples of a window, but for its first entry."""
+    """(s,) of ``ESTIMATE`` at the sprocket samples of a window, without its first entry."""
     estimates = np.zeros(window.count, ESTIMATE)
     return estimates[: _fill_estimates(window, window.count, estimates, config)]
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a tuning leaves behind: a parameter file that the nodes load, and beside it what it rests on."""
+"""Results of a tuning: a parameter file for the nodes, and the evidence for its values."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from trackslip_tools.tuning.tuner import Tuning
 
 PARAMETERS, TABLE, NUMBERS, JOURNAL = "slip_estimator.yaml", "evidence.md", "evidence.json", "journal.jsonl"
 
-# How each begins; by that a later tuning knows what it may replace.
+# First characters of each file: a later tuning replaces only files that begin so.
 BEGINNINGS = {
     PARAMETERS: "# Found by trackslip tune",
     TABLE: f"# What {PARAMETERS} rests on",
@@ -30,7 +30,7 @@ BEGINNINGS = {
 
 
 def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> None:
-    """Parameters and table; ``p`` is what tuning started from.
+    """Write parameters and table; ``p``: parameters before the tuning.
 
     Raises:
         InputError: the folder cannot be written.
@@ -45,7 +45,7 @@ def write_evidence(folder: Path, tuning: Tuning, p: SlipEstimatorParameters) -> 
 
 
 def numbers(tuning: Tuning) -> dict[str, Any]:
-    """For programs."""
+    """The results as JSON."""
     return {
         "objective": tuning.plan.settings.objective,
         "values": {"before": tuning.values_before, "after": tuning.values},
@@ -62,7 +62,7 @@ def numbers(tuning: Tuning) -> dict[str, Any]:
 
 
 def table(tuning: Tuning) -> str:
-    """Markdown: the values, then each bag before and after, and as it is where it had no say."""
+    """Markdown tables: the values, then the scores of each bag before, after and when left out."""
     ranges = {
         name: [fold.values[name] for fold in tuning.folds] or [value] for name, value in tuning.values.items()
     }

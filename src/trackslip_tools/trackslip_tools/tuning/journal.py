@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What has been scored, on disk: an interrupted search goes on where it stood.
+"""A file of all scores, with which an interrupted search resumes.
 
-The first line tells what the scores belong to; each other one holds a bag, a set of values, and its score.
-A line that was cut short is scored again.
+The first line identifies what the scores belong to. Each other line holds a bag, a set of values, and its
+score. A truncated line is scored again.
 """
 
 import hashlib
@@ -21,13 +21,13 @@ Values = tuple[float, ...]
 
 
 class Journal:
-    """Scores by bag and values; each is on disk as soon as it is known."""
+    """Scores by bag and values; each score is written to disk at once."""
 
     def __init__(self, path: Path, tasks: Iterable[Task], names: Iterable[str]) -> None:
-        """Open a journal, with what it holds.
+        """Open or create a journal, and read its scores.
 
         Raises:
-            InputError: it cannot be written, or belongs to other bags, parameters or names.
+            InputError: the file cannot be written, or belongs to other bags, parameters or names.
         """
         self._scores: dict[tuple[int, Values], Score] = {}
         heading = {"names": list(names), "of": _fingerprint(tasks)}
@@ -66,7 +66,7 @@ class Journal:
         return self._scores[key]
 
     def add(self, bag: int, values: Values, score: Score) -> None:
-        """One more."""
+        """Add a score."""
         self._scores[bag, values] = score
         self._write({"bag": bag, "values": values, "score": score._asdict()})
 
@@ -76,7 +76,7 @@ class Journal:
 
 
 def _key(entry: Mapping[str, Any], names: int) -> tuple[int, Values]:
-    """Bag and values of a score; raises ``TypeError`` where they are none."""
+    """Bag and values of an entry; raises ``TypeError`` if they are invalid."""
     bag, values = entry["bag"], entry["values"]
     are_numbers = isinstance(values, list) and all(type(value) is float for value in values)
     if type(bag) is not int or not are_numbers or len(values) != names:
@@ -85,7 +85,7 @@ def _key(entry: Mapping[str, Any], names: int) -> tuple[int, Values]:
 
 
 def _fingerprint(tasks: Iterable[Task]) -> str:
-    """Of all that a score depends on but the values."""
+    """Hash of everything on which a score depends, except the values."""
     digest = hashlib.sha256()
     for task in tasks:
         digest.update(repr(task.p).encode())

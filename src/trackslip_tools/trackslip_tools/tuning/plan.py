@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is tuned, within which bounds, and for what: the tune file.
+"""The tune file: which parameters are tuned, their bounds, and the objective.
 
 objective: likelihood          # of the innovations; pose: of a reference's poses; position: its mean error
 evaluations: 500               # sets of parameters that one search may try
@@ -27,15 +27,15 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import KINDS
 
 LIKELIHOOD, POSE, POSITION = "likelihood", "pose", "position"
-_AT_READING = "sources.*.stddev"  # goes into the measurements when a bag is read
+_AT_READING = "sources.*.stddev"  # applied when a bag is read
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds(Parameters):
-    """Where the value of a parameter is looked for."""
+    """Bounds of a parameter in the search."""
 
-    low: float = parameter("smallest value that is tried")
-    high: float = parameter("largest value that is tried")
+    low: float = parameter("smallest value to try")
+    high: float = parameter("largest value to try")
     scale: str = parameter("whether equal steps are equal differences or ratios", choices=("linear", "log"))
 
     def __post_init__(self) -> None:
@@ -46,14 +46,14 @@ class Bounds(Parameters):
             raise InputError(f"low: {self.low:g} is out of range; accepted: > 0 with scale: log")
 
     def value(self, share: float) -> float:
-        """The value at a share of the way from low to high."""
+        """The value at a share of the range from low to high."""
         if self.scale == "log":
             ratio: float = (self.high / self.low) ** share
             return min(max(self.low * ratio, self.low), self.high)
         return self.low + (self.high - self.low) * share
 
     def share(self, value: float) -> float:
-        """How far a value lies on that way, in 0 … 1; those outside are put at its ends."""
+        """The share of the range at which a value lies, 0 … 1; values outside are clipped."""
         inside = min(max(value, self.low), self.high)
         if self.scale == "log":
             return math.log(inside / self.low) / math.log(self.high / self.low)
@@ -62,11 +62,11 @@ class Bounds(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings(Parameters):
-    """What is looked for, and for how long."""
+    """Objective and budget of a search."""
 
-    objective: str = parameter("what is made best", choices=(LIKELIHOOD, POSE, POSITION))
-    evaluations: int = parameter("sets of parameters that one search may try", ge=20, le=1_000_000)
-    seed: int = parameter("of the search", ge=0)
+    objective: str = parameter("objective of the search", choices=(LIKELIHOOD, POSE, POSITION))
+    evaluations: int = parameter("largest number of parameter sets in one search", ge=20, le=1_000_000)
+    seed: int = parameter("seed of the search", ge=0)
 
 
 @dataclass(frozen=True)
@@ -77,22 +77,22 @@ class Plan:
     bounds: dict[str, Bounds]  # by dotted name
 
     def values(self, shares: FloatArray) -> dict[str, float]:
-        """Dotted name → value, of a point (d,) in the unit cube."""
+        """Dotted name → value, at a point (d,) of the unit cube."""
         return {
             name: bounds.value(float(share))
             for (name, bounds), share in zip(self.bounds.items(), shares, strict=True)
         }
 
     def shares(self, p: SlipEstimatorParameters) -> FloatArray:
-        """(d,) the point of present values; of several sources that of the first."""
+        """(d,) the point of the present values; of several sources, the first one's."""
         return np.array([bounds.share(value_of(p, name)) for name, bounds in self.bounds.items()])
 
 
 def read_plan(path: Path) -> Plan:
-    """A tune file.
+    """Read a tune file.
 
     Raises:
-        InputError: it cannot be read, a name is no number of the slip estimator, or a value is refused.
+        InputError: the file cannot be read, a name is no number of slip_estimator, or a value is rejected.
     """
     tree = read_yaml(path)
     requested = tree.pop("parameters", None)
@@ -107,7 +107,7 @@ def read_plan(path: Path) -> Plan:
 
 
 def value_of(p: SlipEstimatorParameters, name: str) -> float:
-    """The value of a parameter by its dotted name; of several sources that of the first.
+    """The value of a parameter by its dotted name; of several sources, the first one's.
 
     Raises:
         InputError: there is no such source.
@@ -117,10 +117,10 @@ def value_of(p: SlipEstimatorParameters, name: str) -> float:
 
 
 def expanded(p: SlipEstimatorParameters, name: str) -> list[str]:
-    """The parameters that a name of a tune file means.
+    """The parameters that match a name of a tune file.
 
     Raises:
-        InputError: there are none.
+        InputError: no parameter matches.
     """
     found = fnmatch.filter((n for n, kind, _ in flat_fields(p) if kind is float), name)
     if not found:
@@ -130,16 +130,16 @@ def expanded(p: SlipEstimatorParameters, name: str) -> list[str]:
 
 
 def changed(p: SlipEstimatorParameters, values: Mapping[str, float]) -> SlipEstimatorParameters:
-    """Parameters with other values.
+    """Parameters with some values replaced.
 
     Raises:
-        InputError: a value is refused, or there is no such source.
+        InputError: a value is rejected, or there is no such source.
     """
     return p.changed({full: value for name, value in values.items() for full in expanded(p, name)})
 
 
 def _numbers() -> dict[str, Spec]:
-    """What can be tuned, ``*`` standing for the name of any source."""
+    """Dotted names of parameters that can be tuned; ``*`` stands for any source."""
     fields = [*flat_fields(SlipEstimatorParameters)]
     fields += [
         ("sources.*." + name, kind, spec) for k in KINDS.values() for name, kind, spec in flat_fields(k)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The search for the best point of the unit cube: differential evolution, then Nelder and Mead's simplex.
+"""Search for the best point of the unit cube: differential evolution, then the Nelder–Mead simplex.
 
-Both are scipy's. The first finds the valley among many and has a whole generation scored at once, by as many
-workers as there are; the second finds its bottom with few points. The points depend on the seed and on the
-scores alone, so one worker finds what a hundred find, and a search that begins again from a journal goes on.
+Both are scipy's. Differential evolution finds the best region and scores a whole generation at once, on all
+workers. The simplex finds the minimum there with few points. The points depend only on the seed and the
+scores. The result therefore does not depend on the number of workers, and a search can resume from a journal.
 """
 
 from collections.abc import Callable
@@ -19,18 +19,18 @@ from trackslip_common.errors import InputError
 Costs = Callable[[FloatArray], FloatArray]
 """(k, d) points → (k,) costs."""
 
-_EVOLUTION = 0.7  # share of the points for differential evolution
-_MEMBERS = 8  # of a generation, for each dimension
-_GENERATIONS = 5  # at least, if need be of fewer members
-_SIMPLEX = 0.05  # size of the first simplex
-_SMALL = 1e-4  # difference of costs that does not matter
+_EVOLUTION = 0.7  # share of the points used by differential evolution
+_MEMBERS = 8  # size of a generation, per dimension
+_GENERATIONS = 5  # least number of generations; their size is reduced if necessary
+_SIMPLEX = 0.05  # edge of the first simplex
+_SMALL = 1e-4  # negligible difference of costs
 
 
 def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArray:
-    """The best of about ``points`` points, ``start`` (d,) among them.
+    """The best of about ``points`` points; ``start`` (d,) is one of them.
 
     Raises:
-        InputError: whatever ``costs`` raises as such.
+        InputError: ``costs`` raises it.
     """
     d = start.size
     members = max(5, min(_MEMBERS * d, int(_EVOLUTION * points) // (_GENERATIONS + 1)))
@@ -55,7 +55,7 @@ def search(costs: Costs, start: FloatArray, points: int, seed: int) -> FloatArra
 
 
 def _evolved(costs: Costs, population: FloatArray, generations: int, seed: int) -> OptimizeResult:
-    """By differential evolution from a (k, d) population on."""
+    """Result of differential evolution from a (k, d) population."""
     try:
         return differential_evolution(
             lambda x: costs(x.T),
@@ -70,6 +70,6 @@ def _evolved(costs: Costs, population: FloatArray, generations: int, seed: int) 
             vectorized=True,
         )
     except RuntimeError as error:
-        if isinstance(error.__cause__, InputError):  # which scipy, as it is a ValueError, takes for a mistake
+        if isinstance(error.__cause__, InputError):  # scipy wraps it: it is a ValueError
             raise error.__cause__ from None
         raise

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One bag as the tuner sees it: read once, scored for any set of parameters.
+"""One bag for the tuner: read once, scored for any set of parameters.
 
     ν, S    innovation of a measurement, its covariance
     d²      νᵀ S⁻¹ ν
     m       degrees of freedom
-    ε, u    share of measurements that are wrong, and their density wherever they may lie
+    ε, u    share of outliers, and their uniform density
 
-The likelihood of a measurement is (1 − ε) N(ν; 0, S) + ε u: what no noise explains costs so much and no more,
-so that one spike does not outweigh a drive, and a filter that refuses everything scores badly.
+The likelihood of a measurement is (1 − ε) N(ν; 0, S) + ε u. The cost of an outlier is therefore bounded: one
+spike does not outweigh a drive, and a filter that rejects everything scores badly.
 """
 
 import math
@@ -36,9 +36,9 @@ from trackslip_tools.replay.settled import read_settled
 from trackslip_tools.tuning.plan import changed
 
 _WRONG = 1e-3  # ε
-_AREA, _RATES = 1e4, 2.0 * math.pi  # m², rad/s: where wrong measurements lie
+_AREA, _RATES = 1e4, 2.0 * math.pi  # m², rad/s: range of outliers
 _DENSITIES = np.array((1.0, 1.0 / _RATES, 1.0 / _AREA, 1.0 / (_AREA * 2.0 * math.pi)))  # u, by m
-_SCORED = 2000  # samples of a reference, spread evenly, that tell as much as all
+_SCORED = 2000  # samples of a reference, evenly spread, that are enough for the scores
 
 
 Job = tuple[int, Mapping[str, float]]
@@ -46,23 +46,23 @@ Job = tuple[int, Mapping[str, float]]
 
 
 class _Run(NamedTuple):
-    """What a run over a log leaves to be scored."""
+    """Results of a run over a log, for scoring."""
 
     innovations: "_Innovations"
-    means: FloatArray  # (m, 3) poses at the entries asked for
+    means: FloatArray  # (m, 3) poses at the requested entries
     covariances: FloatArray  # (m, 3, 3)
 
 
 class Score(NamedTuple):
-    """How well a set of parameters does on a bag; errors are nan where it has no reference."""
+    """Scores of a set of parameters on a bag; errors are nan without a reference."""
 
-    log_likelihood: float  # mean of a measurement
-    nis: dict[str, float]  # source → mean d²/m of what was accepted, 1 if consistent
-    rejected: dict[str, int]  # source → how many
+    log_likelihood: float  # mean over the measurements
+    nis: dict[str, float]  # source → mean d²/m of accepted measurements, 1 if consistent
+    rejected: dict[str, int]  # source → number of rejected measurements
     position: float  # m, RMS error
     heading: float  # rad, RMS error
-    nees: float  # mean of the pose's, 3 if consistent; of the position's where there is no heading
-    pose_log_likelihood: float  # mean of the reference's poses, by what the filter states of its own
+    nees: float  # mean of the pose, 3 if consistent; of the position, 2, if the reference has no heading
+    pose_log_likelihood: float  # mean ln likelihood of the reference's poses under the filter's covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +75,10 @@ class Task:
     reference: Path | None
 
     def score(self, values: Mapping[str, float]) -> Score:
-        """With other values of some parameters (dotted names).
+        """Scores with other values of some parameters (dotted names).
 
         Raises:
-            InputError: a value is refused.
+            InputError: a value is rejected.
         """
         p = changed(self.p, values)
         keep = self._around_reference()
@@ -87,7 +87,7 @@ class Task:
         return Score(*result.innovations.score(), *errors)
 
     def _around_reference(self) -> BoolArray:
-        """(k,) the sprocket samples, where the estimator publishes, next to the samples of the reference."""
+        """(k,) whether an entry is a sprocket sample (with an estimate) next to a sample of the reference."""
         rest = self.log.rest
         keep = np.zeros(len(rest), dtype=np.bool_)
         published = np.flatnonzero(rest["kind"] == SPROCKETS)
@@ -98,7 +98,7 @@ class Task:
         return keep
 
     def _errors(self, stamps_ns: IntArray, result: _Run) -> tuple[float, float, float, float]:
-        """The last four of a ``Score``."""
+        """The last four fields of a ``Score``."""
         if self.reference is None or not len(stamps_ns):
             return math.nan, math.nan, math.nan, math.nan
         poses = result.means.copy()
@@ -107,7 +107,7 @@ class Task:
         errors = score(path, self.reference)
         if errors is None:
             return math.nan, math.nan, math.nan, math.nan
-        size = 2 if errors.heading is None else 3  # of what the reference has
+        size = 2 if errors.heading is None else 3  # dimensions of the reference's pose
         nees, log_dets = nees_of_each(path, result.covariances, self.reference, size)
         heading = math.nan if errors.heading is None else errors.heading
         known = np.isfinite(nees)
@@ -118,16 +118,16 @@ class Task:
 
 
 def score_of(tasks: Sequence[Task], job: Job) -> Score:
-    """One set of parameters on one bag."""
+    """Score of one set of parameters on one bag."""
     bag, values = job
     return tasks[bag].score(values)
 
 
 def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, reference: Path | None) -> Task:
-    """A bag's measurements, records of ``MEASUREMENT``.
+    """A task from a bag's measurements, records of ``MEASUREMENT``.
 
     Raises:
-        InputError: there is none to start from.
+        InputError: no measurement can start the filter.
     """
     if reference is not None:
         every = -(-len(reference.stamps_ns) // _SCORED) or 1
@@ -137,7 +137,7 @@ def make_task(name: str, arrivals: Records, p: SlipEstimatorParameters, referenc
 
 
 def _run(log: Log, p: SlipEstimatorParameters, keep: BoolArray) -> _Run:
-    """One run over a log, with the poses after the entries to ``keep`` (k,)."""
+    """Innovations of one run over a log, and the poses after the entries to ``keep`` (k,)."""
     innovations = _Innovations(list(p.timeouts_ns()))
     means, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
     for block in run_log(log, p):
@@ -150,7 +150,7 @@ def _run(log: Log, p: SlipEstimatorParameters, keep: BoolArray) -> _Run:
 
 
 class _Innovations:
-    """Sums over the innovations of a run; sources are numbers of ``names``."""
+    """Sums over the innovations of a run; sources are indices of ``names``."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
@@ -158,7 +158,7 @@ class _Innovations:
         self._nis, self._dof, self._refused, self._seen = np.zeros((4, len(names)))
 
     def add(self, sources: IntArray, updates: Records) -> None:
-        """More of them, (k,) each."""
+        """Add (k,) sources and (k,) updates."""
         measured = updates["dof"] > 0
         sources, found = sources[measured], updates[measured]
         dof, nis = found["dof"], found["nis"]
@@ -166,7 +166,7 @@ class _Innovations:
         normal[np.isnan(normal)] = -np.inf
         self._likelihood += float(np.sum(np.logaddexp(normal, np.log(_WRONG * _DENSITIES)[dof])))
         self._count += len(dof)
-        named = sources < len(self._names)  # a pose that a user set has no source
+        named = sources < len(self._names)  # a manual pose has no source
         sources, nis, dof = sources[named], nis[named], dof[named]
         accepted = found["outcome"][named] == Outcome.ACCEPTED
         size = len(self._names)
@@ -176,7 +176,7 @@ class _Innovations:
         self._seen += np.bincount(sources, minlength=size)
 
     def score(self) -> tuple[float, dict[str, float], dict[str, int]]:
-        """The first three of a ``Score``."""
+        """The first three fields of a ``Score``."""
         seen = [k for k, count in enumerate(self._seen) if count]
         mean_nis = {self._names[k]: float(self._nis[k] / max(self._dof[k], 1.0)) for k in seen}
         rejected = {self._names[k]: int(self._refused[k]) for k in seen}
@@ -191,12 +191,12 @@ def read_task(
     *,
     needs_reference: bool,
 ) -> Task:
-    """A bag's measurements and its reference, where it has one.
+    """A task from a bag's measurements and, if there is one, its reference.
 
-    What was asked of the estimator while it ran, but for its pose, is left out.
+    Commands at run time are left out, except manual poses.
 
     Raises:
-        InputError: the bag lacks what is needed.
+        InputError: the bag lacks a required topic.
     """
     reference = reference or own_reference(bag)
     requested = (reference,) if reference else ()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tunes over many bags, and over all but each: what a bag without a say gains is what tuning is worth."""
+"""Tunes over many bags, and cross-validates: each bag is left out of a search and scored with its result."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -17,21 +17,21 @@ from trackslip_tools.tuning.task import Job, Score, Task
 Work = Callable[[Sequence[Job]], Iterator[Score]]
 """Scores of the jobs, in their order."""
 
-_WORST = 1e9  # cost of what has no score
+_WORST = 1e9  # cost without a score
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A search in which one bag had no say."""
+    """Result of a search without one bag."""
 
     bag: int
     values: dict[str, float]
-    score: Score  # of that bag
+    score: Score  # of the left-out bag
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """What a tuning found."""
+    """Result of a tuning."""
 
     plan: Plan
     bags: list[str]
@@ -39,11 +39,11 @@ class Tuning:
     values: dict[str, float]
     before: list[Score]  # of each bag
     after: list[Score]
-    folds: list[Fold]  # empty where there is one bag, or none was wanted
+    folds: list[Fold]  # empty with one bag or without cross-validation
 
     @property
     def improves_unseen(self) -> bool:
-        """Whether bags without a say are better off on average; where none was left out, whether all are."""
+        """Whether the left-out bags improve on average; without folds, whether all bags do on average."""
         objective = self.plan.settings.objective
         then = [fold.score for fold in self.folds] or self.after
         changes = [
@@ -53,17 +53,17 @@ class Tuning:
 
 
 class Tuner:
-    """Searches that share their scores."""
+    """Runs searches that share their scores."""
 
     def __init__(
         self, plan: Plan, tasks: Sequence[Task], work: Work, journal: Journal, advance: Callable[[int], None]
     ) -> None:
-        """``advance`` gets how many sets were scored, or known, at each turn."""
+        """``advance`` gets the number of scored sets (new or from the journal) after each step."""
         self._plan, self._tasks, self._work, self._journal = plan, tasks, work, journal
         self._advance = advance
 
     def run(self, cross_validate: bool) -> Tuning:
-        """Tune over all bags; and over all but one, for each."""
+        """Tune over all bags and, with ``cross_validate``, over all but each."""
         everyone = range(len(self._tasks))
         start = np.mean([self._plan.shares(task.p) for task in self._tasks], axis=0)
         best = self._search(everyone, start)
@@ -93,7 +93,7 @@ class Tuner:
         return self._plan.values(search(costs, start, settings.evaluations, settings.seed))
 
     def _scores(self, sets: Sequence[dict[str, float]], bags: Sequence[int]) -> list[list[Score]]:
-        """Of each set and bag; the journal's where it knows them."""
+        """Scores of each set and bag; those in the journal are not computed again."""
         requested = dict.fromkeys((bag, tuple(values.values())) for values in sets for bag in bags)
         missing = [key for key in requested if key not in self._journal]
         jobs = [(bag, dict(zip(self._plan.bounds, values, strict=True))) for bag, values in missing]
@@ -103,7 +103,7 @@ class Tuner:
 
 
 def cost(objective: str, score: Score) -> float:
-    """What is made small: minus a mean ln likelihood, or ln of the position error (m)."""
+    """The cost to minimise: minus a mean ln likelihood, or ln of the position error (m)."""
     if objective == POSITION:
         value = math.log(max(score.position, 1e-9))
     else:
