@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Work at the desk: replay, smoothing, tuning, calibration, reports, and the command line."""
+"""Offline tools: replay, smoothing, tuning, calibration, reports, and the command line."""

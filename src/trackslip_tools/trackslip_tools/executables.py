@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Entry point of the live page's node: it loads its module only when called (see ``start``)."""
+"""Entry point of the live page's node; its module is loaded only when called (see ``start``)."""
 
 from trackslip_common.start import start
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles the kernels of both estimators; where that was done before it takes a moment."""
+"""Compiles the kernels of both estimators; fast if the compiled kernels are cached."""
 
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Sprockets
@@ -12,7 +12,7 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
 
 def compile_kernels() -> None:
-    """By a step of each estimator, with all that it may call."""
+    """Compile by a step of each estimator that calls all kernels."""
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose"}))
     samples = [Sprockets("sprockets", k * 10_000_000, 1.0, 1.0, (0.01 * k, 0.01 * k)) for k in range(3)]
     estimator.process_records(to_records(samples, estimator.sources))

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who does many pieces of work: this process, others of this machine, or the workers of a Dask scheduler.
+"""Runs many pieces of work in this process, in other processes, or on the workers of a Dask scheduler.
 
-A piece is a function of what all pieces share and of an item of its own. The function is a module's own, so
-that another process can import it; shared data goes to each process once. The results come in the order of
-the items, so they are the same whoever did them, and however many.
+A piece is a function of data shared by all pieces and of an item of its own. The function belongs to a
+module, so that another process can import it. Shared data goes to each process once. The results come in the
+order of the items. They are therefore the same for any number of workers.
 """
 
 import multiprocessing
@@ -24,30 +24,30 @@ from trackslip_tools.warm_up import compile_kernels
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_ANSWERS = 10.0  # s in which a scheduler answers
+_ANSWERS = 10.0  # timeout for a scheduler, s
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
-_shared: Any = None  # in a process of a pool: what its pieces share
+_shared: Any = None  # shared data, in a process of a pool
 
 
 class Map(Protocol):
     """``map`` over some workers."""
 
     def __call__(self, function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """``function(shared, item)`` of each item, in their order; what one raises is raised in its turn."""
+        """Yield ``function(shared, item)`` of each item, in order; an exception is raised at its item."""
 
 
 def cores() -> int:
-    """How many this process may use."""
+    """Number of CPU cores available to this process."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
 def workers(count: int, scheduler: str | None = None, shared: Any = None) -> Iterator[Map]:
-    """``count`` processes of this machine, one being this process itself; or those of a Dask scheduler.
+    """Context of a ``Map`` over ``count`` processes (1: this one), or over a Dask scheduler's workers.
 
     Raises:
-        InputError: no scheduler answers there, it has no workers, or one of them ended.
+        InputError: no scheduler answers, it has no workers, or a worker ended.
     """
     if scheduler is not None:
         with _cluster(scheduler, shared) as mapped:
@@ -61,7 +61,7 @@ def workers(count: int, scheduler: str | None = None, shared: Any = None) -> Ite
 
 @contextmanager
 def _processes(count: int, shared: Any) -> Iterator[Map]:
-    """Each has one thread; kernels are compiled here, once, while they load what they need."""
+    """Processes with one thread each; this process compiles the kernels while the others import modules."""
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         count, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(shared,)
@@ -69,7 +69,7 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
 
     def mapped(function: Callable[[Any, Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         try:
-            with _for_processes():  # those that are not started yet
+            with _for_processes():  # for processes that start later
                 futures = [pool.submit(_run, function, item) for item in items]
             yield from _results(futures)
         except BrokenProcessPool as error:
@@ -80,7 +80,7 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
     try:
         with _for_processes():
             for _ in range(count):
-                pool.submit(os.getpid)  # starts one
+                pool.submit(os.getpid)  # starts a process
         compile_kernels()
         yield mapped
     except BaseException:
@@ -92,8 +92,8 @@ def _processes(count: int, shared: Any) -> Iterator[Map]:
 
 
 def _begin(shared: Any) -> None:
-    """In a new process."""
-    global _shared  # a pool passes nothing else to its processes
+    """Initialise a new process of the pool."""
+    global _shared  # a pool offers no other way to pass data
     _shared = shared
 
 
@@ -102,7 +102,7 @@ def _run(function: Callable[[Any, Item], Result], item: Item) -> Result:
 
 
 def _results(futures: list["Future[Result]"]) -> Iterator[Result]:
-    """Each is let go of as soon as it is taken."""
+    """Yield the results; each future is dropped at once."""
     futures.reverse()
     while futures:
         yield futures.pop().result()
@@ -110,12 +110,12 @@ def _results(futures: list["Future[Result]"]) -> Iterator[Result]:
 
 @contextmanager
 def _for_processes() -> Iterator[None]:
-    """What is started meanwhile has one thread, and is deaf to Ctrl-C: this process ends it.
+    """Processes started within this context have one thread and ignore Ctrl-C: this process ends them.
 
-    A Ctrl-C takes effect at the end, also where another thread is given it: a process half started would
-    complain of what it was not told.
+    A Ctrl-C takes effect at the end of the context, even if another thread receives it. A half-started
+    process would print a traceback.
     """
-    resource_tracker.ensure_running()  # it would let signals through again
+    resource_tracker.ensure_running()  # starting it later would unblock the signal
     pressed: list[int] = []
     own = (
         signal(SIGINT, lambda number, _: pressed.append(number))
@@ -142,8 +142,11 @@ def _for_processes() -> Iterator[None]:
 
 @contextmanager
 def _cluster(address: str, shared: Any) -> Iterator[Map]:
-    """The workers of a scheduler have our packages installed; whoever reaches one runs code on the others."""
-    from distributed import Client, KilledWorker  # takes a second: only where it is asked for
+    """Context of a ``Map`` over a scheduler's workers.
+
+    The workers need our packages installed. Whoever reaches the scheduler can run code on them.
+    """
+    from distributed import Client, KilledWorker  # takes a second
 
     try:
         client = Client(address, timeout=_ANSWERS, set_as_default=False)
@@ -164,7 +167,7 @@ def _cluster(address: str, shared: Any) -> Iterator[Map]:
                 yield from _results(futures)
             except ModuleNotFoundError as error:
                 raise InputError(f"--scheduler {address}: its workers lack {error.name}") from error
-            except (KilledWorker, CancelledError) as error:  # while it worked, or with what all share
+            except (KilledWorker, CancelledError) as error:  # during the work, or while shared data was sent
                 raise InputError(
                     f"--scheduler {address}: it or its workers ended (out of memory?)"
                 ) from error

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a new machine: its vehicle, and what the estimator has to expect of numbers that were guessed."""
+"""Files of a new machine: its vehicle file, and initial uncertainties for guessed numbers."""

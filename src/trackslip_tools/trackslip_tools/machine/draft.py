@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The vehicle file of a new machine, from what is known of it; the rest is guessed from its mass.
+"""Drafts the vehicle file of a new machine from known numbers; guesses the others from its mass.
 
-Tracked excavators are nearly alike: a length of a machine of mass m is c m^(1/3). Each factor c lies between
-those of ``pc05`` (1.3 t) and ``excavator_20t``; the share that is stated with it covers both, and more.
+Tracked excavators are nearly similar: a length of a machine of mass m is c m^(1/3). Each factor c lies
+between those of ``pc05`` (1.3 t) and ``excavator_20t``. The stated standard deviation covers both with a
+margin.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,7 +21,7 @@ MASS = "mass.mass"
 RADIUS = "kinematics.rolling_radius"
 ANTENNA = "sensors.antenna"
 
-HOW = {  # to measure a number that was guessed
+HOW = {  # how to measure a guessed number
     RADIUS: "20 m of hard ground over the sprocket's angle, rad",
     "kinematics.tread": "tape: outer edge of one track to the inner edge of the other",
     "kinematics.contact_length": "tape: from below the sprocket's centre to below the idler's",
@@ -35,7 +36,7 @@ HOW = {  # to measure a number that was guessed
 
 class _Length(NamedTuple):
     factor: float  # c, m/kg^(1/3)
-    share: float  # standard deviation of a machine's, of its length
+    share: float  # relative standard deviation of the length among machines
 
 
 _LENGTHS = {
@@ -43,14 +44,14 @@ _LENGTHS = {
     "kinematics.tread": _Length(0.077, 0.15),
     "kinematics.contact_length": _Length(0.121, 0.1),
     "mass.track_width": _Length(0.0215, 0.15),
-    f"{ANTENNA}.z": _Length(0.12, 0.3),  # on the cab's roof
+    f"{ANTENNA}.z": _Length(0.12, 0.3),  # cab roof
 }
-_CENTRE = dict.fromkeys((f"{ANTENNA}.x", f"{ANTENNA}.y"), 0.0)  # above the middle between the tracks
-# Of the block that has the machine's yaw inertia, over contact length and tread.
+_CENTRE = dict.fromkeys((f"{ANTENNA}.x", f"{ANTENNA}.y"), 0.0)  # in the middle between the tracks
+# Size of a block with the machine's yaw inertia, over contact length and tread.
 _BLOCK = (1.3, 1.2)
 NEEDED = (MASS, RADIUS, "kinematics.tread", "kinematics.contact_length")
 _HYDRAULICS = "hydraulics."
-# A rolling radius is off by a share of all that the tracks drive, as a slip that both have.
+# An error of the rolling radius acts like a slip common to both tracks.
 _PRIORS = """\
 # Of {0}, for --params and params_file: its rolling radius is guessed.
 slip_estimator:
@@ -62,22 +63,22 @@ slip_estimator:
 
 @dataclass(frozen=True)
 class Draft:
-    """A vehicle with what was guessed of it."""
+    """A vehicle with the numbers that were guessed."""
 
     vehicle: VehicleParameters
     values: Mapping[str, float]  # by dotted name
-    guessed: Mapping[str, float]  # dotted name → its standard deviation over the number; 0: unknown
-    missing: tuple[str, ...]  # what is left out, in words
+    guessed: Mapping[str, float]  # dotted name → relative standard deviation; 0: unknown
+    missing: tuple[str, ...]  # omitted parts, as sentences
 
     @property
     def files(self) -> dict[str, str]:
-        """File name → text: the vehicle, then what the estimator has to expect, where that is unusual."""
+        """File name → text: the vehicle, then estimator parameters that a guessed rolling radius requires."""
         name, share = self.vehicle.name, self.guessed.get(RADIUS)
         found = {f"{name}.yaml": self._vehicle_text()}
         return found | ({f"{name}_estimator.yaml": _PRIORS.format(name, share)} if share else {})
 
     def _vehicle_text(self) -> str:
-        """As the files of ``config/vehicles`` are written."""
+        """The vehicle in the format of ``config/vehicles``."""
         lines = [
             f"# {self.vehicle.name}, by trackslip vehicle new. Measure what is guessed, the first lines",
             "# first; config/vehicles/excavator_20t.yaml says how, and which groups may be added.",
@@ -106,10 +107,10 @@ class Draft:
 
 
 def draft(name: str, known: Mapping[str, float]) -> Draft:
-    """From numbers by dotted name of a vehicle file.
+    """Draft a vehicle from known numbers, by dotted name of a vehicle file.
 
     Raises:
-        InputError: too little is known, a number is refused, or numbers do not go together.
+        InputError: too few numbers are known, a number is rejected, or numbers contradict each other.
     """
     for one, spec in _specs():
         if one in known:
@@ -139,7 +140,7 @@ def draft(name: str, known: Mapping[str, float]) -> Draft:
 
 
 def _left_out(values: Mapping[str, float]) -> Iterator[str]:
-    """What the file has not, and what is missing for it."""
+    """Sentences on the omitted parts of the file, with the options that would provide them."""
     hydraulics = [name for name, _ in _specs() if name.startswith(_HYDRAULICS) and name not in values]
     if hydraulics:
         options = " ".join(f"--{_option(name)}" for name in hydraulics)
@@ -151,13 +152,13 @@ def _left_out(values: Mapping[str, float]) -> Iterator[str]:
 
 
 def _is_whole(name: str, values: Mapping[str, float]) -> bool:
-    """Whether all of the group of a number are known; a group is left out whole."""
+    """Whether all numbers in the group of this one are known; incomplete groups are omitted."""
     group = name.rpartition(".")[0] + "."
     return all(one in values for one, _ in _specs() if one.startswith(group) and "." not in one[len(group) :])
 
 
 def options() -> Iterator[tuple[str, str, Spec]]:
-    """(option, dotted name, spec) of each number that may be given by itself."""
+    """(option, dotted name, spec) of each number with an option of its own."""
     for name, spec in _specs():
         if name.split(".")[0] in ("kinematics", "mass", "hydraulics") and name.count(".") == 1:
             yield _option(name), name, spec
@@ -172,5 +173,5 @@ def _specs() -> Iterator[tuple[str, Spec]]:
 
 
 def _rounded(value: float) -> float:
-    """To two digits: more is not known."""
+    """Rounded to two digits, the precision of a guess."""
     return float(f"{value:.2g}")

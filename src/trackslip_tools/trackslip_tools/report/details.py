@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a report shows of a replay beside its scores: estimates, what was compared with them, and fixes."""
+"""Details of a replay for a report: estimates, innovations, and fixes."""
 
 from collections.abc import Iterable
 
@@ -30,26 +30,28 @@ FIX = np.dtype(
     [
         *((n, REPORT[n]) for n in REPORT.names or ()),
         *((n, ARRIVAL[n]) for n in ("value", "noise")),
-        ("expected", np.bool_),  # whether an estimate of its time was published before it came; that is:
-        ("pose", np.float64, (3,)),  # of base_link at its stamp
+        ("expected", np.bool_),  # whether an estimate for its stamp had been published when it came; then:
+        ("pose", np.float64, (3,)),  # (3,) estimated pose of base_link at its stamp
         ("pose_covariance", np.float64, (3, 3)),
     ]
 )
-_RECENT_NS = 60_000_000_000  # by which a fix may be late
+_RECENT_NS = 60_000_000_000  # largest delay of a fix
 
 
 class Details:
-    """Collects them from the parts of a replay; of a long one, estimates are thinned."""
+    """Collects details from the parts of a replay; thins the estimates of long ones."""
 
     def __init__(self) -> None:
         self.sources: tuple[str, ...] = ()
         self._estimates = GrowingRows(ESTIMATE, MOST_DRAWN)
         self._reports, self._fixes = GrowingRows(REPORT), GrowingRows(FIX)
         self._recent = np.empty(0, ESTIMATE)
-        self.explained: list[Explained] = []  # what competed at a time, and the first one after it
+        self.explained: list[
+            Explained
+        ] = []  # competing explanations at a time, and the first without after them
 
     def add(self, part: Part) -> None:
-        """More of a replay."""
+        """Add a part."""
         self.sources = part.sources
         self.add_explained(part.explained)
         results = part.results
@@ -65,7 +67,7 @@ class Details:
         published = np.cumsum(results["published"]) - results["published"]
         fixes = found[is_pose]
         if len(estimates) and len(self._recent) and self._recent["stamp_ns"][-1] >= estimates["stamp_ns"][0]:
-            self._recent = self._recent[:0]  # stamps went back
+            self._recent = self._recent[:0]  # clock went back
         known = np.concatenate((self._recent, estimates))
         _expect(fixes, known, len(self._recent) + published[is_pose])
         self._fixes.add(fixes)
@@ -74,29 +76,29 @@ class Details:
             self._recent = known[np.searchsorted(known["stamp_ns"], oldest_ns) :]
 
     def add_explained(self, explained: Iterable[Explained]) -> None:
-        """More of what competed."""
+        """Add explanations."""
         for one in explained:
             if one.competing or (self.explained and self.explained[-1].competing):
                 self.explained.append(one)
 
     @property
     def estimates(self) -> Rows:
-        """(n,) ESTIMATE in the order in which they were published."""
+        """(n,) ESTIMATE in order of publication."""
         return self._estimates.rows()
 
     @property
     def reports(self) -> Rows:
-        """(n,) REPORT of what came as far as being compared with the estimate, in the order of arrival."""
+        """(n,) REPORT of measurements that were compared with the estimate, in order of arrival."""
         return self._reports.rows()
 
     @property
     def fixes(self) -> Rows:
-        """(n,) FIX, those of poses, with what they stated."""
+        """(n,) FIX of all fixes, with their values and covariances."""
         return self._fixes.rows()
 
 
 def _expect(fixes: Rows, estimates: Rows, published: IntArray) -> None:
-    """Fill in what was expected of (n,) FIX, each by the first ``published`` (n,) of the estimates."""
+    """Fill in the expected poses of (n,) FIX, each from the first ``published`` (n,) estimates."""
     before = np.searchsorted(estimates["stamp_ns"], fixes["stamp_ns"], "right")
     before = np.minimum(before, published) - 1
     fixes["expected"] = before >= 0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What happened: changes of lights, of the gate, of the soil and of what is learned, each said once."""
+"""Finds events: changes of diagnostics, gate, soil and learned quantities, each reported once."""
 
 import re
 from collections import deque
@@ -12,45 +12,45 @@ from trackslip_common.errors import printable
 from trackslip_tools.report.lights import SILENT_S, Level, Light, Lights, statuses_of
 from trackslip_tools.report.spells import Spell
 
-MOST = 200  # events that are kept
-_MOST_VALUES = 500  # of one light, and of what is remembered of them
-_REPEAT_S = 10.0  # s in which the same is not said again
-_CLEAR_S = 5.0  # s without a refusal, after which the gate has calmed down
-CERTAIN = 0.6  # probability from which on a soil counts as found
+MOST = 200  # kept events
+_MOST_VALUES = 500  # values read per status, and entries of each memory
+_REPEAT_S = 10.0  # s in which the same text is not repeated
+_CLEAR_S = 5.0  # s without a rejection, after which the next one is an event
+CERTAIN = 0.6  # probability from which a soil counts as identified
 _NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 _LESS_PROBABLE = re.compile(r"\b\w+ explanations for [\d.]+ s: ([^(]*) \(.*")
 _DURATIONS = re.compile(r" for \d+(\.\d+)? s")
 _LOST = "nothing accepted of "
 _GATED = " gated"  # key of a count: ``source gated``
-_NOT_YET = "not observed yet"  # what is learned, before it is
-_REPLAYED = ("slip_estimator", "soil_estimator")  # what they tell, a replay knows
-_FALLEN_SILENT_S = 1.001 * SILENT_S  # a moment later
+_NOT_YET = "not observed yet"  # value of a learned quantity before its first observation
+_REPLAYED = ("slip_estimator", "soil_estimator")  # a replay computes their events itself
+_FALLEN_SILENT_S = 1.001 * SILENT_S  # just after the timeout
 
 
 class Event(NamedTuple):
-    """One line of the list."""
+    """One entry of the event list."""
 
-    number: int  # counts all
-    time_ms: float  # on the clock that is shown
+    number: int  # running number of all events
+    time_ms: float  # on the displayed clock
     level: Level
     text: str
 
 
 class Events:
-    """Finds them; times are seconds of one clock that goes forward."""
+    """Finds events; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
         self.kept: deque[Event] = deque(maxlen=MOST)
-        self.count = 0  # all that ever were
-        self._conditions: dict[str, tuple[Level, str]] = {}  # of lights
+        self.count = 0  # all events since the start
+        self._conditions: dict[str, tuple[Level, str]] = {}  # name of a status → its level and message
         self._shown_s: dict[tuple[Level, str], float] = {}
         self._gated: dict[str, int] = {}
         self._refused_s: dict[str, float] = {}
-        self._unknown: set[str] = set()  # what is not learned yet
+        self._unknown: set[str] = set()  # unobserved learned quantities
         self._soil = ""
 
     def add(self, level: Level, text: str, now_s: float, time_ms: float) -> None:
-        """One, unless the same was said a moment ago."""
+        """Add an event, unless the same text was added recently."""
         key = (level, without_numbers(text))
         if now_s - self._shown_s.get(key, -_REPEAT_S) >= _REPEAT_S:
             self.count += 1
@@ -58,7 +58,7 @@ class Events:
         self._shown_s = {k: s for k, s in self._shown_s.items() if now_s - s < _REPEAT_S} | {key: now_s}
 
     def see_lights(self, lights: Iterable[Light], now_s: float, time_ms: float) -> None:
-        """Say which have changed, whatever numbers their texts hold."""
+        """Add events for lights whose level or text changed; changed numbers within a text do not count."""
         conditions = {light.name: (light.level, light.message) for light in lights}
         for name, (level, message) in conditions.items():
             before = self._conditions.get(name, (Level.OK, ""))
@@ -71,7 +71,7 @@ class Events:
         self._conditions = conditions
 
     def see_values(self, values: Mapping[str, str], now_s: float, time_ms: float) -> None:
-        """What the values of one light tell: counts of the gate, and what was learned."""
+        """Add events from the values of one status: gate rejections, and newly observed quantities."""
         for key, text in list(values.items())[:_MOST_VALUES]:
             if key.endswith(_GATED):
                 self._see_gate(key.removesuffix(_GATED), text, now_s, time_ms)
@@ -82,7 +82,7 @@ class Events:
                 self.add(Level.OK, f"learned: {text}", now_s, time_ms)
 
     def see_soil(self, classes: Mapping[str, float], now_s: float, time_ms: float) -> None:
-        """The likeliest soil, where it is likely enough to be called one."""
+        """Add an event when another soil becomes the likeliest, with probability ``CERTAIN`` or more."""
         name, chance = max(classes.items(), key=lambda item: item[1], default=("", 0.0))
         if chance >= CERTAIN and name != self._soil:
             what = "soil changed to" if self._soil else "soil found:"
@@ -103,12 +103,12 @@ class Events:
 
 
 def same_text(message: str, other: str) -> bool:
-    """Whether two texts differ in nothing but numbers, and what is less probable."""
+    """Whether two texts differ only in numbers and less probable explanations."""
     return without_numbers(message) == without_numbers(other)
 
 
 def without_numbers(text: str) -> str:
-    """With # in their places; of explanations that compete, the most probable one alone."""
+    """The text with # for numbers, and only the most probable of competing explanations."""
     return _NUMBERS.sub("#", _LESS_PROBABLE.sub(r"explanations: \1", text))
 
 
@@ -121,7 +121,7 @@ def _reported(name: str, level: Level, message: str, before: str) -> str:
 
 
 class LightLog:
-    """Takes the messages of /diagnostics in the order of their times, s from the bag's first message."""
+    """Collects the messages of /diagnostics in order of time, s from the bag's first message."""
 
     def __init__(self, namespace: str = "") -> None:
         self._namespace = namespace
@@ -130,7 +130,7 @@ class LightLog:
         self._last_s = 0.0
 
     def add(self, message: Any, now_s: float) -> None:
-        """One DiagnosticArray."""
+        """Add a DiagnosticArray."""
         if self._spells and now_s - self._last_s > SILENT_S:
             self._see(min(self._last_s + _FALLEN_SILENT_S, now_s))
         self._lights.update(statuses_of(message, self._namespace), now_s)
@@ -138,7 +138,7 @@ class LightLog:
         self._last_s = now_s
 
     def spells(self, stop_s: float) -> dict[str, list[Spell]]:
-        """By name, in its order; of a recording until ``stop_s``."""
+        """Name → intervals of its level until ``stop_s``, sorted by name."""
         if self._spells and stop_s > self._last_s:
             self._see(min(self._last_s + _FALLEN_SILENT_S, stop_s))
             self._see(stop_s)
@@ -146,7 +146,7 @@ class LightLog:
 
     @property
     def events(self) -> list[Event]:
-        """What was told; of the estimators' lights nothing, and no more than the live page keeps."""
+        """The last ``MOST`` events, without those of the estimators' own diagnostics."""
         return list(self._events.kept)
 
     def _see(self, now_s: float) -> None:
@@ -157,7 +157,7 @@ class LightLog:
             self._see_light(self._spells.setdefault(light.name, []), light, now_s)
 
     def _see_light(self, known: list[Spell], light: Light, now_s: float) -> None:
-        if known and known[-1].stop >= self._last_s:  # else it was absent meanwhile
+        if known and known[-1].stop >= self._last_s:  # the name was present without interruption
             last = known[-1] = known[-1]._replace(stop=now_s)
             is_same = last.state == light.level and same_text(last.text, light.message)
         else:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of the ground: forces on the tracks, and the soil with its intervals, as the bag has them."""
+"""Plots of forces on the tracks, and of the soil with its intervals."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,7 +14,7 @@ from trackslip_tools.report.run import Run, recordings
 
 
 def ground_panels(runs: Sequence[Run]) -> list[Panel]:
-    """Those for which there are numbers."""
+    """The panels for which there are numbers."""
     panels = []
     for shape in SHAPES:
         curves = [*_curves(runs, shape)]
@@ -38,7 +38,7 @@ def _curve(numbers: Numbers, shown: Shown, scale: float, label: str, colour: str
 
 
 def _truths(runs: Sequence[Run], shape: Shape) -> Iterator[Curve]:
-    """One of each bag."""
+    """The true curve of each bag."""
     bags = [run for run in recordings(runs) if shape.truth in run.numbers]
     for run in bags:
         numbers = run.numbers[shape.truth]
@@ -49,7 +49,7 @@ def _truths(runs: Sequence[Run], shape: Shape) -> Iterator[Curve]:
 
 
 def _class_panels(runs: Sequence[Run]) -> list[Panel]:
-    """Probabilities of the soils compared with: the most likely ones at the end."""
+    """Probabilities of the soil classes, of the most likely ones at the end."""
     panels = []
     for run in (run for run in runs if SOIL in run.numbers):
         numbers = run.numbers[SOIL]

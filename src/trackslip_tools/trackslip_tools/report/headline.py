@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run comes to, in a few numbers: the head of a report."""
+"""Key numbers of a run, for the head of a report."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -18,29 +18,29 @@ from trackslip_tools.report.run import Run
 from trackslip_tools.report.story import trouble_spells, troubles_text
 from trackslip_tools.report.verdict import State, Verdict, VerdictLimits
 
-_GAP_S = 1.0  # a longer time between two estimates is nobody's
+_GAP_S = 1.0  # longer intervals between estimates count for neither distance nor time
 _NONE = "–"
-_LEAST_TIME_S = 0.5  # s for which a slip must last
+_LEAST_TIME_S = 0.5  # shortest duration of a slip, s
 
 
 class Travel(NamedTuple):
-    """How far, and for how long."""
+    """Distance and durations of a run."""
 
     distance: float  # m, along the path of the track-contact centre
     seconds: dict[Motion, float]
 
 
 class Fact(NamedTuple):
-    """One of the numbers."""
+    """One key number."""
 
     name: str
     value: str
     note: str = ""
-    state: State = State.UNKNOWN  # where it is a matter of good or bad
+    state: State = State.UNKNOWN  # rating, if the number can be rated
 
 
 def travel_of(run: Run) -> Travel:
-    """By the estimated speeds; what happened between two estimates counts as in the first of them."""
+    """Distance and durations from the estimated speeds; an interval has the state of its first estimate."""
     if run.states is None:
         return Travel(0.0, dict.fromkeys(Motion, 0.0))
     states = run.states
@@ -54,7 +54,7 @@ def travel_of(run: Run) -> Travel:
 def facts_of(
     run: Run, limits: VerdictLimits, checks: Mapping[str, Verdict], events: Sequence[Event]
 ) -> list[Fact]:
-    """All, in the order in which they are shown."""
+    """All key numbers, in display order."""
     travel = travel_of(run)
     straight, turning = (travel.seconds[motion] for motion in (Motion.STRAIGHT, Motion.TURNING))
     standing = travel.seconds[Motion.STANDING]
@@ -82,7 +82,7 @@ def _verdict(checks: Mapping[str, Verdict]) -> Fact:
 
 
 def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
-    """Of the moments in which the slip is known well enough."""
+    """The largest slip among estimates whose slip has a small standard deviation."""
     name = "Largest slip"
     if run.states is None:
         return Fact(name, _NONE)

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How measurements met the estimate: normalised innovations against their gates and their expectation.
+"""Normalised innovations of the measurements, against their gates and their expectation.
 
 ν, S     innovation, its covariance      of the measurement
 NIS      νᵀ S⁻¹ ν, χ² with dof degrees of freedom if the filter is consistent
 d        pose fix less the estimate published for its stamp, before the fix arrived   m, m, rad
-D        covariance of d: the estimate's and the fix's                                 (3, 3)
-w        L⁻¹ d with L Lᵀ = D: of variance 1 each if both are consistent
+D        covariance of d: the sum of estimate's and fix's                              (3, 3)
+w        L⁻¹ d with L Lᵀ = D: unit covariance if both are consistent
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,11 +34,11 @@ from trackslip_tools.report.panel import (
 from trackslip_tools.report.run import Run
 
 WINDOW = 25  # innovations in a moving mean
-_TAIL = 0.025  # of χ², either side of the band for that mean
+_TAIL = 0.025  # of χ², on either side of the band of that mean
 
 
 class Innovations(NamedTuple):
-    """What a source's measurements were found to be, in the order in which they came."""
+    """Innovations of one source, in order of arrival."""
 
     times: FloatArray  # (n,) s from the bag's first message, by stamp
     nis: FloatArray  # (n,)
@@ -48,7 +48,7 @@ class Innovations(NamedTuple):
 
     @property
     def mean_ratio(self) -> float:
-        """Mean of NIS over degrees of freedom of what was accepted: 1 if the filter is consistent."""
+        """Mean of NIS over mean dof of the accepted measurements: 1 if the filter is consistent."""
         accepted = ~self.refused
         return (
             float(self.nis[accepted].sum() / self.freedoms[accepted].sum())
@@ -58,7 +58,7 @@ class Innovations(NamedTuple):
 
 
 def innovations_of(run: Run) -> dict[str, Innovations]:
-    """By source; of measurements that came as far as being compared with the estimate."""
+    """Source → innovations of the measurements that were compared with the estimate."""
     reports = run.details.reports
     by_source = {
         run.details.sources[k]: reports[reports["source"] == k] for k in np.unique(reports["source"])
@@ -76,7 +76,7 @@ def innovations_of(run: Run) -> dict[str, Innovations]:
 
 
 def innovation_panels(runs: Sequence[Run]) -> list[Panel]:
-    """NIS of each source; of a single run also the whitened differences of its fixes."""
+    """NIS of each source; for a single run also the whitened differences of its fixes."""
     found = [(run, innovations_of(run)) for run in runs]
     panels = []
     for source in sorted({source for _, by_source in found for source in by_source}):
@@ -92,7 +92,7 @@ def innovation_panels(runs: Sequence[Run]) -> list[Panel]:
 
 
 def _points(innovations: Innovations) -> Iterator[Curve]:
-    """Each measurement, and the gate."""
+    """NIS of each measurement, and the gate."""
     ratio = innovations.nis / innovations.freedoms
     order = np.argsort(innovations.times, kind="stable")
     gate = (innovations.gates / innovations.freedoms)[order]
@@ -107,7 +107,7 @@ def _points(innovations: Innovations) -> Iterator[Curve]:
 
 
 def _expected(innovations: Innovations) -> Curve:
-    """1, and where 95 % of the moving means of a consistent filter lie."""
+    """The expected mean 1, and the 95 % band of moving means of a consistent filter."""
     ends = np.array((innovations.times.min(), innovations.times.max()))
     freedom = WINDOW * float(np.median(innovations.freedoms))
     low, high = (np.full(2, chdtri(freedom, tail) / freedom) for tail in (1.0 - _TAIL, _TAIL))
@@ -115,7 +115,7 @@ def _expected(innovations: Innovations) -> Curve:
 
 
 def _moving_mean(innovations: Innovations, label: str, colour: str) -> Curve:
-    """Over the measurements that were accepted, at the last one of each window."""
+    """Moving mean of NIS over accepted measurements, at the last one of each window."""
     accepted = ~innovations.refused
     order = np.argsort(innovations.times[accepted], kind="stable")
     columns = (innovations.nis[accepted][order], innovations.freedoms[accepted][order])
@@ -125,7 +125,7 @@ def _moving_mean(innovations: Innovations, label: str, colour: str) -> Curve:
 
 
 def _whitened_panels(run: Run) -> list[Panel]:
-    """Of each source of poses."""
+    """Whitened differences of each source of poses."""
     panels = []
     for source, (times, whitened) in sorted(whitened_fixes(run).items()):
         curves = [
@@ -139,9 +139,10 @@ def _whitened_panels(run: Run) -> list[Panel]:
 
 
 def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """By source: times (n,), and w (n, 3), whose heading is nan where it is not a measurement.
+    """Source → times (n,), and w (n, 3), nan for a heading that is not measured.
 
-    Fixes older than the first estimate, or without one that was published before they came, are left out.
+    Rejected fixes, fixes before the first estimate, and fixes for whose stamp no estimate was published in
+    time are left out.
     """
     fixes = run.details.fixes
     refused = [outcome for outcome in Outcome if outcome.refused]
@@ -156,7 +157,7 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
 
 
 def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
-    """w (n, 3) against what was expected of each fix."""
+    """w (n, 3): fixes less expected poses, whitened."""
     pose, P = _at_sensor(fixes["pose"], fixes["pose_covariance"], source)
     R = fixes["noise"].copy()
     floors = np.array((source.position_floor, source.position_floor, source.heading_floor))
@@ -173,7 +174,7 @@ def _whitened(fixes: Rows, source: PoseSource) -> FloatArray:
 
 
 def _at_sensor(poses: FloatArray, P: FloatArray, source: PoseSource) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) poses and covariances (n, 3, 3) of base_link, as those of the sensor."""
+    """(n, 3) poses and covariances (n, 3, 3) of base_link, transformed to the sensor."""
     c, s = np.cos(poses[:, YAW]), np.sin(poses[:, YAW])
     x, y = source.lever[:2]
     offset = np.column_stack((c * x - s * y, s * x + c * y))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned of the machine: a table of how it ended, and plots of how it came."""
+"""Learned quantities of the machine: a table of their final values, and plots over time."""
 
 from collections.abc import Sequence
 
@@ -14,13 +14,13 @@ Row = tuple[str, ...]
 
 
 def learned_rows(run: Run) -> list[Row]:
-    """Quantity, value, interval of ±2σ, unit, in words; of what was not observed, the last alone."""
+    """Quantity, value, interval of ±2σ, unit, description; only the description of unobserved quantities."""
     found = run.replay.learned[-1].findings if run.replay.learned else []
     return [_row(finding) for finding in found]
 
 
 def learned_panels(runs: Sequence[Run]) -> list[Panel]:
-    """One for each quantity that some run has observed in the end."""
+    """One panel for each quantity that some run has observed at its end."""
     observed: dict[str, Finding] = {}
     for run in runs:
         last = run.replay.learned[-1].findings if run.replay.learned else []
@@ -45,12 +45,12 @@ def _row(finding: Finding) -> Row:
 
 
 def _as_stated(finding: Finding) -> float:
-    """What is shown of a machine as its parameters have it."""
+    """The value that means no deviation from the parameters: 1 for factors, else 0."""
     return 1.0 if "factor" in finding.name else 0.0
 
 
 def _course(runs: Sequence[Run], run: Run, name: str) -> Curve | None:
-    """A quantity over time."""
+    """A quantity over time, as a curve."""
     found = [
         (known.stamp_ns, finding)
         for known in run.replay.learned

@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lights: what each node last said of itself on /diagnostics, and how long ago that was.
+"""Lights: the last status of each node on /diagnostics, with its age.
 
-Names and texts are anybody's: they are cut, what is not printable is escaped, and their number is bounded.
+Names and texts are external input: they are shortened, unprintable characters are escaped, and their number
+is limited.
 """
 
 import math
@@ -14,14 +15,14 @@ from typing import Any, NamedTuple
 
 from trackslip_common.errors import printable
 
-SILENT_S = 1.5  # s without a word, which nodes give once a second: the node has ended, or hangs
-MOST = 60  # lights
+SILENT_S = 1.5  # timeout for the status that nodes publish once a second: the node has ended, or hangs
+MOST = 60  # largest number of lights
 _LONGEST = 160  # characters of a text
-_RATE, _AGE = "rate (Hz)", "age (s)"  # values of drivers
+_RATE, _AGE = "rate (Hz)", "age (s)"  # keys in the status of drivers
 
 
 class Level(IntEnum):
-    """As on /diagnostics, and one more."""
+    """Levels of DiagnosticStatus, and SILENT."""
 
     OK = 0
     WARN = 1
@@ -31,31 +32,31 @@ class Level(IntEnum):
 
 
 class Status(NamedTuple):
-    """One line of /diagnostics."""
+    """One status of /diagnostics."""
 
-    name: str  # of the node; of a part of it ``node: part``
+    name: str  # of the node, or ``node: part``
     level: Level
     message: str
     values: Mapping[str, str]
 
     @property
     def node(self) -> str:
-        """Whose line it is."""
+        """Name of the node."""
         return self.name.partition(": ")[0]
 
 
 class Light(NamedTuple):
-    """What is shown of one line."""
+    """A status as it is shown."""
 
     name: str
     level: Level
     message: str
-    rate: float  # Hz, nan where it is not stated
-    age: float  # s since the last reading where that is stated, else since the node last spoke
+    rate: float  # Hz, nan if not reported
+    age: float  # s since the last reading if reported, else since the last status
 
 
 def statuses_of(message: Any, namespace: str = "") -> list[Status]:
-    """The lines of a DiagnosticArray, rclpy's or a bag's, of the nodes in a namespace; named without it."""
+    """The statuses of a DiagnosticArray (of rclpy or a bag) from nodes in a namespace, without its prefix."""
     prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
     return [_status(one, prefix) for one in message.status if one.name.startswith(prefix)]
 
@@ -78,15 +79,15 @@ class _Received:
 
 
 class Lights:
-    """The last line of each name; times are seconds of one clock that goes forward."""
+    """Keeps the last status of each name; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
         self._received: dict[str, _Received] = {}
         self._news: dict[str, Mapping[str, str]] = {}
-        self.left_out = 0  # lines that found no room
+        self.left_out = 0  # statuses beyond ``MOST``
 
     def update(self, statuses: Iterable[Status], now_s: float) -> None:
-        """One DiagnosticArray: parts of a node that it no longer mentions are well again, and go."""
+        """Add a DiagnosticArray; parts of its nodes that it no longer contains are removed as recovered."""
         found = {status.name: status for status in statuses}
         nodes = {status.node for status in found.values()}
         for name, received in list(self._received.items()):
@@ -100,12 +101,12 @@ class Lights:
                 self.left_out += 1
 
     def news(self) -> list[Mapping[str, str]]:
-        """Values of the lines that came since this was last asked."""
+        """Values of the statuses received since the last call."""
         news, self._news = list(self._news.values()), {}
         return news
 
     def at(self, now_s: float) -> list[Light]:
-        """All, by name."""
+        """All lights, sorted by name."""
         return [_light(self._received[name], now_s) for name in sorted(self._received)]
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of how the machine moved: errors against the reference, slips, slip angle, speeds."""
+"""Plots of the motion: errors against the reference, slips, slip angle, speeds."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -31,7 +31,7 @@ _DEGREES = 180.0 / np.pi
 
 
 def error_panels(runs: Sequence[Run]) -> list[Panel]:
-    """Distance and heading from the reference, with what the estimate claims of them."""
+    """Errors of position and heading against the reference, with their 2σ in the estimate."""
     distance, heading = [], []
     for run, shown in _shown(runs):
         errors = errors_of(run, shown.states)
@@ -44,7 +44,7 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
         band = (np.zeros_like(away), claimed)
         distance.append(Curve(label, colour, errors.times, away, shown.form, band))
         turned = _DEGREES * errors.values[:, 2]
-        if not np.isfinite(turned).any():  # a reference of positions
+        if not np.isfinite(turned).any():  # a reference without headings
             continue
         known = np.where(is_heading_known(variances[:, 2]), variances[:, 2], np.nan)
         band = within(np.zeros_like(turned), _DEGREES * np.sqrt(known))
@@ -58,7 +58,7 @@ def error_panels(runs: Sequence[Run]) -> list[Panel]:
 
 
 def motion_panels(runs: Sequence[Run]) -> list[Panel]:
-    """Slips, slip angle, speed and yaw rate, each with ±2σ, and the truth where a bag has it."""
+    """Slips, slip angle, speed and yaw rate, each with ±2σ, and the truth if the bag has it."""
     panels = []
     for quantity in QUANTITIES:
         curves = [*_truths(runs, quantity), *_estimates(runs, quantity)]
@@ -72,11 +72,11 @@ class Errors(NamedTuple):
 
     times: FloatArray  # (n,) s from the bag's first message
     values: FloatArray  # (n, 3) m, m, rad
-    covariances: FloatArray  # (n, 3, 3) claimed by the next estimate
+    covariances: FloatArray  # (n, 3, 3) of the estimate that follows
 
 
 def errors_of(run: Run, states: States) -> Errors | None:
-    """None where there is no reference, or no estimate of its time."""
+    """Errors against the reference; None without a reference or an estimate of its time."""
     reference = run.replay.paths.get("reference")
     if reference is None:
         return None
@@ -91,7 +91,7 @@ def errors_of(run: Run, states: States) -> Errors | None:
 
 
 def true_slips(run: Run) -> Series | None:
-    """Where the bag has them, while the machine moves and the track runs: else they mean nothing."""
+    """True slips while the machine moves and the track turns: slip is undefined otherwise."""
     slips, odometry = (run.replay.series.get(topic) for topic in (TRUE_SLIP, TRUE_ODOMETRY))
     if slips is None or odometry is None:
         return None
@@ -99,7 +99,7 @@ def true_slips(run: Run) -> Series | None:
 
 
 def _truths(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
-    """One curve for each bag that has the truth."""
+    """One true curve for each bag that has it."""
     bags = recordings(runs)
     for run in bags:
         series = run.replay.series.get(quantity.truth)
@@ -109,7 +109,7 @@ def _truths(runs: Sequence[Run], quantity: Quantity) -> Iterator[Curve]:
             form = Form.LINE if len(bags) == 1 else Form.DOTTED
             values = quantity.scale * series[quantity.true_column]
             moving = true_slips(run) if quantity.truth == TRUE_SLIP else None
-            if moving is not None:  # elsewhere slips mean nothing
+            if moving is not None:  # slips are undefined elsewhere
                 known = quantity.scale * moving[quantity.true_column]
                 values = np.full(len(series), np.nan)
                 values[np.searchsorted(series.stamps_ns, moving.stamps_ns)] = known

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces and soil over time, as columns: of a bag, or of what a replay computes."""
+"""Forces and soil over time as columns, from a bag or a replay."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,21 +12,21 @@ from trackslip_common.arrays import FloatArray, Rows
 from trackslip_common.message_fields import SoilFields
 from trackslip_common.message_reading import RecordClass, dtype_of, read
 
-_BLOCK = 10_000  # messages that wait to become rows
+_BLOCK = 10_000  # messages collected before their conversion to rows
 
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """One topic."""
+    """Messages of one topic as columns."""
 
     times: FloatArray  # (n,) s from the bag's first message, by stamp
     rows: Rows  # (n,) records of the message's fields
-    classes: dict[str, FloatArray]  # soil → (n,) its probability, nan where it was not compared with
-    reason: str  # why, at the end, the soil cannot be identified; empty where it can, and of forces
+    classes: dict[str, FloatArray]  # soil → (n,) its probability, nan where not compared
+    reason: str  # final reason why the soil cannot be identified; empty if it can, and for forces
 
 
 class NumbersCollector:
-    """Makes ``Numbers`` of messages that come piece by piece; ``start_ns`` is that of the bag."""
+    """Collects ``Numbers`` from messages; ``start_ns``: origin of times."""
 
     def __init__(self, kind: RecordClass, start_ns: int) -> None:
         self._kind, self._start_ns = kind, start_ns
@@ -39,14 +39,14 @@ class NumbersCollector:
         return sum(map(len, self._parts)) + len(self._waiting)
 
     def add_table(self, table: TopicTable) -> None:
-        """Those of a stretch of a bag."""
+        """Add the messages of a table."""
         self._parts.append(table.rows(self._kind))
         if self._kind is SoilFields:
             for k in range(len(table)):
                 self._add_classes(table.message(k))
 
     def add(self, message: Any) -> None:
-        """One."""
+        """Add a message."""
         self._waiting.append(tuple(read(self._kind, message)))
         if self._kind is SoilFields:
             self._add_classes(message)
@@ -54,7 +54,7 @@ class NumbersCollector:
             self._settle()
 
     def numbers(self) -> Numbers:
-        """When all were added."""
+        """The columns of all added messages."""
         self._settle()
         rows = np.concatenate(self._parts)
         times = (rows["stamp_ns"] - self._start_ns) * 1e-9
@@ -71,6 +71,6 @@ class NumbersCollector:
 
     def _add_classes(self, message: Any) -> None:
         names, values = tuple(message.class_names), np.asarray(message.class_probabilities)
-        fit = len(names) == len(values)  # else nobody knows whose probability is which
+        fit = len(names) == len(values)  # otherwise probabilities cannot be assigned
         self._classes.append((names, values) if fit else ((), values[:0]))
         self._reason = message.reason

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Puts plots and tables on one page of HTML that holds all it needs."""
+"""Renders plots and tables as one self-contained HTML page."""
 
 from collections.abc import Sequence
 from importlib import resources
@@ -35,14 +35,14 @@ from trackslip_tools.report.tables import (
 )
 from trackslip_tools.report.verdict import VerdictLimits, verdicts
 
-_SAMPLES = 4000  # of a curve, in a report of one or two runs; more runs share the same room
+_SAMPLES = 4000  # per curve, in a report of up to two runs; more runs share the same total
 _SHARING = 2
-_AT_ONCE = 4  # plots that are drawn before the page is there; report.js shows the others one by one
+_AT_ONCE = 4  # plots drawn before the page is shown; report.js adds the others one by one
 _TIME, _TIME_OF_DRIVING = "time, s", "time from the start of driving, s"
 
 
 def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
-    """The page about one run, or about several side by side; several bags from the start of driving."""
+    """The HTML page of one run, or of several side by side; times of several bags start with driving."""
     runs = aligned(runs)
     samples = _SAMPLES * _SHARING // max(len(runs), _SHARING)
     x_range = time_range([run.recording for run in runs])
@@ -68,7 +68,7 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
     _link(time_plots, path)
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
     document = Document()
-    with document.models.freeze():  # else, for each plot, Bokeh walks again through all that the cursor links
+    with document.models.freeze():  # avoids that Bokeh walks through all linked models again for each plot
         for plot in (path.plot, *time_plots):
             document.add_root(plot)
     page: str = file_html(
@@ -82,7 +82,7 @@ def render(runs: Sequence[Run], limits: VerdictLimits) -> str:
 
 
 def _link(time_plots: Sequence[figure], path: PathPlot) -> None:
-    """One cursor across all plots over time, and the machine on the path at that time."""
+    """Link one cursor across all plots over time with the machine's marker on the path."""
     spans = [Span(dimension="height", line_color=GREY, visible=False) for _ in time_plots]
     tracks = {
         "paths": [track.path for track in path.tracks],
@@ -96,7 +96,7 @@ def _link(time_plots: Sequence[figure], path: PathPlot) -> None:
 
 
 def _on_pointer(plot: figure, callback: CustomJS) -> None:
-    """When the mouse moves over it, and when a finger taps it."""
+    """Run a callback when the mouse moves over a plot, and when a finger taps it."""
     for event in (MouseMove, Tap):
         plot.js_on_event(event, callback)
 

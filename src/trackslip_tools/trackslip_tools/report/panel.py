@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What one plot over time shows, before anything is drawn: curves with their bands, in colours.
+"""Contents of one plot over time: curves with their bands and colours, independent of the drawing.
 
 The colours are those of Okabe and Ito, which people with any kind of colour blindness distinguish.
 """
@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from trackslip_common.arrays import FloatArray
 
-if TYPE_CHECKING:  # the live page uses these panels without a replay
+if TYPE_CHECKING:  # avoids an import of the replay by the live page
     from trackslip_tools.report.run import Run, States
 
 
 BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY)  # of runs, or of alike curves of one run
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, AMBER, SKY)  # of runs, or of similar curves of one run
 MOST_RUNS = len(COLOURS)
-PAPER, INK, GRID, GREY = "#ffffff", "#1f2933", "#d5dbe1", "#8a949e"  # INK: text, and what is true
-DARK = {  # what page.js puts in the place of each on a dark page
+PAPER, INK, GRID, GREY = "#ffffff", "#1f2933", "#d5dbe1", "#8a949e"  # INK: text and true values
+DARK = {  # colours with which page.js replaces these on a dark page
     BLUE: "#4aa8e0",
     ORANGE: "#f58a45",
     GREEN: "#3cc79a",
@@ -31,11 +31,11 @@ DARK = {  # what page.js puts in the place of each on a dark page
     INK: "#e4e9ee",
     GRID: "#3a444e",
 }
-SIGMAS = 2.0  # half the width of all bands
+SIGMAS = 2.0  # half-width of all bands
 
 
 class Form(Enum):
-    """How a curve is drawn."""
+    """Style of a curve."""
 
     LINE = auto()
     DASHED = auto()
@@ -58,23 +58,23 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One plot over time."""
+    """Contents of one plot over time."""
 
     title: str
-    axis: str  # what its values are, with the unit
+    axis: str  # quantity with its unit
     curves: Sequence[Curve]
-    limits: tuple[float, ...] = ()  # dashed lines across
+    limits: tuple[float, ...] = ()  # dashed horizontal lines
     logarithmic: bool = False
-    from_zero: bool = False  # the axis begins there
+    from_zero: bool = False  # whether the axis begins at zero
 
 
 def within(values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The band about values; ``sigmas`` are standard deviations."""
+    """The band about values, ± ``SIGMAS`` ``sigmas`` (standard deviations)."""
     return values - SIGMAS * sigmas, values + SIGMAS * sigmas
 
 
 class Shown(NamedTuple):
-    """States to draw, and how where there is one run."""
+    """States to draw, with the style for a report of one run."""
 
     name: str
     states: "States"
@@ -83,7 +83,7 @@ class Shown(NamedTuple):
 
 
 def shown_of(run: "Run") -> Iterator[Shown]:
-    """The estimate and, where it is known, the smoothed one."""
+    """The filter's states and, if computed, the smoothed ones."""
     if run.states is not None:
         yield Shown("estimate", run.states, BLUE, Form.LINE)
     if run.smoothed_states is not None:
@@ -91,17 +91,17 @@ def shown_of(run: "Run") -> Iterator[Shown]:
 
 
 def name_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
-    """A curve's label: what it is; whose it is where there are several runs."""
+    """Label of a curve: its quantity, and its run if there are several."""
     if len(runs) == 1:
         return what
     return run.label if what == "estimate" else f"{run.label}, {what}"
 
 
 def title_in(runs: Sequence["Run"], run: "Run", what: str) -> str:
-    """A plot's title, likewise."""
+    """Title of a plot: its quantity, and its run if there are several."""
     return what if len(runs) == 1 else f"{what}, {run.label}"
 
 
 def colour_in(runs: Sequence["Run"], run: "Run", own: str) -> str:
-    """The run's colour where there are several, else the curve's own."""
+    """The run's colour if there are several runs, else the curve's own."""
     return own if len(runs) == 1 else COLOURS[runs.index(run)]

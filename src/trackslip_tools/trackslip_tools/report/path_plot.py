@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws where the machine went: paths, ellipses, the box as the laser saw it, and a marker of the time."""
+"""Plots paths, ellipses, the laser's points and box, and a marker of the machine at the cursor's time."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -21,25 +21,25 @@ from trackslip_tools.report.run import Run, States, recordings
 
 _HEIGHT = 620
 BOX_SOURCE = "box_pose"
-_ELLIPSES, _BOXES = 90, 30  # over the whole run
+_ELLIPSES, _BOXES = 90, 30  # number over the whole run
 
 
 class Track(NamedTuple):
-    """What the linked cursor needs of one run."""
+    """Data sources of one run for the linked cursor."""
 
     path: ColumnDataSource  # t, x, y, heading
     marker: ColumnDataSource  # x, y, heading: the machine at the cursor
 
 
 class PathPlot(NamedTuple):
-    """The plot and its tracks."""
+    """The path plot and its tracks."""
 
     plot: figure
     tracks: list[Track]
 
 
 def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
-    """All runs in one plot; of each path at most so many samples are drawn."""
+    """Plot all runs together, with at most ``samples`` points of each path."""
     plot = figure(
         name="path",
         title="Path, ellipses at 2σ",
@@ -68,7 +68,7 @@ def path_plot(runs: Sequence[Run], samples: int) -> PathPlot:
 
 
 def _draw_laser(plot: figure, run: Run, samples: int) -> None:
-    """What the laser saw, and the box by its fixes."""
+    """Draw the points of the laser, and the fixes with the box at their poses."""
     recording = run.recording
     if recording.laser is not None:
         points = recording.points[:: -(-len(recording.points) // samples) or 1]
@@ -87,7 +87,7 @@ def _draw_laser(plot: figure, run: Run, samples: int) -> None:
 
 
 def _draw_references(plot: figure, runs: Sequence[Run], run: Run, samples: int) -> list[GlyphRenderer]:
-    """The reference and, in a report of one run, the encoders alone."""
+    """Draw the reference; in a report of one run also the smoothed path and the encoders alone."""
     lines = []
     encoders, reference = (run.replay.paths.get(name) for name in ("dead_reckoning", "reference"))
     if run.smoothed_states is not None and len(runs) == 1:
@@ -135,13 +135,13 @@ def _source(run: Run, path: Path, samples: int) -> ColumnDataSource:
 
 
 def ellipses(states: States) -> FloatArray:
-    """(k, 33, 2) closed outlines of 2σ of the position, evenly spread over the time."""
+    """(k, 33, 2) closed 2σ outlines of the position, evenly spread over the samples."""
     chosen = _spread(len(states.path.stamps_ns), _ELLIPSES)
     return plan_shapes.ellipses(states.path.poses[chosen, :2], states.pose_covariances[chosen, :2, :2])
 
 
 def boxes(run: Run) -> FloatArray:
-    """(k, 5, 2) closed outlines of the box by fixes that were accepted, evenly spread over them."""
+    """(k, 5, 2) closed outlines of the box at accepted fixes, evenly spread over the fixes."""
     fixes = fixes_of(run).get(BOX_SOURCE)
     sensors = run.parameters.vehicle.sensors
     if fixes is None or sensors is None or sensors.box is None:
@@ -152,7 +152,7 @@ def boxes(run: Run) -> FloatArray:
 
 
 def fixes_of(run: Run) -> dict[str, FloatArray]:
-    """By source: (n, 3) poses of the fixes that were accepted."""
+    """Source → (n, 3) poses of accepted fixes."""
     fixes = run.details.fixes
     fixes = fixes[fixes["outcome"] == Outcome.ACCEPTED]
     by_source = {

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Outlines in the plane, of reports and of the live page: ellipses of uncertainty, and rectangles."""
+"""Outlines in the plane for reports and the live page: ellipses of uncertainty, and rectangles."""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws plots over time with Bokeh: one x axis for all of them, and no more samples than a screen shows."""
+"""Plots over time with Bokeh, on a common x axis, with no more samples than a screen shows."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -35,22 +35,22 @@ if TYPE_CHECKING:
 
 _HEIGHT = 230
 _DASHES = {Form.LINE: "solid", Form.DASHED: "dashed", Form.DOTTED: "dotted"}
-_INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band edges that stay in sight
+_INNER, _MIDDLE = (0.5, 99.5), (10.0, 90.0)  # percentiles of values and of band edges that stay visible
 _LEGEND_WIDTH, _LEGEND_ROW = 100, 22  # characters, pixels
-_INSIDE = 165  # pixels of a plot's height that its frame has
-_TITLE, _LABEL, _ROW_NAME = 70, 32, 18  # characters that are shown of titles, labels, names of rows
-_STRIP_HEAD, _STRIP_ROW, _BORDER = 86, 20, 112  # pixels; names of rows have room in the border
-_ROOM = 0.1  # about the values, share of their span
+_INSIDE = 165  # height of a plot's frame, pixels
+_TITLE, _LABEL, _ROW_NAME = 70, 32, 18  # characters shown of titles, labels and row names
+_STRIP_HEAD, _STRIP_ROW, _BORDER = 86, 20, 112  # pixels; row names lie in the border
+_ROOM = 0.1  # margin about the values, share of their range
 
 
 def time_range(recordings: Sequence["Recording"]) -> Range1d:
-    """What all plots over time show at first."""
+    """Initial time range of all plots."""
     start, stop = (min(r.start_s for r in recordings), max(r.stop_s for r in recordings))
     return Range1d(start, max(stop, start + 1e-3))
 
 
 def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
-    """A panel; of each curve at most so many samples are drawn."""
+    """Plot of a panel, with at most ``samples`` points of each curve."""
     plot = time_figure(panel.title, panel.axis, x_range, logarithmic=panel.logarithmic)
     for limit in panel.limits:
         look = {"line_color": INK, "line_alpha": 0.6, "line_dash": "dotted"}
@@ -66,7 +66,7 @@ def time_plot(panel: Panel, x_range: Range1d, samples: int) -> figure:
 
 
 def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
-    """Rows of bars over time, the first one above; of each look at most so many bars are drawn."""
+    """Plot of bars over time, the first row on top, with at most ``samples`` bars of each look."""
     names = list(strip.rows)[::-1]
     plot = time_figure(strip.title, "", x_range, height=_STRIP_HEAD + _STRIP_ROW * len(names))
     by_look: dict[Look, list[tuple[int, Spell]]] = {}
@@ -100,7 +100,7 @@ def strip_plot(strip: Strip, x_range: Range1d, samples: int) -> figure:
 def time_figure(
     title: str, axis: str, x_range: Range1d, *, height: int = _HEIGHT, logarithmic: bool = False
 ) -> figure:
-    """An empty plot over the common time."""
+    """An empty plot over the common time axis."""
     plot = figure(
         title=plot_text(title, _TITLE),
         x_range=x_range,
@@ -117,15 +117,15 @@ def time_figure(
 
 
 def tools(box: BoxZoomTool, **of_wheel: str) -> dict[str, Any]:
-    """Those of a plot, as ``figure`` takes them."""
+    """Tools of a plot, as arguments of ``figure``."""
     wheel = WheelZoomTool(modifiers={"ctrl": True}, **of_wheel)
-    # None is active: page.js makes them so for a mouse, for a finger is to scroll the page.
+    # None is active: page.js activates them for a mouse; a finger scrolls the page.
     own = [box, wheel, PanTool(), ResetTool(), SaveTool()]
     return {"tools": own, "active_drag": None, "active_scroll": None}
 
 
 def dress(plot: figure) -> None:
-    """What all plots of a report look like."""
+    """Apply the style of all plots of a report."""
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
     plot.background_fill_color = plot.border_fill_color = PAPER
@@ -141,7 +141,7 @@ def dress(plot: figure) -> None:
 
 
 def _dress_legend(plot: figure) -> None:
-    """Inside the plot, in the room that ``visible`` leaves for it above the curves."""
+    """Place the legend above the curves, in the room that ``visible`` reserves."""
     legend = plot.legend[0]
     for item in legend.items:
         item.label = value(plot_text(item.label.value))
@@ -163,12 +163,12 @@ def _legend_columns(labels: Sequence[str]) -> int:
 
 
 def legend_rows(labels: Sequence[str]) -> int:
-    """Rows of the legend of so many different labels; a single one needs none."""
+    """Number of legend rows for these labels; 0 for a single label."""
     return -(-len(labels) // _legend_columns(labels)) if len(labels) > 1 else 0
 
 
 def plot_text(text: str, longest: int = _LABEL) -> str:
-    """Anybody's text as a plot may have it: cut in the middle, and never taken for mathematics."""
+    """External text for a plot: shortened in the middle, and escaped against display as mathematics."""
     shown = printable(text)
     if len(shown) > longest:
         half = (longest - 1) // 2
@@ -179,7 +179,7 @@ def plot_text(text: str, longest: int = _LABEL) -> str:
 
 
 def _draw(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphRenderer:
-    """A curve and, below it, its band."""
+    """Draw a curve above its band."""
     kept = extremes([curve.values, *(curve.band or ())], samples)
     columns = {"t": curve.times[kept], "value": curve.values[kept]}
     if curve.band is not None:
@@ -199,7 +199,7 @@ def _draw(plot: figure, curve: Curve, samples: int, band_alpha: float) -> GlyphR
 
 
 def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
-    """The numbers at the mouse: of all lines at its time, or of a point that it is on."""
+    """Show values under the mouse: of all lines at its time, or of the point below it."""
     tips = "<div><b>$name</b> @value{0.0000} at @t{0.00} s</div>"
     for mode, lines in (("vline", True), ("mouse", False)):
         shown = [renderer for curve, renderer in drawn.items() if (curve.form in _DASHES) == lines]
@@ -207,7 +207,7 @@ def _add_hover(plot: figure, drawn: dict[Curve, GlyphRenderer]) -> None:
 
 
 def visible(panel: Panel) -> tuple[float, float]:
-    """Bounds of the y axis that single spikes and the first moments' wide bands do not stretch."""
+    """Bounds of the y axis, robust to single spikes and to the wide bands of the start."""
     lows, highs = list(panel.limits), list(panel.limits)
     for curve in panel.curves:
         values = curve.values[np.isfinite(curve.values)]
@@ -228,16 +228,16 @@ def visible(panel: Panel) -> tuple[float, float]:
 
 
 def _legend_room(panel: Panel) -> float:
-    """What the legend takes above the curves, over what they have."""
+    """Height of the legend over the height of the curves' area."""
     rows = legend_rows(list(dict.fromkeys(plot_text(curve.label) for curve in panel.curves)))
     return _LEGEND_ROW * rows / (_INSIDE - _LEGEND_ROW)
 
 
 def extremes(columns: Sequence[FloatArray], limit: int) -> NDArray[np.intp]:
-    """Indices to keep of curves over the same abscissa, rising, at most ``limit`` of them.
+    """Indices of the samples to draw, at most ``limit``, of curves over the same increasing abscissa.
 
-    The curves are cut into equal pieces; of each piece stay where a curve is lowest and highest, and one
-    sample that is not a number, so that breaks stay breaks. First and last sample always stay.
+    The curves are cut into equal pieces. Each piece keeps the minimum and maximum of every curve, and one nan
+    sample, so that breaks remain visible. The first and last samples are always kept.
 
     Args:
         columns: the curves, each (n,).

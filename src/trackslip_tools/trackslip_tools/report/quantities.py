@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the panels of reports and of the live page show: titles, units, values and bands from columns.
+"""Panels of reports and of the live page: titles, units, values and bands from columns.
 
-One description for both: columns of a whole run give curves of a report, those of one moment a point of the
-live page. Imports nothing that reads bags or estimates.
+The same description serves both: columns of a whole run give the curves of a report, those of one moment a
+point on the live page. This module imports nothing that reads bags or estimates.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.topics import FORCES, SOIL, TRUE_ODOMETRY, TRUE_SLIP, TRUE_SOIL
 from trackslip_tools.report.panel import BLUE, ORANGE, Form, within
 
-Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one moment or of many
+Columns = Mapping[str, Any]  # name → (…) or (…, k) or (…, k, k), of one or many moments
 Band = tuple[FloatArray, FloatArray]  # (…) each, lower and upper
 
 _DEGREES = 180.0 / np.pi
@@ -23,7 +23,7 @@ PERCENT = 100.0
 
 
 class Quantity(NamedTuple):
-    """A panel of one column of the estimates, and the same one of the truth."""
+    """A panel of one column of the estimates, and of the matching column of the truth."""
 
     title: str
     axis: str
@@ -55,16 +55,16 @@ QUANTITIES = (
 
 
 class Shown(NamedTuple):
-    """A field of a message as a curve."""
+    """A message field shown as a curve."""
 
     field: str
     label: str
     colour: str = BLUE  # in a report of one run
-    form: Form = Form.LINE  # where the colour stands for the run
-    interval: bool = False  # bounds are fields of their own: _lower, _upper; else a variance, if any
+    form: Form = Form.LINE  # style where the colour identifies the run
+    interval: bool = False  # bounds are the fields _lower, _upper; otherwise the variance field, if any
 
     def of(self, columns: Columns, scale: float) -> tuple[FloatArray, Band | None]:
-        """Values (…), and their interval where the message has one."""
+        """Values (…), and their interval if the message has one."""
         values = scale * np.asarray(columns[self.field])
         if self.interval:
             lower, upper = (scale * np.asarray(columns[f"{self.field}_{end}"]) for end in ("lower", "upper"))
@@ -74,7 +74,7 @@ class Shown(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A panel made of fields of one topic."""
+    """A panel of fields of one topic."""
 
     title: str
     axis: str

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a report takes from the bag itself, beside the replay: times of all messages, soil, lights, laser."""
+"""Contents of a bag for a report beside the replay: log times of all topics, soil, diagnostics, laser."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,17 +23,17 @@ from trackslip_tools.report.spells import Spell
 
 SCAN = "scan"
 _NUMBERS = {FORCES: ForceFields, SOIL: SoilFields, TRUE_SOIL: SoilFields}
-_SCANS = 60  # of a bag, evenly spread: enough to see walls and the way of the box
-_CELL = 0.04  # m; of points closer together one is shown
-_MOST_RANGES = 5000  # of a scan
-_FARTHEST = 1000.0  # m, from a laser
+_SCANS = 60  # per bag, evenly spread: enough to show walls and the path of the box
+_CELL = 0.04  # m; grid in which one point per cell is drawn
+_MOST_RANGES = 5000  # per scan
+_FARTHEST = 1000.0  # m, largest range
 _MOST_TURNS = 100.0  # rad
-_FEW = 5  # messages that make no rate
-_GAP_PERIODS, _LEAST_GAP = 5.0, 0.1  # a gap: longer than so many usual periods, and than so many s
+_FEW = 5  # too few messages for a rate
+_GAP_PERIODS, _LEAST_GAP = 5.0, 0.1  # a gap exceeds both this many usual periods and this many s
 
 
 class Gap(NamedTuple):
-    """A stretch without messages, s from the bag's first message."""
+    """An interval without messages, s from the bag's first message."""
 
     start: float
     stop: float
@@ -41,24 +41,24 @@ class Gap(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When the messages of one topic were logged."""
+    """Log times of the messages of one topic."""
 
     times: FloatArray  # (n,) s from the bag's first message
 
     @property
     def period(self) -> float:
-        """The usual time between two messages, s; nan where there are fewer than two."""
+        """The median interval between messages, s; nan with fewer than two messages."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else float("nan")
 
     @property
     def rate(self) -> float:
-        """Messages per second from the first to the last; nan where there are fewer than two."""
+        """Mean message rate, Hz; nan with fewer than two messages."""
         span = float(np.ptp(self.times)) if len(self.times) else 0.0
         return (len(self.times) - 1) / span if span > 0.0 else float("nan")
 
     @property
     def regular(self) -> bool:
-        """Whether messages come at a steady rate: then a missing one shows."""
+        """Whether the message rate is steady, so that lost messages can be detected."""
         if len(self.times) < _FEW:
             return False
         early, late = np.percentile(np.diff(self.times), (25.0, 75.0))
@@ -66,12 +66,12 @@ class Timing:
 
     @property
     def lost(self) -> float:
-        """Share of the messages that are missing at the usual period; nan of an irregular topic."""
+        """Share of lost messages, by the usual period; nan of an irregular topic."""
         return max(0.0, 1.0 - self.rate * self.period) if self.regular else float("nan")
 
     @property
     def gaps(self) -> list[Gap]:
-        """Stretches in which messages of a regular topic are missing."""
+        """Gaps in the messages of a regular topic."""
         if not self.regular:
             return []
         limit = max(_GAP_PERIODS * self.period, _LEAST_GAP)
@@ -80,34 +80,34 @@ class Timing:
 
     @property
     def longest(self) -> float:
-        """The longest time between two messages, s; nan where there are fewer than two."""
+        """The longest interval between messages, s; nan with fewer than two messages."""
         return float(np.max(np.diff(self.times))) if len(self.times) > 1 else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One bag, or the part of it that is looked at; its times are s from ``zero_ns``."""
+    """One bag or a part of it; times are s from ``zero_ns``."""
 
     path: str
-    start_ns: int  # of the bag's first message
-    zero_ns: int  # the same, or the start of driving
-    start_s: float  # of what is looked at
+    start_ns: int  # log time of the bag's first message
+    zero_ns: int  # origin of times: ``start_ns``, or the start of driving
+    start_s: float  # start of the reported part
     stop_s: float
     damage: str
-    parameters: dict[str, Any]  # that the bag carries, by dotted name
-    timings: dict[str, Timing]  # by topic
-    numbers: dict[str, Numbers]  # of forces and soil, where the bag has them
-    laser: FloatArray | None  # (2,) its place, m in odom
-    points: FloatArray  # (n, 2) what it saw, m in odom
-    lights: dict[str, list[Spell]] = field(default_factory=dict)  # by name, as recorded on /diagnostics
-    events: list[Event] = field(default_factory=list)  # that the lights tell, ms
+    parameters: dict[str, Any]  # dotted name → value in the bag
+    timings: dict[str, Timing]  # topic → log times
+    numbers: dict[str, Numbers]  # topic → forces or soil in the bag
+    laser: FloatArray | None  # (2,) position, m in odom
+    points: FloatArray  # (n, 2) scanned points, m in odom
+    lights: dict[str, list[Spell]] = field(default_factory=dict)  # name → states recorded on /diagnostics
+    events: list[Event] = field(default_factory=list)  # changes of the diagnostics, ms
 
     def seconds(self, stamps_ns: IntArray) -> FloatArray:
-        """Times that plots show."""
+        """Stamps as times in plots, s."""
         return _seconds(stamps_ns, self.zero_ns)
 
     def counted_from(self, zero_ns: int) -> "Recording":
-        """The same, with times from there."""
+        """The same recording with another origin of times."""
         by_s = (self.zero_ns - zero_ns) * 1e-9
         return replace(
             self,
@@ -122,10 +122,10 @@ class Recording:
 
 
 def read_recording(bag: Bag, filters: InputFilters, namespace: str = "") -> Recording:
-    """Read it once; topics by the names that the estimator knows them by, lights by those in the namespace.
+    """Read a bag once; topics by the estimator's names, diagnostics of the nodes in the namespace.
 
     Raises:
-        InputError: the bag is damaged inside.
+        InputError: the bag is damaged.
     """
     names = {topic: filters.remap.get(relative(topic), relative(topic)) for topic in bag.topics}
     start_s, stop_s = max(filters.start_s, 0.0), min(filters.stop_s, bag.duration_s)
@@ -170,7 +170,7 @@ def _add_lights(lights: LightLog, table: TopicTable, start_ns: int) -> None:
 
 
 class _Scans:
-    """What the laser saw in some of so many scans, evenly spread, by the site's numbers in ``config/``."""
+    """Points of some scans, evenly spread over ``count``, placed by the site parameters in ``config/``."""
 
     def __init__(self, count: int) -> None:
         self._stride = -(-count // _SCANS) or 1
@@ -179,7 +179,7 @@ class _Scans:
         self._clouds: list[FloatArray] = []  # (n, 2) m from the laser
 
     def add(self, table: TopicTable) -> None:
-        """More of them."""
+        """Add a table of scans."""
         if self._site is None:
             self._site = load_parameters(BoxNodeParameters, NODE, DEFAULT_FILES)
         first = (-self._seen - 1) % self._stride
@@ -188,7 +188,7 @@ class _Scans:
         self._seen += len(table)
 
     def view(self) -> tuple[FloatArray | None, FloatArray]:
-        """The laser's place, and the points (n, 2) that it saw, m in odom; None where there is no scan."""
+        """Position of the laser, and (n, 2) scanned points, m in odom; None without a scan."""
         if self._site is None or not self._clouds:
             return None, np.empty((0, 2))
         place, points = np.array((self._site.laser_x, self._site.laser_y)), np.concatenate(self._clouds)
@@ -197,7 +197,7 @@ class _Scans:
 
 
 def _cloud(scan: Any, laser_yaw: float) -> FloatArray:
-    """(n, 2) points of one scan in the axes of odom, m from the laser; those of no direction are left out."""
+    """(n, 2) valid points of one scan in the axes of odom, m from the laser."""
     ranges = np.asarray(scan.ranges[:_MOST_RANGES], dtype=np.float64)
     with np.errstate(invalid="ignore"):
         angles = laser_yaw + scan.angle_min + scan.angle_increment * np.arange(len(ranges))

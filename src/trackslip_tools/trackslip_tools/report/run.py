@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One run of a report: a bag, the parameters it was replayed with, and what came of it."""
+"""One run of a report: a bag, the parameters of its replay, and the results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -34,17 +34,17 @@ class States:
     twist_covariances: FloatArray  # (n, 3, 3)
     slips: FloatArray  # (n, 3) left, right, slip angle rad
     slip_covariances: FloatArray  # (n, 3, 3)
-    motion: IntArray  # (n,) place in ``Motion``
+    motion: IntArray  # (n,) value of ``Motion``
 
     @property
     def moving(self) -> BoolArray:
-        """(n,) whether slips mean anything."""
+        """(n,) whether slips are defined: not at standstill."""
         return np.asarray(self.motion != Motion.STANDING)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """All that a report says about one replay."""
+    """Data of one replay for a report."""
 
     label: str
     recording: Recording
@@ -52,22 +52,22 @@ class Run:
     filters: InputFilters
     replay: Replay
     details: Details
-    smoothed: Rows | None = None  # (n,) ESTIMATE, by the smoother, where it was asked for
+    smoothed: Rows | None = None  # (n,) ESTIMATE of the smoother, if requested
 
     @cached_property
     def states(self) -> States | None:
-        """None where the estimator found nothing to start from."""
+        """States of the filter; None if nothing could start it."""
         estimates = in_order(self.details.estimates)
         return _states(estimates) if len(estimates) else None
 
     @cached_property
     def smoothed_states(self) -> States | None:
-        """None where the smoother was not asked, or had nothing to start from."""
+        """States of the smoother; None if not requested, or if nothing could start it."""
         return _states(self.smoothed) if self.smoothed is not None and len(self.smoothed) else None
 
     @cached_property
     def numbers(self) -> dict[str, Numbers]:
-        """Forces and soil by topic: of the replay where it computed them, else as the bag has them."""
+        """Forces and soil by topic: of the replay if it computed them, else of the bag."""
         kinds = {FORCES: ForceFields, SOIL: SoilFields}
         found = {topic: NumbersCollector(kind, self.recording.zero_ns) for topic, kind in kinds.items()}
         for topic, message, _ in soil_messages(self.replay.soil) if self.replay.soil is not None else ():
@@ -78,7 +78,7 @@ class Run:
 
 
 def recordings(runs: Sequence[Run]) -> list[Run]:
-    """Of the runs over the same bag, the first one: what depends on the bag alone is shown once."""
+    """The first run of each bag: contents of a bag are shown once."""
     first: dict[str, Run] = {}
     for run in runs:
         first.setdefault(run.recording.path, run)
@@ -86,7 +86,7 @@ def recordings(runs: Sequence[Run]) -> list[Run]:
 
 
 def aligned(runs: Sequence[Run]) -> list[Run]:
-    """Runs over several bags with their times counted from the start of driving; of one bag, as they are."""
+    """Runs with times from the start of driving if they have several bags; unchanged for one bag."""
     if len(recordings(runs)) == 1:
         return list(runs)
     zeros = {run.recording.path: _start_of_driving_ns(run) for run in reversed(runs)}
@@ -94,7 +94,7 @@ def aligned(runs: Sequence[Run]) -> list[Run]:
 
 
 def _start_of_driving_ns(run: Run) -> int:
-    """The first estimate of a machine that drives; without one the bag's start."""
+    """Stamp of the first estimate that drives; without one, the origin of the recording."""
     if run.states is None:
         return run.recording.zero_ns
     drives = np.isin(run.states.motion, (Motion.STRAIGHT, Motion.TURNING))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stretches of time in which something stayed as it was, and how they are drawn: rows of bars over time."""
+"""Intervals of constant state, and their display as rows of bars over time."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,27 +13,27 @@ from trackslip_common.arrays import FloatArray
 
 
 class Spell(NamedTuple):
-    """One stretch of time."""
+    """An interval of constant state."""
 
     start: float  # s from the bag's first message
     stop: float
-    state: int  # of the condition's own numbers
+    state: int  # number within its enumeration
     text: str = ""
 
     def shifted(self, by_s: float) -> "Spell":
-        """The same, so much later."""
+        """The same interval, later by ``by_s``."""
         return self._replace(start=self.start + by_s, stop=self.stop + by_s)
 
 
 class Look(NamedTuple):
-    """How a state is drawn."""
+    """Style of a state."""
 
     colour: str
-    word: str  # for the legend
+    word: str  # legend text
 
 
 class Bar(NamedTuple):
-    """A spell as it is drawn."""
+    """An interval with its style."""
 
     spell: Spell
     look: Look
@@ -41,19 +41,19 @@ class Bar(NamedTuple):
 
 @dataclass(frozen=True)
 class Strip:
-    """One plot: a row of bars for each name."""
+    """One plot with a row of bars for each name."""
 
     title: str
-    rows: dict[str, list[Bar]]  # from above
+    rows: dict[str, list[Bar]]  # from top to bottom
 
 
 def bars(found: Iterable[Spell], looks: Mapping[int, Look]) -> list[Bar]:
-    """Spells with the look of their states."""
+    """Intervals with the styles of their states."""
     return [Bar(spell, looks[spell.state]) for spell in found]
 
 
 def spells(times: FloatArray, states: NDArray[Any]) -> list[Spell]:
-    """Of (n,) rising times and whole numbers; a spell lasts until the next begins, the last until the end."""
+    """Intervals of (n,) states at rising times; each lasts to the start of the next, the last to the end."""
     if not len(times):
         return []
     begins = np.concatenate(((0,), np.flatnonzero(np.diff(states)) + 1))
@@ -63,5 +63,5 @@ def spells(times: FloatArray, states: NDArray[Any]) -> list[Spell]:
 
 
 def total_duration(found: Iterable[Spell], state: int) -> float:
-    """Seconds that the spells of a state last together."""
+    """Total duration of the intervals of a state, s."""
     return sum(spell.stop - spell.start for spell in found if spell.state == state)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run: motion, tracks in trouble, lost fixes, refusals of the gate, soils, lights."""
+"""Events of a run: motion, tracks in trouble, lost fixes, gate rejections, soils, diagnostics."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -25,10 +25,10 @@ from trackslip_tools.report.run import Run, recordings
 from trackslip_tools.report.spells import Bar, Look, Spell, Strip, bars, spells, total_duration
 
 _THERE, _MISSING = Look(BLUE, "messages"), Look(ORANGE, "missing")
-_CALM_S = 5.0  # without a refusal, after which the gate has calmed down
-_MANY = 0.1  # of a source's measurements: more that are refused are a warning
-_START_S, _END_S = 10.0, 3.0  # s in which nodes begin and end
-_FIRST_S = 5.0  # s after the first measurement in which they still begin
+_CALM_S = 5.0  # s without a rejection that separate groups of rejections
+_MANY = 0.1  # share of a source's measurements; a larger rejected share is a warning
+_START_S, _END_S = 10.0, 3.0  # s at the ends of a recording in which nodes start and stop
+_FIRST_S = 5.0  # s after the first measurement in which nodes still start
 _LIGHTS = {
     int(Level.OK): Look(GREEN, "ok"),
     int(Level.WARN): Look(AMBER, "warning"),
@@ -53,14 +53,14 @@ _LOOK_OF_LOST = {_LOST: Look(PURPLE, "nothing accepted")}
 
 
 def motion_spells(run: Run) -> list[Spell]:
-    """Standing, straight, turning: states of ``Motion``."""
+    """Intervals of standstill, straight and turning motion: states of ``Motion``."""
     if run.states is None:
         return []
     return spells(run.recording.seconds(run.states.path.stamps_ns), run.states.motion)
 
 
 def trouble_spells(run: Run) -> dict[str, list[Spell]]:
-    """Side → stretches in which its track was in trouble: states of ``Trouble``."""
+    """Side → intervals in which its track was in trouble: states of ``Trouble``."""
     soil = run.replay.soil
     if soil is None:
         return {}
@@ -68,7 +68,7 @@ def trouble_spells(run: Run) -> dict[str, list[Spell]]:
 
 
 def lost_spells(run: Run) -> dict[str, list[Spell]]:
-    """Source of poses → stretches in which nothing of it was accepted for so long that it was lost."""
+    """Source of poses → intervals without an accepted fix, longer than its silence limit."""
     fixes, allowed = run.details.fixes, silence_limits(run)
     found: dict[str, list[Spell]] = {}
     for number, source in enumerate(run.details.sources):
@@ -82,7 +82,7 @@ def lost_spells(run: Run) -> dict[str, list[Spell]]:
 
 
 def measured_spell(run: Run) -> Spell:
-    """From the first to the last measurement of any source: beside it a recording begins and ends."""
+    """From the first to the last measurement of any source; a recording starts and stops outside of it."""
     timings = (run.recording.timings.get(name) for name in silence_limits(run))
     spans = [(timing.times[0], timing.times[-1]) for timing in timings if timing and len(timing.times)]
     if not spans:
@@ -91,7 +91,7 @@ def measured_spell(run: Run) -> Spell:
 
 
 def explained_spells(run: Run) -> list[Spell]:
-    """Stretches in which something has one explanation or several compete, with what they are."""
+    """Intervals with one explanation or several competing ones, with their texts."""
     found: list[Spell] = []
     group: list[Explained] = []
     for one in run.details.explained:
@@ -103,14 +103,14 @@ def explained_spells(run: Run) -> list[Spell]:
 
 
 def _kind(one: Explained) -> tuple[int, str]:
-    """How it is drawn, and what tells it from another spell: numbers of a text do not."""
+    """State and text that distinguish one interval from the next, without numbers in the text."""
     if one.competing > 1:
         return _SEVERAL, ""
     return one.competing, without_numbers(one.found[0].text) if one.competing else ""
 
 
 def _explained_spell(run: Run, group: Sequence[Explained], end_ns: int) -> list[Spell]:
-    """(1,), or (0,) where nothing has to be explained; its text is of the middle of it."""
+    """(1,) interval of a group, or (0,) without a contradiction; its text is that of the group's middle."""
     if not group[0].competing:
         return []
     start, stop = run.recording.seconds(np.array((group[0].stamp_ns, end_ns))).tolist()
@@ -120,7 +120,7 @@ def _explained_spell(run: Run, group: Sequence[Explained], end_ns: int) -> list[
 
 
 def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
-    """Which track was in which trouble for how long; empty where none was."""
+    """Trouble, track and total duration of each; empty without troubles."""
     reported = [
         f"{WORDS[trouble]}: {side} track {seconds:.1f} s"
         for trouble in (Trouble.STALLED, Trouble.STUCK)
@@ -131,19 +131,19 @@ def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
 
 
 def silence_limits(run: Run) -> dict[str, float]:
-    """Source of the slip estimator → s without a message after which it is lost, as ``silence`` has it."""
+    """Source of the slip estimator → s without a message after which it is lost, as in ``silence``."""
     timeouts = {name: timeout_ns * 1e-9 for name, timeout_ns in run.parameters.timeouts_ns().items()}
     periods = {name: timing.period for name, timing in run.recording.timings.items()}
     fixes, sources = run.details.fixes, run.details.sources
-    for number in np.unique(fixes["source"]).tolist():  # of a bag that was thinned, those that were left
+    for number in np.unique(fixes["source"]).tolist():  # periods after thinning of the bag
         stamps_ns = fixes["stamp_ns"][fixes["source"] == number]
         periods[sources[number]] = usual_period(run.recording.seconds(stamps_ns))
     limits = {name: lost_after(timeout, periods.get(name, np.nan)) for name, timeout in timeouts.items()}
-    return limits | {SPROCKETS: run.parameters.sprocket_timeout}  # beyond it the motion is unknown
+    return limits | {SPROCKETS: run.parameters.sprocket_timeout}  # longer silence: motion unknown
 
 
 def strips(runs: Sequence[Run]) -> list[Strip]:
-    """How each run moved with its tracks' troubles and lost fixes; the lights of each bag that has them."""
+    """Strips of each run with motion, troubles and lost fixes; strips of each bag with its diagnostics."""
     found = []
     for run in runs:
         rows = {"motion": bars(motion_spells(run), _MOTIONS)}
@@ -161,7 +161,7 @@ def strips(runs: Sequence[Run]) -> list[Strip]:
 
 
 def message_strips(runs: Sequence[Run]) -> list[Strip]:
-    """Of each bag, where messages of its topics are and where they are missing."""
+    """Strip of each bag with the times of messages and gaps, by topic."""
     found = []
     for run in recordings(runs):
         timings = {name: timing for name, timing in run.recording.timings.items() if len(timing.times)}
@@ -178,7 +178,7 @@ def _message_bars(timing: Timing) -> list[Bar]:
 
 
 def events_of(run: Run) -> list[Event]:
-    """All, in the order of their times (ms); ``number`` is meaningless."""
+    """All events by time (ms); ``number`` is unused."""
     replayed = (
         *_troubles(run),
         *_fixes(run),
@@ -192,7 +192,7 @@ def events_of(run: Run) -> list[Event]:
 
 
 def _without_rims(run: Run) -> list[Event]:
-    """What lights reported; of nodes that begin or end, one line each."""
+    """Events of diagnostics; those of starting or stopping nodes are combined into one line each."""
     measured = measured_spell(run)
     first = 1e3 * max(_START_S, measured.start + _FIRST_S)
     last = 1e3 * min(run.recording.stop_s - _END_S, measured.stop)
@@ -226,7 +226,7 @@ def _fixes(run: Run) -> Iterator[Event]:
 
 
 def _silences(run: Run) -> Iterator[Event]:
-    """Other sources, silent for so long that they were lost."""
+    """Silences of sources other than fixes, longer than their limits."""
     fixes = {run.details.sources[number] for number in np.unique(run.details.fixes["source"])}
     for source, limit in silence_limits(run).items():
         timing = run.recording.timings.get(source)
@@ -236,7 +236,7 @@ def _silences(run: Run) -> Iterator[Event]:
 
 
 def _refusals(run: Run) -> Iterator[Event]:
-    """What the gate refused, together where it comes together."""
+    """Gate rejections, combined into groups."""
     reports = run.details.reports
     gated = reports[reports["outcome"] == Outcome.GATED]
     for number, source in enumerate(run.details.sources):
@@ -251,7 +251,7 @@ def _refusals(run: Run) -> Iterator[Event]:
 
 
 def _explanations(run: Run) -> Iterator[Event]:
-    """What competed, and events that explain contradictions; single outliers are refusals."""
+    """Competing explanations, and events that explain contradictions, without single outliers."""
     for spell in explained_spells(run):
         if spell.state == _SEVERAL:
             yield _event(spell.start, Level.WARN, spell.text)
@@ -262,7 +262,7 @@ def _explanations(run: Run) -> Iterator[Event]:
 
 
 def _soils(run: Run) -> list[Event]:
-    """Soils that were found."""
+    """Identified soils."""
     numbers = run.numbers.get(SOIL)
     if numbers is None:
         return []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of a report, as rows of text."""
+"""Tables of a report, as rows of text."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ Row = tuple[str, ...]
 
 
 def run_facts(runs: Sequence[Run]) -> list[dict[str, str]]:
-    """What heads the page, for each run."""
+    """Facts of each run for the head of the page."""
     return [_facts(run, COLOURS[index]) for index, run in enumerate(runs)]
 
 
 def event_rows(events: Sequence[Event]) -> list[Row]:
-    """Level in lower case, time in s, what happened: of very many the first."""
+    """Level in lower case, time in s, text; only the first of very many events."""
     return [
         (event.level.name.lower(), f"{1e-3 * event.time_ms:.1f} s", event.text) for event in events[:MOST]
     ]
@@ -40,7 +40,7 @@ def topic_rows(run: Run) -> list[Row]:
 
 
 def rejection_rows(run: Run) -> list[Row]:
-    """Source, reason, count, share of the source's messages."""
+    """Source, reason, count, share of the source's messages, of the rejected measurements."""
     soil = run.replay.soil
     parts = [run.replay.rejected, *([soil.rejected] if soil is not None else [])]
     messages = run.replay.messages
@@ -53,7 +53,7 @@ def rejection_rows(run: Run) -> list[Row]:
 
 
 def parameter_rows(runs: Sequence[Run]) -> list[Row]:
-    """Name, what it is with its unit, the default, the value of each run."""
+    """Name, description with unit, default, value in each run."""
     rows = _rows(load_slip_parameters(), [run.parameters for run in runs], "slip_estimator")
     soils = [run.replay.soil.parameters for run in runs if run.replay.soil is not None]
     if len(soils) == len(runs):
@@ -72,7 +72,7 @@ def _rows(defaults: Parameters, of_runs: Sequence[Parameters], node: str) -> lis
 
 
 def differing(rows: Sequence[Row]) -> list[Row]:
-    """Rows of parameters in which not all values, default included, are the same."""
+    """Rows of parameters whose values differ, the default included."""
     return [row for row in rows if len(set(row[2:])) > 1]
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run is worth, in plain words: each check is ok, asks for attention, or could not be made."""
+"""Checks of a run with results in words: ok, attention, information, or not checked."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,20 +28,24 @@ class VerdictLimits(Parameters):
     """See ``config/report.yaml``."""
 
     position: float = parameter("largest RMSE of the position", unit="m", gt=0.0)
-    encoders: float = parameter("largest RMSE of the position, over that of encoders alone", gt=0.0)
+    encoders: float = parameter("largest ratio of the position RMSE to that of encoders alone", gt=0.0)
     slip: float = parameter("largest RMSE of the slips", gt=0.0)
-    least_consistency: float = parameter("least ratio of errors to what is claimed of them", ge=0.0, lt=1.0)
-    most_consistency: float = parameter("largest ratio of errors to what is claimed of them", gt=1.0)
-    lost: float = parameter("largest share of messages lost", ge=0.0, lt=1.0)
-    refused: float = parameter("largest share of measurements not used", ge=0.0, lt=1.0)
-    slip_stddev: float = parameter("standard deviation up to which a slip counts as known", gt=0.0)
+    least_consistency: float = parameter(
+        "smallest ratio of errors to their standard deviations in the estimate", ge=0.0, lt=1.0
+    )
+    most_consistency: float = parameter(
+        "largest ratio of errors to their standard deviations in the estimate", gt=1.0
+    )
+    lost: float = parameter("largest share of lost messages", ge=0.0, lt=1.0)
+    refused: float = parameter("largest share of unused measurements", ge=0.0, lt=1.0)
+    slip_stddev: float = parameter("largest standard deviation of a slip that counts as known", gt=0.0)
 
 
 def load_limits(files: Sequence[str] = ()) -> VerdictLimits:
-    """Those of ``config/``, with these files over them.
+    """Limits of ``config/``, overridden by these files.
 
     Raises:
-        InputError: a file is missing or says nothing of a report, a name is unknown, or a value is refused.
+        InputError: a file is missing or has no section ``report``, a name is unknown, or a value is rejected.
     """
     layers = []
     for name in files:
@@ -53,28 +57,28 @@ def load_limits(files: Sequence[str] = ()) -> VerdictLimits:
 
 
 class State(Enum):
-    """What a check came to."""
+    """Result of a check."""
 
     OK = "ok"
     ATTENTION = "attention"
-    INFORMATION = "information"  # worth knowing; nothing to be done
+    INFORMATION = "information"  # no action needed
     UNKNOWN = "not checked"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One check of one run."""
+    """One check of one run with its result."""
 
     state: State
     value: str  # the number, short
-    words: str  # what it means
+    words: str  # explanation
 
 
 Check = Callable[[Run, VerdictLimits], Verdict]
 
 
 def verdicts(run: Run, limits: VerdictLimits) -> dict[str, Verdict]:
-    """All checks, by name, in the order of the table."""
+    """All checks by name, in the order of the table."""
     checks: dict[str, Check] = {
         "Setup plausible": _setup,
         "Bag": _intact,
@@ -101,7 +105,7 @@ def _unknown(words: str) -> Verdict:
 
 
 def _setup(run: Run, _: VerdictLimits) -> Verdict:
-    """Whether tracks, inertial unit and fixes agree."""
+    """Check the setup: tracks, inertial unit and fixes agree."""
     setup = run.replay.setup
     if setup.causes:
         words = "; ".join(f"{cause.evidence}. {cause.remedy}" for cause in setup.causes)
@@ -183,7 +187,7 @@ def _innovation_consistency(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> Verdict:
-    """``ratio``: squared errors over what was claimed."""
+    """Check consistency; ``ratio``: mean squared error over its variance in the estimate."""
     times = math.sqrt(ratio)
     words = f"{what} are {times:.2f} times what the estimate claims"
     if times > limits.most_consistency:
@@ -203,7 +207,7 @@ def _slip(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _tracks(run: Run, _: VerdictLimits) -> Verdict:
-    """Whether they went round when they were commanded to, and got the machine on."""
+    """Check that the tracks turned when commanded, without getting stuck."""
     found = trouble_spells(run)
     if not found:
         return _unknown("Neither hydraulics nor estimates of forces: nobody knows whether a track was stuck.")
@@ -238,7 +242,7 @@ def _rates(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _gaps(run: Run, _: VerdictLimits) -> Verdict:
-    """Silence after which a source of the estimator is lost."""
+    """Check for silence beyond which a source counts as lost."""
     timings, allowed = run.recording.timings, silence_limits(run)
     longest = {name: timings[name].longest for name in allowed if name in timings and timings[name].gaps}
     if not longest:
@@ -250,7 +254,7 @@ def _gaps(run: Run, _: VerdictLimits) -> Verdict:
 
 
 def _rejections(run: Run, limits: VerdictLimits) -> Verdict:
-    """Before the start every measurement is refused; that is no fault, if there is a start."""
+    """Check the share of rejected measurements; those before the start do not count, if there is a start."""
     refused = _refused(run)
     early = sum(reasons.get(_WAITING, 0) for reasons in refused.values())
     if run.states is None:
@@ -269,7 +273,7 @@ def _rejections(run: Run, limits: VerdictLimits) -> Verdict:
 
 
 def _refused(run: Run) -> dict[str, dict[str, int]]:
-    """Source → reason → count, of both estimators; without measurements that were used all the same."""
+    """Source → reason → count of rejections in both estimators, without outcomes of used measurements."""
     found = run.replay.rejected.by_source()
     if run.replay.soil is not None:
         found = {**found, **run.replay.soil.rejected.by_source()}
@@ -280,7 +284,7 @@ def _refused(run: Run) -> dict[str, dict[str, int]]:
 
 
 def _all_used(run: Run, early: int) -> tuple[str, str]:
-    """Value and words where nothing was refused: what that is said of, and what not."""
+    """Value and words for a run without rejections since the start; ``early``: rejections before it."""
     given = "that the replay was given " if run.filters.changes_inputs else ""
     hidden = sum(withheld.messages for withheld in run.replay.withheld)
     beside = f" {hidden} were withheld." if hidden else ""
