@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text that fits a terminal of 80 columns: lines are wrapped, and tables that are too wide are folded."""
+"""Formats text for terminals of 80 columns: wraps lines, and folds tables that are too wide."""
 
 import re
 import textwrap
@@ -12,7 +12,7 @@ _GAP = "  "
 
 
 def wrapped(line: str, indent: str = "  ") -> str:
-    """A line, broken between words where it is longer than WIDTH; what follows is indented."""
+    """The line, wrapped between words if longer than WIDTH; continuation lines are indented."""
     if len(line) <= WIDTH:
         return line
     margin = line[: len(line) - len(line.lstrip())] + indent
@@ -22,10 +22,10 @@ def wrapped(line: str, indent: str = "  ") -> str:
 
 
 def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool], keys: int = 1) -> str:
-    """Aligned columns, those of ``right`` to the right.
+    """Table with aligned columns; those of ``right`` are right-aligned.
 
-    Where they are wider than WIDTH the table is folded: one below the other, each with the first ``keys``
-    columns. A key that is the same in all rows is stated once, above.
+    A table wider than WIDTH is folded into tables one below the other, each with the first ``keys`` columns.
+    A key that is the same in all rows is stated once, above.
     """
     lines = [list(map(str, heading)), *(list(map(str, row)) for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -44,7 +44,7 @@ def table(heading: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence
 
 
 def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]], keys: int) -> list[str]:
-    """Lines of a Markdown table that is also one to the eye; ``keys`` columns stand left, numbers right."""
+    """Lines of a Markdown table, aligned as text too; ``keys`` columns are left-aligned, others right."""
     lines = [list(heading), *map(list, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rule = ["-" * w if k < keys else "-" * (w - 1) + ":" for k, w in enumerate(widths)]
@@ -59,10 +59,10 @@ def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]], keys: 
 
 
 def for_terminal(markdown: str) -> str:
-    """Markdown with its tables folded and its lines wrapped.
+    """Markdown with folded tables and wrapped lines.
 
-    Of a table those columns are keys that stand left and are no numbers (``---`` instead of ``---:``), and
-    the noises σ behind them.
+    Key columns of a table are the left-aligned ones (``---`` instead of ``---:``), and the noises σ that
+    follow them.
     """
     found: list[str] = []
     block: list[str] = []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check of a bag, in a pass of its own or by what a replay reads anyway; its result as text."""
+"""The setup check of a bag, in its own pass or during a replay, and its result as text."""
 
 import re
 from collections.abc import Callable
@@ -24,10 +24,10 @@ def check_bag(
     filters: InputFilters | None = None,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Result:
-    """Causes and what the bag cannot decide; ``advance`` is told the seconds that were read.
+    """Check a bag: causes, and what the bag cannot decide; ``advance`` gets the seconds read.
 
     Raises:
-        InputError: the bag lacks the sprockets, or is damaged inside.
+        InputError: the bag lacks the sprockets, or is damaged.
     """
     stream, collector = InputStream(bag, p, filters or InputFilters()), Collector(p)
     reached = 0.0
@@ -39,19 +39,19 @@ def check_bag(
 
 
 def result_of(collector: Collector) -> Result:
-    """Of all that was collected."""
+    """Result of the check over the collected measurements."""
     log = collector.log()
     return Result(undetermined=(NO_SPROCKETS,)) if log is None else check(log)
 
 
 def settings(result: Result) -> list[str]:
-    """What the remedies set, as ``--set`` takes it; empty where a cause has another remedy."""
+    """Settings of the remedies, for ``--set``; empty if a cause has another remedy."""
     found = [_SETTING.findall(cause.remedy) for cause in result.causes]
     return [one for settings in found for one in settings] if all(found) else []
 
 
 def finding(result: Result) -> str:
-    """What a command prints before its own results: one line for each cause, or that there is none."""
+    """Summary for other commands: causes and remedies, else open questions or "setup plausible"."""
     if not result.causes:
         open_questions = [wrapped(f"setup: {one.what}: {one.needed}") for one in result.open_questions]
         return "\n".join(open_questions) or "setup plausible"
@@ -62,7 +62,7 @@ def finding(result: Result) -> str:
 
 
 def whole(result: Result) -> str:
-    """What ``trackslip check`` prints: facts, causes with odds and remedies, and what cannot be decided."""
+    """Full text for ``trackslip check``: facts, causes with odds and remedies, and undecided questions."""
     parts = ["\n".join(map(wrapped, result.facts))] if result.facts else []
     if result.causes:
         rows = [(c.cause, c.source, odds_text(c.odds)) for c in result.causes]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What became of one bag of many, as a worker hands it back: numbers and words, no arrays."""
+"""The result of one bag of many, which a worker returns: numbers and texts, no arrays."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -16,24 +16,24 @@ from trackslip_tools.replay.output import summary
 from trackslip_tools.replay.parts import Part, Watch
 from trackslip_tools.replay.result import Replay
 
-_TIMING = "real_time_factor"  # depends on who else was at work
+_TIMING = "real_time_factor"  # depends on the load of the machine
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One bag."""
+    """Result of one bag."""
 
     bag: str
     exit_code: int
-    error: str = ""  # the line that the command would have shown for it alone
-    notes: tuple[str, ...] = ()  # what it would have shown beside its results
-    distance: float | None = None  # m, driven
-    summary: dict[str, Any] = field(default_factory=dict)  # as ``replay --json`` has it
+    error: str = ""  # error line, as of the command on this bag alone
+    notes: tuple[str, ...] = ()  # further lines of output
+    distance: float | None = None  # m, distance travelled
+    summary: dict[str, Any] = field(default_factory=dict)  # contents of ``replay --json``
     page: str = ""  # HTML, of a report
 
     @property
     def vehicle(self) -> str:
-        """Its name, and whether nobody named it; empty where the bag could not be read."""
+        """Name of the vehicle, marked if assumed; empty if the bag could not be read."""
         name = self.summary.get("vehicle", "")
         is_assumed = any(note.startswith(IS_ASSUMED) for note in self.notes)
         return f"{name} (assumed)" if is_assumed else name
@@ -45,14 +45,14 @@ class Entry:
 
 
 class Distance:
-    """The way that C went, over the parts of a replay that it watches."""
+    """Distance travelled by the track-contact centre, over the parts of a replay."""
 
     def __init__(self) -> None:
         self.metres = 0.0
         self._stamp_ns: int | None = None
 
     def add(self, part: Part) -> None:
-        """More of it; standing and steps back in time add nothing."""
+        """Add a part; standstill and steps back in time add nothing."""
         estimates = part.estimates
         if not len(estimates):
             return
@@ -64,9 +64,9 @@ class Distance:
 
 
 def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, force: bool = False) -> Entry:
-    """The entry of a bag, whatever is wrong with it; ``replayed`` gives its replay and its page.
+    """Result of a bag, with any error in it; ``replayed`` returns the replay and the page.
 
-    ``force``: a setup that is wrong is accepted.
+    ``force``: accept a wrong setup.
     """
     distance = Distance()
     with collected() as lines:
@@ -83,5 +83,5 @@ def entry_of(path: Path, replayed: Callable[[Watch], tuple[Replay, str]], *, for
 
 
 def exit_code(entries: Iterable[Entry]) -> int:
-    """Of all: bad input where a bag could not be read, failed where one had no estimate."""
+    """The worst exit code: bad input if a bag was not read, failed without estimate or plausible setup."""
     return max(entry.exit_code for entry in entries)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which bags are meant: those that are named, and all in the folders that are named."""
+"""Finds the bags that are named, and all bags in the folders that are named."""
 
 import os
 from collections.abc import Sequence
@@ -13,10 +13,10 @@ from trackslip_common.errors import InputError
 
 
 def is_folder(path: Path) -> bool:
-    """Whether it is a directory that is no bag itself, so that the bags in it are meant.
+    """Whether a path is a directory but no bag, so that it stands for the bags in it.
 
     Raises:
-        InputError: it may not be looked into.
+        InputError: the directory cannot be read.
     """
     try:
         return path.is_dir() and not (path / METADATA).exists() and not bag_files(path)
@@ -25,10 +25,10 @@ def is_folder(path: Path) -> bool:
 
 
 def find_bags(paths: Sequence[Path]) -> list[Path]:
-    """The bags, each once; those of a folder, at any depth, by name. What is not there is named all the same.
+    """The bags, each once; those of a folder at any depth, by name. Missing bags are returned as named.
 
     Raises:
-        InputError: there is no bag in a folder, or a folder in it may not be looked into.
+        InputError: a folder has no bag, or a folder in it cannot be read.
     """
     found: dict[Path, None] = {}
     for path in paths:
@@ -40,7 +40,7 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Of bags, without the folders that all are in."""
+    """Names of bags, without their common folders."""
     common = 0
     while all(len(path.parts) > common + 1 for path in paths) and len({p.parts[common] for p in paths}) == 1:
         common += 1

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of pages, one of each bag, and an index with the table of all."""
+"""A folder with the page of each bag, and an index with the table of all."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,17 +13,17 @@ INDEX = "index.html"
 
 
 def write_pages(entries: Sequence[Entry], folder: Path) -> None:
-    """The pages that there are, and the index.
+    """Write the pages of the entries, and the index.
 
     Raises:
-        InputError: one cannot be written.
+        InputError: a file cannot be written.
     """
-    from jinja2 import Environment, PackageLoader  # not for a replay without pages
+    from jinja2 import Environment, PackageLoader  # not needed without pages
 
     environment = Environment(loader=PackageLoader(__package__), autoescape=True, trim_blocks=True)
     rows, digits = [], len(str(len(entries)))
     for number, (name, entry) in enumerate(named(entries), start=1):
-        file = f"{number:0{digits}}.html" if entry.page else ""  # numbered, for names may be anybody's
+        file = f"{number:0{digits}}.html" if entry.page else ""  # names may not suit as file names
         if entry.page:
             write_file("output", folder / file, entry.page)
         rows.append((name, file, [show(entry) for show in COLUMNS.values()], entry.error))

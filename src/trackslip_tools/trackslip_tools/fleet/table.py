@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One table of many bags, and what it leaves out of each: errors, notes, vehicles."""
+"""One table of many bags, followed by errors, notes and vehicles."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +14,7 @@ from trackslip_tools.replay.soil_output import is_certain
 from trackslip_tools.terminal_text import table, wrapped
 
 NOTHING = "–"
-_WAITING = "waiting"  # before the start every measurement is refused
+_WAITING = "waiting"  # rejections before the start
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -27,14 +27,14 @@ def _rmse(summary: Mapping[str, Any]) -> str:
 
 
 def _nees(summary: Mapping[str, Any]) -> str:
-    """Over its degrees of freedom: 1 is consistent, with a heading in the reference or without."""
+    """NEES over its degrees of freedom (1 if consistent), of the pose or, without headings, the position."""
     if summary.get("nees") is not None:
         return f"{summary['nees'] / 3.0:.2f}"
     return NOTHING if summary.get("nees_position") is None else f"{summary['nees_position'] / 2.0:.2f}"
 
 
 def _refused(summary: Mapping[str, Any]) -> str:
-    """How many measurements were, since the start."""
+    """Number of measurements rejected since the start."""
     if not summary:
         return NOTHING
     reasons = (found for of_source in summary["rejected"].values() for found in of_source.items())
@@ -42,7 +42,7 @@ def _refused(summary: Mapping[str, Any]) -> str:
 
 
 def _soil(summary: Mapping[str, Any]) -> str:
-    """The likeliest class, marked where it is not sure."""
+    """The likeliest class, marked if it is uncertain."""
     soil = summary.get("soil") or {}
     classes = soil.get("classes")
     if not classes:
@@ -66,7 +66,7 @@ _TEXTS = {"soil", "exit"}
 
 
 def text(entries: Sequence[Entry]) -> str:
-    """The table, and below it why bags have no numbers, and which vehicles drove."""
+    """The table, and below it the errors of bags, and the vehicles."""
     heading = ("bag", *COLUMNS)
     rows = [(name, *(show(entry) for show in COLUMNS.values())) for name, entry in named(entries)]
     right = [False, *(name not in _TEXTS for name in COLUMNS)]
@@ -78,12 +78,12 @@ def text(entries: Sequence[Entry]) -> str:
 
 
 def notes(entries: Sequence[Entry]) -> Iterator[str]:
-    """One line for each note on a bag."""
+    """Notes on the bags, one line each."""
     for name, entry in named(entries):
         for note in entry.notes:
             yield f"{name}: {note}"
 
 
 def named(entries: Sequence[Entry]) -> Iterator[tuple[str, Entry]]:
-    """Each with the name of its bag, without the folders that all are in."""
+    """Short name and entry of each bag."""
     yield from zip(short_names([Path(entry.bag) for entry in entries]), entries, strict=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page over a bag: its messages as they came, at so many times real time."""
+"""Feeds the live page from a bag, at a multiple of real time."""
 
 from functools import partial
 from typing import Any
@@ -16,11 +16,11 @@ from trackslip_tools.live.fixes import timeouts_of
 from trackslip_tools.live.state import LiveState
 
 _END = "end of the bag"
-_COMMANDS = (SET_POSE, POSE_SET)  # poses that nobody measured
+_COMMANDS = (SET_POSE, POSE_SET)  # poses that are commands, not measurements
 
 
 def shown_topics(bag: Bag) -> dict[str, str]:
-    """Topic as published → type, of what the page looks at and the bag has in that type, and of all poses."""
+    """Published topic → type, of the topics of the page that the bag has with that type, and of all poses."""
     return {
         absolute(topic): info.type_name
         for topic, info in bag.topics.items()
@@ -30,27 +30,27 @@ def shown_topics(bag: Bag) -> dict[str, str]:
 
 
 class BagFeed:
-    """Gives the state what the bag holds; time is that of the bag.
+    """Feeds the messages of a bag to the state; time is that of the bag.
 
     Raises:
-        InputError: what the bag holds on the estimator's topic are no parameters.
+        InputError: the topic of the estimator's parameters holds something else.
     """
 
     def __init__(self, bag: Bag, state: LiveState, rate: float, filters: InputFilters) -> None:
         self._bag, self._state = bag, state
         self._topics = shown_topics(bag)
-        timeouts = timeouts_of(bag_parameters(bag))  # also where it starts after they were published
+        timeouts = timeouts_of(bag_parameters(bag))  # valid even after a start behind their message
         state.expect({relative(source): timeout for source, timeout in timeouts.items()})
         self._playback = Playback(partial(played, bag, filters, self._topics), rate)
-        self._is_over = False  # and the last moment was shown
+        self._is_over = False  # whether the last moment was shown
 
     @property
     def finished(self) -> bool:
-        """Whether all was shown."""
+        """Whether all messages were played."""
         return self._playback.finished
 
     def advance(self, wall_s: float) -> dict[str, Any]:
-        """Play until now; the frame. After the end the time stands still, and all values stay."""
+        """Play until now, and return the frame; after the end, the last values stay."""
         if self._is_over:
             return self._state.hold(_END)
         newest: dict[str, Played] = {}

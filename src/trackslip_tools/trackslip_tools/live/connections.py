@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tornado's HTTP server with one limit for all connections, so that strangers cannot keep a good client out.
+"""Tornado's HTTP server with a limit on all connections, so that attackers cannot lock out a regular client.
 
-Where the limit is reached, a new connection takes the place of the oldest one of a group: of those that have
-not sent a whole request, or of those that have, whichever are more. A good client sends its request at once,
-and is answered before its turn to be closed comes.
+At the limit, a new connection displaces the oldest one of the larger group: connections without a complete
+request, or connections with one. A regular client sends its request at once and is answered before its turn
+to be displaced comes.
 """
 
 import asyncio
@@ -17,50 +17,50 @@ from tornado.http1connection import HTTP1ServerConnection
 from tornado.httpserver import HTTPServer
 from tornado.iostream import IOStream
 
-MOST = 96  # connections: 24 pages, and six more that each of a dozen browsers opens while it loads
-HEADER_TIMEOUT_S = 5.0  # for the whole header of a request, and again for the body
-_LIFE_S = 60.0  # of a connection that is no page's stream: 1 MB over a weak link
-_FEWEST = 16  # to which the limit falls where descriptors are scarce: what two browsers open
-_IN_A_ROW = 16  # connections accepted before the requests of those that are open are read
+MOST = 96  # connections: 24 pages, and six more for each of a dozen browsers that load the page
+HEADER_TIMEOUT_S = 5.0  # for the whole header of a request, and the same for the body
+_LIFE_S = 60.0  # lifetime of a connection without a stream: 1 MB over a weak link
+_FEWEST = 16  # lower bound of the limit when descriptors are scarce: connections of two browsers
+_IN_A_ROW = 16  # connections accepted before requests on open ones are read
 _BACK_OFF_S = 0.1
-_READ_BUFFER = 32_768  # bytes of a connection
+_READ_BUFFER = 32_768  # bytes per connection
 
 
 class BoundedServer(HTTPServer):
-    """Serves ``most`` connections at a time, of which old ones give way to new ones."""
+    """Serves at most ``most`` connections at a time; new ones displace old ones."""
 
     def initialize(self, *args: Any, **options: Any) -> None:
-        """As ``HTTPServer``; also ``streams``: how many connections have become streams of pages."""
+        """As ``HTTPServer``, with ``streams``: number of connections that became streams of pages."""
         self._streams: Callable[[], int] = options.pop("streams")
         options |= dict.fromkeys(("idle_connection_timeout", "body_timeout"), HEADER_TIMEOUT_S)
         super().initialize(*args, **options)
         descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        self.most = min(MOST, descriptors // 2) if descriptors > 0 else MOST  # the node needs some, too
+        self.most = min(MOST, descriptors // 2) if descriptors > 0 else MOST  # some are left for the node
         self.displaced = 0  # connections closed in favour of newer ones
-        self._waiting: dict[IOStream, asyncio.TimerHandle] = {}  # for a request; oldest first
-        self._asked: dict[IOStream, asyncio.TimerHandle] = {}  # have sent one; oldest first
+        self._waiting: dict[IOStream, asyncio.TimerHandle] = {}  # without a complete request; oldest first
+        self._asked: dict[IOStream, asyncio.TimerHandle] = {}  # with a request; oldest first
         self._listeners: list[socket.socket] = []
 
     @property
     def connections(self) -> int:
-        """How many are open, streams included."""
+        """Number of open connections, including streams."""
         return len(self._waiting) + len(self._asked) + self._streams()
 
     def listen_on(self, listeners: Iterable[socket.socket]) -> None:
-        """Accept connections of listening sockets, which ``stop`` closes."""
+        """Accept connections on listening sockets, until ``stop`` closes them."""
         for listener in listeners:
             self._listeners.append(listener)
             self._watch(listener)
 
     def stop(self) -> None:
-        """Accept no more connections."""
+        """Stop accepting connections."""
         for listener in self._listeners:
             asyncio.get_event_loop().remove_reader(listener)
             listener.close()
         self._listeners.clear()
 
     def note_request(self, server_conn: object) -> None:
-        """Count a connection to those that have sent a whole request."""
+        """Mark a connection as one with a complete request."""
         assert isinstance(server_conn, HTTP1ServerConnection)
         if server_conn.stream in self._waiting:
             self._asked[server_conn.stream] = self._waiting.pop(server_conn.stream)
@@ -71,7 +71,7 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def on_close(self, server_conn: object) -> None:
-        """A connection has closed, or become the stream of a page."""
+        """Forget a connection that was closed, or that became a stream."""
         assert isinstance(server_conn, HTTP1ServerConnection)
         self._forget(server_conn.stream)
         super().on_close(server_conn)
@@ -86,14 +86,14 @@ class BoundedServer(HTTPServer):
                 connection, address = listener.accept()
             except BlockingIOError:
                 return
-            except OSError:  # no descriptor is left, most often
+            except OSError:  # usually out of descriptors
                 self._back_off(listener)
                 return
             self._displace(self.most - 1)
             self.handle_stream(IOStream(connection, max_buffer_size=_READ_BUFFER), address)
 
     def _back_off(self, listener: socket.socket) -> None:
-        """Go on a little later, with fewer connections."""
+        """Lower the limit of connections, and accept again a little later."""
         self.most = max(_FEWEST, self.connections * 3 // 4)
         self._displace(self.most - 1)
         loop = asyncio.get_event_loop()
@@ -101,7 +101,7 @@ class BoundedServer(HTTPServer):
         loop.call_later(_BACK_OFF_S, self._watch, listener)
 
     def _displace(self, most: int) -> None:
-        """Close the oldest connections until no more than ``most`` are open, or nothing but streams are."""
+        """Close the oldest connections until at most ``most`` are open, or only streams are left."""
         while self.connections > most and (self._waiting or self._asked):
             larger = self._waiting if len(self._waiting) >= len(self._asked) else self._asked
             stream = next(iter(larger))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the page takes: numbers as JSON has them, and times of this computer's place."""
+"""JSON encoding of numbers, and times in the time zone of this computer."""
 
 import math
 import time
@@ -13,7 +13,7 @@ from trackslip_common.arrays import FloatArray
 
 
 def finite(values: Any) -> Any:
-    """Nested lists of the same shape; what is not finite is null."""
+    """Nested lists of the same shape; null for values that are not finite."""
     if isinstance(values, np.ndarray):
         values = values.tolist()
     if isinstance(values, (list, tuple)):
@@ -22,14 +22,14 @@ def finite(values: Any) -> Any:
 
 
 def outline(points: FloatArray) -> tuple[list[float], list[float]]:
-    """x and y of (n, 2) points, to the millimetre; none of them where one is not finite."""
-    rounded = np.round(points, 3)  # the largest numbers become infinite
+    """x and y of (n, 2) points, rounded to the millimetre; empty if one is not finite."""
+    rounded = np.round(points, 3)  # overflows to infinity for the largest numbers
     x, y = rounded.T.tolist() if len(rounded) and np.isfinite(rounded).all() else ([], [])
     return x, y
 
 
 def shown_ms(time_ns: int) -> float:
-    """Milliseconds that a clock set to UTC must show to read as local time here, whatever a browser's is."""
+    """Milliseconds that a UTC clock must show to read as local time here, in a browser of any time zone."""
     seconds = time_ns * 1e-9
     offset = 0
     with suppress(OverflowError, OSError, ValueError):

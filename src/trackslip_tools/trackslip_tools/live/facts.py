@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page's texts: where the machine is and what it does, attitude, swing, and why a soil is not known."""
+"""Texts of the page: pose, motion, attitude, swing, and why the soil cannot be identified."""
 
 import math
 
@@ -19,7 +19,7 @@ NAMES = ("position", "heading", "motion", "speed", "roll", "pitch", "swing", "so
 
 
 def facts_of(now: Snapshot, now_s: float) -> dict[str, str]:
-    """Text of each of ``NAMES``; what is not known is a dash."""
+    """Name of ``NAMES`` → text; a dash if unknown."""
     facts = dict.fromkeys(NAMES, _NONE)
     facts["soil_reason"] = printable(now.reason)
     odometry, slip = now.get(ODOMETRY, now_s), now.get(TRACK_SLIP, now_s)

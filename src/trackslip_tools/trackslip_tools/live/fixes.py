@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the sources of poses say that the machine is, and which of them have fallen silent."""
+"""Recent fixes of all pose sources, and detection of silent sources."""
 
 import math
 from collections import defaultdict, deque
@@ -16,26 +16,26 @@ from trackslip_tools.live import inputs
 from trackslip_tools.report.events import Events
 from trackslip_tools.report.lights import Level
 
-KEPT = 400  # that are shown
-_MOST_SOURCES = 12  # that are looked for, whatever is stated
+KEPT = 400  # shown fixes
+_MOST_SOURCES = 12  # largest number of sources
 _NODE = "slip_estimator"
 
 Place = tuple[float, float]  # x, y, m
 
 
 class Fixes:
-    """Times are seconds of one clock that goes forward."""
+    """Recent fixes and lost sources; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
         self.kept: deque[Place] = deque(maxlen=KEPT)
-        self.timeouts: dict[str, float] = {}  # of the sources that the slip estimator states, s
+        self.timeouts: dict[str, float] = {}  # source of the slip estimator → timeout, s
         self._news: deque[Place] = deque(maxlen=KEPT)
         self._came_s: dict[str, float] = {}
         self._silences: dict[str, Silence] = defaultdict(Silence)
         self._lost: set[str] = set()
 
     def expect(self, timeouts: Mapping[str, float]) -> None:
-        """Timeouts, s, by source, from which ``silence`` has when it is lost; other sources are forgotten."""
+        """Set the timeouts, s, by source, from which ``silence`` derives its limits; forget other sources."""
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
         known = {*inputs.POSES, *self.timeouts}
         self._came_s = {source: at_s for source, at_s in self._came_s.items() if source in known}
@@ -43,20 +43,20 @@ class Fixes:
         self._lost &= known
 
     def add(self, source: str, x: float, y: float, now_s: float) -> None:
-        """A fix."""
+        """Add a fix, m."""
         self._came_s[source] = now_s
         self._silences[source].add(now_s)
         if math.isfinite(x) and math.isfinite(y):
             self._news.append((round(x, 3), round(y, 3)))
 
     def news(self) -> list[Place]:
-        """Those that came since this was last asked."""
+        """The fixes since the last call."""
         news, self._news = list(self._news), deque(maxlen=KEPT)
         self.kept += news
         return news
 
     def see(self, events: Events, now_s: float, time_ms: float) -> None:
-        """Say which sources have fallen silent, and which are back."""
+        """Add an event for each source that is newly lost, or back."""
         for source, timeout in self.timeouts.items():
             limit = self._silences[source].limit(timeout)
             is_lost = now_s - self._came_s.get(source, now_s) > limit
@@ -68,7 +68,7 @@ class Fixes:
 
 
 def timeouts_of(values: Mapping[str, Any]) -> dict[str, float]:
-    """Source of poses → its timeout, s, of the slip estimator's parameters by dotted name."""
+    """Pose source → timeout, s, from the slip estimator's parameters by dotted name."""
     named = values.get("pose_sources")
     found = {}
     for source in named if isinstance(named, list) else ():
@@ -78,9 +78,9 @@ def timeouts_of(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def timeouts_of_text(text: str, where: str) -> dict[str, float]:
-    """The same of a parameter file.
+    """Pose source → timeout, s, from the text of a parameter file.
 
     Raises:
-        InputError: it is none.
+        InputError: the text is no parameter file.
     """
     return timeouts_of(node_parameters(parse_mapping(text, where), _NODE, where))

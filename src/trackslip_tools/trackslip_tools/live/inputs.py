@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics the live page looks at, and what it reads of their messages."""
+"""Topics of the live page, and the fields that it reads."""
 
 from typing import Annotated, Any, NamedTuple
 
@@ -22,12 +22,12 @@ from trackslip_common.topics import ATTITUDE, DIAGNOSTICS, FORCES, ODOMETRY, SOI
 SWING, VEHICLE = "swing", "vehicle"
 PARAMETERS = "slip_estimator/parameters"
 BOX_POSE = "box_pose"
-POSES = (BOX_POSE, "gnss_pose", "reference_pose")  # and those that the slip estimator states
+POSES = (BOX_POSE, "gnss_pose", "reference_pose")  # in addition to the slip estimator's sources
 _IMU = "sensor_msgs/msg/Imu"
 
 
 class AttitudeFields(NamedTuple):
-    """Of sensor_msgs/Imu, its orientation with covariance."""
+    """Orientation and its covariance in sensor_msgs/Imu."""
 
     qx: Annotated[float, At("orientation.x")]
     qy: Annotated[float, At("orientation.y")]
@@ -54,7 +54,7 @@ TYPES = {
 """Message type of each topic that is always looked at."""
 
 LATCHED = (VEHICLE, PARAMETERS)
-EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED)  # of the others the newest does
+EVERY_MESSAGE = (DIAGNOSTICS, *LATCHED)  # of other topics only the newest message is needed
 
 
 def pose_of(record: PoseFields | OdometryFields) -> FloatArray:
@@ -63,6 +63,6 @@ def pose_of(record: PoseFields | OdometryFields) -> FloatArray:
 
 
 def classes_of(message: Any) -> dict[str, float]:
-    """Soil → probability of a SoilEstimate; empty where nobody knows whose probability is which."""
+    """Soil → probability, of a SoilEstimate; empty if names and probabilities differ in number."""
     names, chances = list(message.class_names), [float(p) for p in message.class_probabilities]
     return dict(zip(names, chances, strict=True)) if len(names) == len(chances) else {}

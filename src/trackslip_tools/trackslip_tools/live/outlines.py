@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is drawn about the machine: ellipse, tracks, where it looks, upper structure, the laser's box."""
+"""Outlines of the machine: ellipse, tracks, forward direction, upper structure, the laser's box."""
 
 from contextlib import suppress
 
@@ -17,13 +17,13 @@ NAMES = ("ellipse", "machine", "nose", "upper", "box")
 
 
 def outlines_of(now: Snapshot, now_s: float, vehicle: VehicleParameters) -> dict[str, FloatArray]:
-    """(n, 2) of each of ``NAMES``; without points where nothing is known of it."""
+    """Name of ``NAMES`` → (n, 2) outline; no points if unknown."""
     found = dict.fromkeys(NAMES, np.empty((0, 2)))
     odometry = now.get(ODOMETRY, now_s)
     if odometry is not None:
         pose = inputs.pose_of(odometry)
         found |= _machine(pose, vehicle)
-        with suppress(np.linalg.LinAlgError):  # no covariance
+        with suppress(np.linalg.LinAlgError):  # invalid covariance
             found["ellipse"] = ellipses(pose[np.newaxis, :2], odometry.covariance[np.newaxis, :2, :2])[0]
         swing = now.get(inputs.SWING, now_s)
         if swing is not None:
@@ -41,7 +41,7 @@ def _machine(pose: FloatArray, vehicle: VehicleParameters) -> dict[str, FloatArr
 
 
 def _upper(pose: FloatArray, angle: float, vehicle: VehicleParameters) -> FloatArray:
-    """From the swing axis the way the upper structure looks."""
+    """(2, 2) line from the swing axis in the direction of the upper structure."""
     upper = vehicle.upper_structure
     axis = np.array((upper.swing_axis_x, upper.swing_axis_y)) if upper is not None else np.zeros(2)
     reach = vehicle.kinematics.contact_length * np.array((np.cos(angle), np.sin(angle)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page as files: HTML, styles, scripts, Bokeh's library, and the plots to draw."""
+"""The files of the live page: HTML, styles, scripts, Bokeh's library, and the plots."""
 
 import json
 from importlib import resources
@@ -24,26 +24,26 @@ _HEIGHT = 480
 
 
 class File(NamedTuple):
-    """What is served under one name."""
+    """A served file."""
 
     kind: str
     content: bytes
 
 
 class Gauge(NamedTuple):
-    """The newest point of a curve as a bar."""
+    """A bar that shows the newest point of a curve."""
 
     group: str
     label: str
-    line: int  # in ``LINES``
+    line: int  # index in ``LINES``
     panel: int
     unit: str
-    low: float | None  # of its range; None: that of its panel
+    low: float | None  # lower end of the range; None: that of the panel
     high: float | None
 
 
 def files(title: str) -> dict[str, File]:
-    """Name → file; the page itself is ``''``."""
+    """Name → file; the page itself has the name ``''``."""
     document, plots = _document()
     described = {
         "document": document.to_json(deferred=False),
@@ -70,12 +70,12 @@ def files(title: str) -> dict[str, File]:
 
 
 def _library() -> str:
-    """Bokeh's own script, without widgets and tables."""
+    """Bokeh's script, without widgets and tables."""
     return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
 
 
 def _document() -> tuple[Document, dict[str, str]]:
-    """The plots without data, and the ids of their models by the names of the page's elements."""
+    """The plots without data, and name of the page's element → id of its plot."""
     document = Document()
     plots = {"path": path_figure()}
     panels = Strips().panels()
@@ -90,7 +90,7 @@ def _document() -> tuple[Document, dict[str, str]]:
 
 
 def _strip(panel: Panel, number: int, first: int) -> figure:
-    """A panel of the report over clock times and without tools, so that a finger scrolls the page."""
+    """A report's panel over clock time, without tools, so that a finger scrolls the page."""
     plot = time_plot(panel, Range1d(0.0, 1.0, name=f"time-{number}"), 1)
     still(plot)
     plot.min_border_left = _STRIP_BORDER
@@ -107,13 +107,13 @@ def _strip(panel: Panel, number: int, first: int) -> figure:
 
 
 def still(plot: figure) -> None:
-    """Without tools."""
+    """Remove the tools of a plot."""
     plot.toolbar_location, plot.toolbar.tools = None, []
     plot.js_event_callbacks = {}
 
 
 def _gauge(number: int, line: Line) -> Gauge | None:
-    """None where a curve has none."""
+    """Gauge of a curve; None for a curve without one."""
     of, panel = line.of, SHOWN[line.panel]
     unit = panel.axis.rpartition(", ")[2]
     if isinstance(of, Quantity):
@@ -140,7 +140,7 @@ def _text(room: str, name: str) -> str:
 
 
 def path_figure() -> figure:
-    """Sources ``trail`` and ``fixes`` (x, y), and one of each of ``live.outlines.NAMES``."""
+    """The path plot; its data sources are ``trail``, ``fixes`` and ``live.outlines.NAMES``, (x, y) each."""
     plot = figure(
         height=_HEIGHT,
         sizing_mode="stretch_width",

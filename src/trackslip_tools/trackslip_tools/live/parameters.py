@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the live page is served, and to whom."""
+"""Address, port and allowed origins of the live page."""
 
 import ipaddress
 import socket
@@ -11,9 +11,7 @@ from trackslip_common.parameters import Parameters, parameter
 
 NODE = "live"
 DEFAULT_FILES = ("live.yaml",)
-_BACKLOG = (
-    4096  # connections that wait to be accepted: beyond them the kernel lets a client try again after 1 s
-)
+_BACKLOG = 4096  # connections that wait to be accepted; the kernel lets further clients try again after 1 s
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 _ACCEPTED = "accepted: what a browser has between // and the next /, such as 192.168.4.1:5006"
 
@@ -23,14 +21,14 @@ class LiveParameters(Parameters):
     """See ``config/live.yaml``."""
 
     host: str = parameter("address to listen on")
-    port: int = parameter("to listen on; 0: any that is free", ge=0, le=65535)
-    origins: tuple[str, ...] = parameter("HOST:PORT by which browsers may ask, beside the address itself")
+    port: int = parameter("port to listen on; 0: any free port", ge=0, le=65535)
+    origins: tuple[str, ...] = parameter("HOST:PORT that browsers may request, besides the address itself")
 
     def allowed(self, port: int) -> frozenset[str]:
-        """HOST:PORT by which browsers may ask for the page, served at this port.
+        """HOST:PORT in the requests that are answered at this port.
 
         Raises:
-            InputError: it listens on all addresses, and none is named.
+            InputError: the page listens on all addresses, and no origin is given.
         """
         named = [_with_port(origin, port) for origin in self.origins if origin]
         if _is_any(self.host):
@@ -45,10 +43,10 @@ class LiveParameters(Parameters):
 
 
 def bound(host: str, port: int) -> list[socket.socket]:
-    """Listening sockets.
+    """Open the listening sockets.
 
     Raises:
-        InputError: the address is none of ours, or the port is taken.
+        InputError: the address is not one of this computer, or the port is taken.
     """
     from tornado.netutil import bind_sockets
 
@@ -73,7 +71,7 @@ def _bracketed(host: str) -> str:
 
 
 def _with_port(origin: str, port: int) -> str:
-    """Lower case, as browsers write it."""
+    """HOST:PORT of an origin, in lower case as browsers send it; ``port`` if it has none."""
     name = origin.strip().lower()
     if not name or any(c in name for c in "/*@ ?#"):
         raise InputError(f"origin '{origin}' is refused; {_ACCEPTED}")

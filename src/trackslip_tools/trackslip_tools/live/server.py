@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serves the live page from a thread of its own: files to read, and a stream of frames that takes no word.
+"""Serves the live page from its own thread: read-only files, and an outgoing stream of frames.
 
-Each frame is made and encoded once, and the same text goes to all pages. A page that falls behind by
-seconds misses frames, and then gets all again; nothing waits for it. Requests are answered only if they come
-by a name that is allowed, so that no other site's script reads the page through a browser (DNS rebinding,
-other origins).
+Each frame is encoded once, and all pages get the same text. A page that lags by seconds misses frames, and
+then gets the whole state again; nothing waits for it. Requests are answered only under an allowed host name.
+No script of another site can therefore read the page through a browser (DNS rebinding, other origins).
 """
 
 import asyncio
@@ -31,22 +30,22 @@ from trackslip_tools.live.parameters import LiveParameters, bound
 
 _SOURCES = ("tornado", "asyncio")  # loggers
 _PAUSE_S = 1.0
-MOST_PAGES = 24  # that are served at the same time
-_PING = 10  # s after which a page that does not answer is given up
-_MOST_WAITING = 40  # frames, five seconds: what a phone may fall behind
-_LARGEST_REQUEST = 4096  # bytes of a header, or of a body, which nobody needs
-_CLOSED_BY_RULE = 1008  # of websockets: the other side broke the rules
+MOST_PAGES = 24  # served at the same time
+_PING = 10  # s, interval of pings; a page without an answer is disconnected
+_MOST_WAITING = 40  # frames: largest lag of a page, five seconds
+_LARGEST_REQUEST = 4096  # bytes of a header or body
+_CLOSED_BY_RULE = 1008  # close code of websockets: policy violation
 _READY = 10.0  # s
-_RULES = (  # for the browser: nothing from elsewhere, no script in the page, no form, no frame around it
+_RULES = (  # Content-Security-Policy: no external content, no inline scripts, no forms, no frames around it
     "default-src 'none'; script-src 'self'; connect-src 'self' ws://{host}; img-src data:; "
     "style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 
 
 class ServerLog(logging.Handler):
-    """Gives ``log`` one line a second; ``count`` is of all warnings and errors.
+    """Passes at most one line a second to ``log``; ``count`` counts all warnings and errors.
 
-    Strangers cause what is logged, thousands of times a second where they want to.
+    Clients can cause thousands of log records a second.
     """
 
     def __init__(self, log: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
@@ -56,12 +55,12 @@ class ServerLog(logging.Handler):
         self._next_s = -float("inf")
 
     def attach(self) -> None:
-        """Take what is logged from now on."""
+        """Start to receive log records."""
         for name in _SOURCES:
             logging.getLogger(name).addHandler(self)
 
     def detach(self) -> None:
-        """Take no more."""
+        """Stop to receive log records."""
         for name in _SOURCES:
             logging.getLogger(name).removeHandler(self)
 
@@ -78,9 +77,9 @@ class ServerLog(logging.Handler):
 
 
 class PageServer:
-    """Serves from ``start`` to ``stop``; ``whole`` gives what a new page needs, from any thread.
+    """Serves from ``start`` to ``stop``; ``whole`` returns the state for a new page, from any thread.
 
-    ``log`` takes a line about what goes wrong with connections, once a second at most, from any thread.
+    ``log`` gets at most one line a second about errors of connections, from any thread.
 
     Raises:
         InputError: address, port or origins cannot be used.
@@ -93,7 +92,7 @@ class PageServer:
         parameters: LiveParameters,
         log: Callable[[str], None] = lambda line: show(line, file=sys.stderr),
     ) -> None:
-        parameters.allowed(parameters.port)  # refused before anything is opened
+        parameters.allowed(parameters.port)  # check before sockets are opened
         self._sockets = bound(parameters.host, parameters.port)
         self.port = int(self._sockets[0].getsockname()[1])
         self._allowed = parameters.allowed(self.port)
@@ -119,12 +118,12 @@ class PageServer:
 
     @property
     def address(self) -> str:
-        """To type into a browser."""
+        """URL of the page."""
         return f"http://{sorted(self._allowed)[0]}/"
 
     @property
     def pages(self) -> int:
-        """How many look."""
+        """Number of connected pages."""
         return len(self._pages)
 
     @property
@@ -139,11 +138,11 @@ class PageServer:
         }
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start the thread of the server."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Close the port and all pages; once."""
+        """Close the port and all pages; call once."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(_READY)
 
@@ -176,7 +175,7 @@ def _encoded(frame: dict[str, Any]) -> str:
 
 
 class _Handler(RequestHandler):
-    """Answers those who ask by an allowed name."""
+    """Answers requests under an allowed host name."""
 
     def initialize(self, server: PageServer) -> None:
         self.server = server
@@ -199,10 +198,10 @@ class _Handler(RequestHandler):
 
 @stream_request_body
 class _Files(_Handler):
-    """The page and what belongs to it."""
+    """The page and its files."""
 
     def data_received(self, chunk: bytes) -> None:
-        """A body is read by nobody."""
+        """Ignore the body of a request."""
 
     def get(self, name: str) -> None:
         file = self.server._files.get(name)
@@ -210,20 +209,20 @@ class _Files(_Handler):
             raise HTTPError(404)
         self.set_header("Content-Security-Policy", _RULES.format(host=self.request.host.lower()))
         self.set_header("Content-Type", file.kind)
-        self.set_header("Cache-Control", "no-cache")  # asked again, and answered 304 where it is the same
+        self.set_header("Cache-Control", "no-cache")  # browsers ask again, and get 304 if unchanged
         self.write(file.content)
 
     head = get
 
 
 class _Stream(_Handler, WebSocketHandler):
-    """One page's stream."""
+    """Stream of one page."""
 
     def initialize(self, server: PageServer) -> None:
         super().initialize(server)
         self._sending: asyncio.Future[None] | None = None
         self._waiting: deque[str] = deque()
-        self._missed = True  # the first frame it gets is whole
+        self._missed = True  # the first frame is the whole state
 
     def prepare(self) -> None:
         super().prepare()
@@ -231,23 +230,23 @@ class _Stream(_Handler, WebSocketHandler):
             raise HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
-        """Only pages that came from here."""
+        """Accept only pages from an allowed host."""
         return urlsplit(origin).netloc.lower() in self.server._allowed
 
     def open(self, *_: str) -> None:
         self.server._pages.add(self)
         self.set_nodelay(True)
-        self.offer("")  # it gets the whole
+        self.offer("")  # sends the whole state
 
     def on_message(self, message: str | bytes) -> None:
-        """Nobody has anything to say here."""
+        """Close the stream: pages may not send messages."""
         self.close(_CLOSED_BY_RULE)
 
     def on_close(self) -> None:
         self.server._pages.discard(self)
 
     def offer(self, text: str) -> None:
-        """A frame; a page that has not taken many of those before it misses them, and then gets all again."""
+        """Queue a frame; a page with a full queue loses its frames, and then gets the whole state again."""
         if len(self._waiting) >= _MOST_WAITING:
             self._waiting.clear()
             self._missed = True
@@ -257,7 +256,7 @@ class _Stream(_Handler, WebSocketHandler):
             self._sending = asyncio.ensure_future(self._send())
 
     async def _send(self) -> None:
-        """All that waits, as fast as the page takes it."""
+        """Send the queue as fast as the page receives it."""
         try:
             while text := self._next():
                 await self.write_message(text)
@@ -265,7 +264,7 @@ class _Stream(_Handler, WebSocketHandler):
             self.server._pages.discard(self)
 
     def _next(self) -> str:
-        """What the page gets next; empty where there is nothing yet."""
+        """The next text to send; empty if there is none."""
         if self._missed:
             whole = self.server._whole()
             self._missed = not whole

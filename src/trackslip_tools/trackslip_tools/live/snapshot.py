@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The newest record of each topic, as long as it is fresh, and the columns that panels take from it."""
+"""The newest record of each topic while it is fresh, and the columns for the panels."""
 
 from typing import Any
 
@@ -15,38 +15,38 @@ from trackslip_tools.report.quantities import Columns
 
 STANDING = 1  # motion_state of TrackSlip
 _FRESH_S = 1.0
-_FRESH_OF = {SOIL: 5.0, FORCES: 1.5, inputs.BOX_POSE: 1.5}  # of slower topics
+_FRESH_OF = {SOIL: 5.0, FORCES: 1.5, inputs.BOX_POSE: 1.5}  # s, of slower topics
 
 
 class Snapshot:
-    """Times are seconds of one clock that goes forward."""
+    """The newest record of each topic; times are seconds of one monotonic clock."""
 
     def __init__(self) -> None:
         self._records: dict[str, tuple[Any, float]] = {}
-        self.keeps_last = False  # whether records count as fresh for ever: nothing comes any more
+        self.keeps_last = False  # whether records stay fresh for ever, at the end of a bag
         self.classes: dict[str, float] = {}  # soil → probability
         self.reason = ""  # why the soil cannot be identified
 
     def process(self, topic: str, message: Any, now_s: float) -> Any:
-        """The record of a message of one of ``inputs.RECORDS``, or of a pose.
+        """Store and return the record of a message of one of ``inputs.RECORDS``, or of a pose.
 
         Raises:
-            Exception: it is not of the topic's type.
+            Exception: the message is not of the topic's type.
         """
         record = read(inputs.RECORDS.get(topic, PoseFields), message)
-        if topic in inputs.TYPES:  # of other sources of poses, nothing is drawn but the fixes
+        if topic in inputs.TYPES:  # other pose sources are drawn only as fixes
             self._records[topic] = (record, now_s)
         if topic == SOIL:
             self.classes, self.reason = inputs.classes_of(message), str(message.reason)
         return record
 
     def get(self, topic: str, now_s: float) -> Any | None:
-        """The record of a topic; None where there is none, or an old one."""
+        """The record of a topic; None if missing or too old."""
         record, at_s = self._records.get(topic, (None, -np.inf))
         return record if self.keeps_last or now_s - at_s <= _FRESH_OF.get(topic, _FRESH_S) else None
 
     def columns(self, now_s: float) -> dict[str, Columns]:
-        """What the panels take, of what is fresh."""
+        """Topic (or ``MOTION``) → columns for the panels, of fresh records."""
         found: dict[str, Columns] = {
             topic: record._asdict()
             for topic in (FORCES, SOIL)
@@ -56,7 +56,7 @@ class Snapshot:
         return found | ({MOTION: motion} if motion is not None else {})
 
     def _motion(self, now_s: float) -> Columns | None:
-        """As the report has them of a run; at rest slips mean nothing."""
+        """Columns of twist and slips as in the report; slips are nan at standstill."""
         odometry, slip = self.get(ODOMETRY, now_s), self.get(TRACK_SLIP, now_s)
         if odometry is None:
             return None

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live page shows, in one buffer for all who look: messages in, frames out.
+"""State of the live page, shared by all clients: messages in, frames out.
 
-A frame is what has changed since the one before it, as values that JSON knows; ``whole`` is all that a page
-needs which has just come. Memory is bounded, whatever comes for however long.
+A frame has the changes since the previous frame, as JSON values; ``whole`` has all that a new page needs.
+Memory is bounded for any input and duration.
 """
 
 import math
@@ -30,19 +30,19 @@ from trackslip_tools.report.lights import Level, Light, Lights, statuses_of
 from trackslip_tools.report.plots import visible
 
 MOST_POINTS = 3000  # of the path
-_CLOSEST = 0.02  # m between two points
+_CLOSEST = 0.02  # least distance between points, m
 PERIOD = 0.125  # s between frames
-_CLASSES = 3  # of soil that are shown
+_CLASSES = 3  # shown soil classes
 _LONGEST_SETUP = 900  # characters
-_JUDGE = "slip_estimator"  # name of its light
-_SETUP = f"{_JUDGE}: setup"  # of the setup check's
-_VIEW_PERIOD_S = 1.0  # between looks at what range of values the panels should show
+_JUDGE = "slip_estimator"  # name of its status on /diagnostics
+_SETUP = f"{_JUDGE}: setup"  # status of the setup check
+_VIEW_PERIOD_S = 1.0  # interval between updates of the panels' value ranges
 
 
 class Trail:
-    """The path of a day in bounded memory: points a little apart, twice as far where there are too many.
+    """The path of a day in bounded memory; beyond ``most`` points, half are dropped and the spacing doubles.
 
-    ``thinned`` counts how often half of the points were dropped.
+    ``thinned`` counts how often this happened.
     """
 
     def __init__(self, most: int = MOST_POINTS, closest: float = _CLOSEST) -> None:
@@ -51,7 +51,7 @@ class Trail:
         self.thinned = 0
 
     def add(self, x: float, y: float) -> bool:
-        """A place; whether it is far enough from the last one to be kept."""
+        """Add a position, m; returns whether it is kept: far enough from the last one."""
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
         if self.points and math.dist(self.points[-1], (x, y)) < self._apart:
@@ -68,18 +68,18 @@ class Trail:
 
 
 class LiveState:
-    """Takes messages and gives frames, from any thread; times are seconds of one clock that goes forward."""
+    """Converts messages to frames, thread-safe; times are seconds of one monotonic clock."""
 
     def __init__(
         self, source: str, vehicle: VehicleParameters, namespace: str = "", keeps_vehicle: bool = False
     ) -> None:
-        """``source``: where the messages come from, in words.
+        """``source``: description of the origin of messages.
 
-        ``vehicle``: until a message names another, or for good where it is to be kept.
+        ``vehicle``: valid until a message names another, or always with ``keeps_vehicle``.
         """
         self._source, self._vehicle, self._namespace = source, vehicle, namespace
         self._keeps_vehicle = keeps_vehicle
-        self._run = uuid.uuid4().hex  # tells a page that it talks to another run
+        self._run = uuid.uuid4().hex  # lets a page detect a restart
         self._lock = threading.Lock()
         self._now, self._lights, self._events = Snapshot(), Lights(), Events()
         self._strips, self._trail = Strips(), Trail()
@@ -89,27 +89,27 @@ class LiveState:
         self._viewed_s = -_VIEW_PERIOD_S
         self._frame: dict[str, Any] = {}
         self._clock = (0.0, 0.0)  # now_s, time_ms
-        self._setup = ""  # what the setup check of a bag found
+        self._setup = ""  # result of a bag's setup check
 
     @property
     def pose_sources(self) -> frozenset[str]:
-        """Topics of poses to look at."""
+        """Topics of poses to subscribe to."""
         return frozenset((*inputs.POSES, *self._fixes.timeouts))
 
     def expect(self, timeouts: Mapping[str, float]) -> None:
-        """Sources of poses, and for how long each may be silent, s."""
+        """Set the pose sources and their timeouts, s."""
         self._fixes.expect(timeouts)
 
     def set_setup(self, text: str) -> None:
-        """The mistakes of the setup that a whole bag shows, in place of what its lights say; empty: none."""
+        """Set the mistakes found by the setup check of a whole bag, which replace those on /diagnostics."""
         with self._lock:
             self._setup = printable(text, _LONGEST_SETUP)
 
     def process(self, topic: str, message: Any, now_s: float) -> None:
-        """A message of one of ``inputs.TYPES``, or a pose.
+        """Process a message of one of ``inputs.TYPES``, or a pose.
 
         Raises:
-            Exception: it is not of the topic's type.
+            Exception: the message is not of the topic's type.
         """
         with self._lock:
             if topic == DIAGNOSTICS:
@@ -124,8 +124,8 @@ class LiveState:
                     self._fixes.add(topic, record.x, record.y, now_s)
 
     def tick(self, now_s: float, time_ms: float) -> dict[str, Any]:
-        """The next frame; ``time_ms`` is on the clock that is shown."""
-        with self._lock, np.errstate(invalid="ignore", over="ignore"):  # numbers that others sent
+        """The next frame; ``time_ms`` is on the displayed clock."""
+        with self._lock, np.errstate(invalid="ignore", over="ignore"):  # external numbers
             self._clock, self._number = (now_s, time_ms), self._number + 1
             lights = self._lights.at(now_s)
             self._see_events(lights, now_s, time_ms)
@@ -142,7 +142,7 @@ class LiveState:
             return frame
 
     def hold(self, reason: str) -> dict[str, Any]:
-        """A frame of the last values, however old they are, with the ``reason`` why no new ones come."""
+        """A frame of the last values of any age, with the ``reason`` why there are no new ones."""
         with self._lock, np.errstate(invalid="ignore", over="ignore"):
             now_s, time_ms = self._clock
             self._number += 1
@@ -153,7 +153,7 @@ class LiveState:
             return self._frame
 
     def whole(self) -> dict[str, Any]:
-        """The newest frame, and all that came before it as far as it is kept; empty before the first one."""
+        """The newest frame with the stored history; empty before the first frame."""
         with self._lock:
             if not self._frame:
                 return {}
@@ -186,7 +186,7 @@ class LiveState:
 
     def _see_events(self, lights: list[Light], now_s: float, time_ms: float) -> None:
         self._events.see_lights(lights, now_s, time_ms)
-        if all(light.name != _JUDGE for light in lights):  # else it says itself what it accepts
+        if all(light.name != _JUDGE for light in lights):  # else it reports lost fixes itself
             self._fixes.see(self._events, now_s, time_ms)
         for values in self._lights.news():
             self._events.see_values(values, now_s, time_ms)
@@ -194,7 +194,7 @@ class LiveState:
             self._events.see_soil(self._now.classes, now_s, time_ms)
 
     def _momentary(self, lights: list[Light], now_s: float, time_ms: float) -> dict[str, Any]:
-        """What every frame has whole."""
+        """The part of a frame that is sent in full."""
         drawn = outlines_of(self._now, now_s, self._vehicle)
         likely = sorted(self._now.classes.items(), key=lambda item: -item[1])[:_CLASSES]
         has_soil = self._now.get(SOIL, now_s) is not None
@@ -214,7 +214,7 @@ class LiveState:
         }
 
     def _places(self, now_s: float) -> dict[str, Any]:
-        """What the path and the fixes have gained."""
+        """The new points of the path and the new fixes."""
         gained: dict[str, Any] = {}
         odometry, thinned = self._now.get(ODOMETRY, now_s), self._trail.thinned
         if odometry is not None and self._trail.add(odometry.x, odometry.y):
@@ -227,7 +227,7 @@ class LiveState:
 
 
 def _setup_of(lights: list[Light]) -> str:
-    """What the running estimator's setup check warns of; empty: nothing."""
+    """The warning of the running estimator's setup check; empty: none."""
     return next((one.message for one in lights if one.name == _SETUP and one.level is Level.WARN), "")
 
 

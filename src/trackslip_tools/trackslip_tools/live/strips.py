@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The last minutes of all curves: the panels of the report, moment by moment, in bounded memory."""
+"""The last minutes of all curves in the report's panels, in bounded memory."""
 
 import math
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from trackslip_common.arrays import FloatArray
 from trackslip_tools.report.panel import BLUE, Curve, Form, Panel
 from trackslip_tools.report.quantities import QUANTITIES, SHAPES, Columns, Quantity, Shape, Shown
 
-MOTION = "motion"  # name of the columns from odometry and slips; other columns have that of their topic
-ROWS = 1920  # moments that are kept: four minutes
+MOTION = "motion"  # name of the columns from odometry and slips; other columns have the name of their topic
+ROWS = 1920  # stored moments: four minutes
 _PARTS = 3  # value, lower, upper
 _DIGITS = 5
 
@@ -24,11 +24,11 @@ class Line(NamedTuple):
     panel: int
     of: Quantity | Shown
     scale: float
-    topic: str  # whose columns it takes
+    topic: str  # topic of its columns
 
 
 def lines_of() -> list[Line]:
-    """Of all panels, in their order."""
+    """Lines of all panels, in their order."""
     lines = [Line(k, quantity, 1.0, MOTION) for k, quantity in enumerate(QUANTITIES)]
     first = len(QUANTITIES)
     return lines + [
@@ -39,11 +39,11 @@ def lines_of() -> list[Line]:
 
 
 LINES = lines_of()
-SHOWN: tuple[Quantity | Shape, ...] = (*QUANTITIES, *SHAPES)  # panel by panel
+SHOWN: tuple[Quantity | Shape, ...] = (*QUANTITIES, *SHAPES)  # panels in their order
 
 
 def row_of(columns: Mapping[str, Columns]) -> FloatArray:
-    """(lines, 3) value, lower and upper of every line, of the topics that are there; nan for the others."""
+    """(lines, 3) value, lower and upper of every line; nan for topics without columns."""
     row = np.full((len(LINES), _PARTS), np.nan)
     for k, line in enumerate(LINES):
         if line.topic in columns:
@@ -52,7 +52,7 @@ def row_of(columns: Mapping[str, Columns]) -> FloatArray:
 
 
 class Strips:
-    """A ring of rows; each holds value, lower and upper of every line, nan where there is none."""
+    """A ring buffer of rows; each has value, lower and upper of every line, nan if missing."""
 
     def __init__(self, rows: int = ROWS) -> None:
         self._times = np.full(rows, np.nan)
@@ -60,7 +60,7 @@ class Strips:
         self._count = 0
 
     def add(self, time_ms: float, columns: Mapping[str, Columns]) -> FloatArray:
-        """One moment, of the topics that are there; its row (lines, 3)."""
+        """Add the columns of one moment; returns its row (lines, 3)."""
         at = self._count % len(self._times)
         self._times[at], self._values[at] = time_ms, row_of(columns)
         self._count += 1
@@ -74,7 +74,7 @@ class Strips:
         return self._times[order], self._values[order]
 
     def panels(self) -> list[Panel]:
-        """As a report draws them."""
+        """The panels with the stored curves, as in a report."""
         times, values = self.whole()
         curves: list[list[Curve]] = [[] for _ in SHOWN]
         for k, line in enumerate(LINES):

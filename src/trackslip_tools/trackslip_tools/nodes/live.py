@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``live``: serves the live page of the running graph; takes no command, publishes /diagnostics alone."""
+"""``live``: serves the live page of the running graph; read-only apart from its status on /diagnostics."""
 
 import sys
 import time
@@ -30,26 +30,26 @@ from trackslip_tools.live.parameters import DEFAULT_FILES, NODE, LiveParameters
 from trackslip_tools.live.server import PageServer
 from trackslip_tools.live.state import PERIOD, LiveState
 
-_NICENESS = 5  # whoever drives goes first
-_SOURCES_PERIOD_S = 1.0  # between looks at which sources of poses are stated
-_MOST_WAITING = 200  # messages of a topic of which each counts
+_NICENESS = 5  # lower priority than the nodes that drive
+_SOURCES_PERIOD_S = 1.0  # interval between checks for changed pose sources
+_MOST_WAITING = 200  # queued messages of topics whose every message counts
 _NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class LiveNode(TrackslipNode[LiveParameters]):
-    """Keeps messages as bytes, of most topics the newest, and decodes and shows them some times a second."""
+    """Keeps messages as bytes (of most topics only the newest), and decodes and shows them periodically."""
 
     def __init__(self) -> None:
         super().__init__(NODE, LiveParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
-        """Make the buffer and its inputs."""
+        """Create the state and the subscriptions."""
         namespace = self.get_namespace().strip("/")
         self._server: PageServer | None = None
         self._files = files(f"Trackslip: {namespace or 'live'}")
         self._state = LiveState(namespace or "live", load_vehicle(), namespace)
         self._waiting: dict[str, deque[bytes]] = {}
-        self._sources: dict[str, Subscription | None] = {}  # of poses; None: no name of a topic
+        self._sources: dict[str, Subscription | None] = {}  # pose sources; None: invalid topic name
         for topic in inputs.TYPES:
             self._listen(topic)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -57,7 +57,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
         self.create_timer(_SOURCES_PERIOD_S, self._follow_sources, clock=steady)
 
     def activate(self) -> None:
-        """Open the port, and serve."""
+        """Open the port, and start serving."""
         log = self.get_logger().warning
         self._server = PageServer(self._files, self._state.whole, self.settings, log)
         self._server.start()
@@ -70,7 +70,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
             self._server = None
 
     def health(self) -> list[Health]:
-        """Where it serves, and to how many."""
+        """Address of the page, and counts of its connections."""
         assert self._server is not None
         return [Health(OK, f"serving {self._server.address}", self._server.counts)]
 
@@ -86,7 +86,7 @@ class LiveNode(TrackslipNode[LiveParameters]):
         return subscription
 
     def _follow_sources(self) -> None:
-        """Subscribe to the sources of poses that the slip estimator states now, and to no others."""
+        """Subscribe to the present pose sources of the slip estimator, and unsubscribe from former ones."""
         stated = self._state.pose_sources - inputs.TYPES.keys()
         for topic in self._sources.keys() - stated:
             subscription = self._sources.pop(topic)
