@@ -6,9 +6,9 @@
     result = ts.replay(ts.example())
     result.estimates.save("estimates.csv")
 
-``__all__`` lists what is public, and versions promise what CONTRIBUTING.md says of it. All other modules and
-packages may change with each version. Units are SI, angles rad, stamps ns. Covariances belong to the columns
-of the array whose name they have.
+``__all__`` lists the public names; CONTRIBUTING.md states how versions may change them. All other modules and
+packages may change with each version. Units are SI, angles rad, stamps ns. A covariance refers to the columns
+of the array after which it is named.
 """
 
 from trackslip._check import SetupCheck, check

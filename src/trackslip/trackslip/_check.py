@@ -19,16 +19,16 @@ from trackslip_tools.cli import replay_options
 
 @dataclass(frozen=True, eq=False)
 class SetupCheck:
-    """Mistakes of a setup that explain how the sensors disagree; ``str`` of it is what the command prints."""
+    """Setup mistakes that explain contradictions between sensors; ``str`` of it is the command's output."""
 
     causes: tuple[Cause, ...]  #: each with cause, source, evidence, odds and remedy
-    undetermined: tuple[Undetermined, ...]  #: what this drive cannot decide, and the motion that would
-    facts: tuple[str, ...]  #: distance and turn by each sensor
+    undetermined: tuple[Undetermined, ...]  #: undecided by this drive, and the motion to decide it
+    facts: tuple[str, ...]  #: distance and turn measured by each sensor
     text: str
 
     @property
     def is_plausible(self) -> bool:
-        """Whether no cause was found, and no mistake is certain."""
+        """Whether no cause was found and no mistake is certain."""
         return not self.causes and not any(one.is_wrong for one in self.undetermined)
 
     def __str__(self) -> str:
@@ -66,15 +66,15 @@ def check(
 
 
 def of_result(result: Result) -> SetupCheck:
-    """Of what the setup check found."""
+    """A ``SetupCheck`` from the result of the setup check."""
     return SetupCheck(result.causes, result.undetermined, result.facts, whole(result))
 
 
 def setting_texts(settings: Mapping[str, Any] | None) -> list[str]:
-    """``{"slip_estimator.max_gap": 3.0}`` as ``--set`` takes it.
+    """Settings as texts for ``--set``, such as ``slip_estimator.max_gap=3.0``.
 
     Raises:
-        InputError: a value is none that a parameter may have.
+        InputError: a parameter cannot have such a value.
     """
     given = section("settings", {} if settings is None else settings)
     return [f"{name}={json_text(f'settings: {name}', value)}" for name, value in given.items()]

@@ -29,7 +29,7 @@ _AXES = {
 class Estimates:
     """Estimates in the order of their stamps; n of them.
 
-    ``*_covariance`` are (n, k, k), of the columns of the array that they are named after, in their units.
+    ``*_covariance`` are (n, k, k), over the columns of the array after which they are named, in their units.
     """
 
     stamp_ns: IntArray  #: (n,) ns, of the machine's clock
@@ -76,13 +76,13 @@ class Estimates:
         return pl.DataFrame(self.columns())
 
     def save(self, path: Path | str, datum: tuple[float, float, float] | None = None) -> Path:
-        """Write a file in the form that its ending names; one of that name is replaced.
+        """Write a file in the format of its extension; an existing file is replaced.
 
         ``.csv``: all columns. ``.tum``: s, position and quaternion of each pose, for evaluation tools.
-        ``.geojson``: the path in degrees, for maps; it needs a datum (latitude, longitude deg, altitude m).
+        ``.geojson``: the path in degrees, for maps; needs a datum (latitude, longitude deg, altitude m).
 
         Raises:
-            InputError: the ending is another, the file cannot be written, or there is no datum.
+            InputError: the extension is another, the file cannot be written, or there is no datum.
         """
         path = Path(path)
         if path.suffix not in SUFFIXES:
@@ -92,7 +92,7 @@ class Estimates:
 
 
 def of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
-    """Of (n,) ESTIMATE in the order of their stamps."""
+    """Estimates from (n,) ESTIMATE in the order of their stamps."""
     tilt, swing = rows["tilt"], rows["swing"]
     return Estimates(
         stamp_ns=rows["stamp_ns"].copy(),
@@ -111,7 +111,7 @@ def of_rows(rows: NDArray[np.void], datum: Datum | None = None) -> Estimates:
 
 
 def _where(known: NDArray[Any], values: FloatArray) -> FloatArray:
-    """The values where they are known, else nan."""
+    """The values where known, else nan."""
     found: FloatArray = values.copy()
     found[known == 0] = np.nan
     return found

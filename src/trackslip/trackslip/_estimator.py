@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimators over columns: an import and a replay in a directory that is removed after it."""
+"""Runs the estimators over columns, by an import and a replay in a temporary directory."""
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,9 +24,9 @@ from trackslip_common.yaml_tree import section
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.cli.replay_options import ReplayOptions
 
-REFERENCE = "reference_pose"  # is scored against, and no source
+REFERENCE = "reference_pose"  # topic to score against, no source
 
-# List of sources of the estimator, by the role of a topic.
+# Role of a topic → list of sources of the estimator.
 _LISTS = {
     "pose": "pose_sources",
     "imu": "yaw_rate_sources",
@@ -34,7 +34,7 @@ _LISTS = {
     "odometry": "odometry_sources",
 }
 _HEADINGS = {"yaw", "heading", *QUATERNION}
-_WRITTEN = "biufU"  # kinds of numpy that a table of text holds as they are
+_WRITTEN = "biufU"  # numpy kinds that are written to a table of text without conversion
 
 
 class Estimator:
@@ -51,9 +51,9 @@ class Estimator:
             },
         ).run(frame)
 
-    A source is a topic with its columns, in the words of a mapping file of ``trackslip import``
-    (docs/import.md); ``(column, unit)`` is short for ``{column: …, unit: …}``. ``reference_pose`` is what
-    estimates are scored against. Poses without a heading are used as those of one antenna.
+    A source is a topic with its columns, with the keys of a mapping file of ``trackslip import``
+    (docs/import.md). ``(column, unit)`` is short for ``{column: …, unit: …}``. Estimates are scored against
+    ``reference_pose``. Poses without a heading are used as those of a single antenna.
     """
 
     def __init__(
@@ -64,16 +64,16 @@ class Estimator:
         time: tuple[str, str] = ("t", "s"),
         parameters: Mapping[str, Any] | None = None,
     ) -> None:
-        """Columns are checked when a frame is there.
+        """Check the arguments; columns are checked in ``run``.
 
         Args:
             vehicle: a name of ``config/vehicles``, a file, or its groups: ``{"kinematics": {…}}``.
             sources: topic → field → (column, unit), or a further key of a mapping file.
             time: column of the stamps and its unit: ``s``, ``ms``, ``us``, ``ns`` or ``iso8601``.
-            parameters: of the slip estimator, nested or dotted, over what the sources imply.
+            parameters: of the slip estimator, nested or dotted; override those that the sources imply.
 
         Raises:
-            InputError: an argument is of another form.
+            InputError: an argument has another form.
         """
         topics = {topic: _in_full(topic, source) for topic, source in section("sources", sources).items()}
         self._mapping: dict[str, Any] = {
@@ -92,11 +92,11 @@ class Estimator:
     def run(self, frame: Any) -> Result:
         """Estimate from the columns of a data frame of pandas or polars, or a mapping of name → (n,) array.
 
-        Rows are in the order of their time; a cell that is nan, null or masked has no value, so that sources
-        of other rates share a frame. Dates are times of unit ``iso8601``.
+        Rows are in order of time. A cell that is nan, null or masked has no value, so that sources of
+        different rates can share a frame. Dates are times of unit ``iso8601``.
 
         Raises:
-            InputError: a column is missing or of another length, or a source, unit or parameter is refused.
+            InputError: a column is missing or of another length, or a source, unit or parameter is rejected.
         """
         table = _table(frame, self._names)
         with tempfile.TemporaryDirectory(prefix="trackslip_") as folder, compilation_announced():
@@ -114,7 +114,7 @@ class Estimator:
 
 
 def _in_full(topic: str, source: object) -> dict[str, Any]:
-    """With ``(column, unit)`` as a mapping file has it."""
+    """A source with ``(column, unit)`` expanded as in a mapping file."""
     where = f"sources: {topic}"
     return {
         key: _pair(f"{where}.{key}", value) if isinstance(value, tuple) else value
@@ -123,14 +123,14 @@ def _in_full(topic: str, source: object) -> dict[str, Any]:
 
 
 def _pair(where: str, value: object) -> dict[str, Any]:
-    """A column and its unit."""
+    """A column and its unit, as in a mapping file."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise InputError(f"{where}: {value!r} is not accepted; accepted: (column, unit)")
     return {"column": value[0], "unit": value[1]}
 
 
 def _implied(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Lists of sources by the roles of the topics; of a pose without a heading, that it has none."""
+    """Parameters that sources imply: lists by role, ``use_heading`` of poses, and ``start`` without poses."""
     lists: dict[str, list[str]] = {name: [] for name in _LISTS.values()}
     found: dict[str, Any] = {}
     for topic, source in topics.items():
@@ -145,7 +145,7 @@ def _implied(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _columns(tree: Any) -> Iterator[str]:
-    """Names of the columns anywhere in a mapping."""
+    """Names of all columns in a mapping."""
     if isinstance(tree, Mapping):
         for key, value in tree.items():
             if key in ("column", "new_when_changes"):
@@ -155,7 +155,7 @@ def _columns(tree: Any) -> Iterator[str]:
 
 
 def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
-    """The columns of these names, of a frame of any kind, as they can be written to a table of text."""
+    """The named columns of a frame of any kind, for a table of text."""
     if isinstance(frame, pl.LazyFrame):
         frame = frame.collect()
     if not isinstance(frame, Mapping) and not hasattr(frame, "columns"):
@@ -176,7 +176,7 @@ def _table(frame: Any, names: Sequence[str]) -> pl.DataFrame:
 
 
 def _cells(name: str, column: object) -> NDArray[Any]:
-    """(n,) numbers or text of a column of any kind."""
+    """(n,) numbers or texts of a column of any kind."""
     column = np.ma.filled(column.astype(object), None) if isinstance(column, np.ma.MaskedArray) else column
     cells = np.asarray(column)
     if cells.ndim != 1:
@@ -191,7 +191,7 @@ def _cells(name: str, column: object) -> NDArray[Any]:
 
 
 def _notes(imported: Imported) -> Iterator[str]:
-    """What became of rows that are no measurement."""
+    """Notes on rows that are no measurements."""
     for topic, reasons in imported.left_out.items():
         for reason, count in reasons.items():
             yield f"left out: {count} of {topic}: {reason}"

@@ -27,10 +27,10 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def write(path: Path, estimates: "Estimates", datum: Datum | None) -> None:
-    """Whole, or not at all.
+    """Write the estimates, complete or not at all.
 
     Raises:
-        InputError: it cannot be written, or the form needs a datum.
+        InputError: the file cannot be written, or the format needs a datum.
     """
     text = _FORMS[path.suffix](estimates, datum)
     try:
@@ -44,7 +44,7 @@ def _csv(estimates: "Estimates", _: Datum | None) -> str:
 
 
 def _tum(estimates: "Estimates", _: Datum | None) -> str:
-    """``timestamp tx ty tz qx qy qz qw``; where the tilt is unknown, of flat ground."""
+    """Lines ``timestamp tx ty tz qx qy qz qw``; flat ground where the tilt is unknown."""
     roll, pitch, z = np.nan_to_num(estimates.tilt).T
     yaw = estimates.pose[:, 2]
     (cr, cp, cy), (sr, sp, sy) = (
@@ -63,7 +63,7 @@ def _tum(estimates: "Estimates", _: Datum | None) -> str:
 
 
 def _geojson(estimates: "Estimates", datum: Datum | None) -> str:
-    """One line, with the time of each place, RFC 7946."""
+    """A line of RFC 7946 with the time of each position."""
     if datum is None:
         accepted = "datum=(latitude, longitude, altitude) of the map's origin"
         raise InputError(f"save: GeoJSON is in degrees, and the map's datum is unknown; accepted: {accepted}")
@@ -81,7 +81,7 @@ def _geojson(estimates: "Estimates", datum: Datum | None) -> str:
 
 
 def _check_datum(datum: Datum) -> None:
-    """It is a place on the Earth."""
+    """Raise InputError for a datum outside of the Earth's ranges."""
     with suppress(TypeError, ValueError):
         latitude, longitude, altitude = map(float, datum)
         if abs(latitude) <= _POLE and abs(longitude) <= 2.0 * _POLE and math.isfinite(altitude):

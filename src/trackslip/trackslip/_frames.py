@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data frames of columns; pandas is no dependency of ours."""
+"""Data frames from columns; pandas is optional."""
 
 import importlib
 from collections.abc import Mapping

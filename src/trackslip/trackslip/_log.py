@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is recorded in a bag: topics as columns."""
+"""Contents of a bag: topics as columns."""
 
 from dataclasses import dataclass
 from importlib.resources import files
@@ -22,22 +22,22 @@ from trackslip_common.message_fields import RECORDS
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """An overview of a bag, whose topics are read when they are asked for."""
+    """Overview of a bag; topics are read on request."""
 
     path: Path
     namespace: str
     start_ns: int  #: log time of the first message
-    duration: float  #: s, to the last one
-    topics: MappingProxyType[str, int]  #: name → how many messages
+    duration: float  #: s, from the first to the last message
+    topics: MappingProxyType[str, int]  #: name → number of messages
     types: MappingProxyType[str, str]  #: name → type
-    vehicle: str | None  #: name of the vehicle that the bag states
-    damage: str  #: what is wrong with the bag; empty where nothing is
+    vehicle: str | None  #: name of the vehicle in the bag
+    damage: str  #: description of the damage; empty without damage
 
     def columns(self, topic: str) -> dict[str, NDArray[Any]]:
-        """Name → (n,) or (n, …) column of a topic, with ``log_time_ns`` first; SI.
+        """Name → (n,) or (n, …) column of a topic, ``log_time_ns`` first; SI units.
 
         Raises:
-            InputError: there is no such topic, or it is of a type that is not read.
+            InputError: there is no such topic, or its type is not supported.
         """
         with open_bag(self.path, self.namespace) as bag:
             require_topics(bag, [topic])
@@ -54,7 +54,7 @@ class Log:
         return {"log_time_ns": times, **{name: rows[name] for name in rows.dtype.names or ()}}
 
     def to_pandas(self, topic: str) -> Any:
-        """The columns of a topic that have one number a message, as a ``pandas.DataFrame``.
+        """The topic's columns with one number per message, as a ``pandas.DataFrame``.
 
         Raises:
             InputError: as ``columns``, or pandas is not installed.
@@ -91,5 +91,5 @@ def _overview(bag: Bag, path: Path, namespace: str) -> Log:
 
 
 def example() -> Path:
-    """A short bag that comes along: an emulated excavator of 20 t drives a slalom, with RTK GNSS."""
+    """A short bag of this package: an emulated excavator of 20 t drives a slalom, with RTK GNSS."""
     return Path(str(files(__package__))) / "example"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A replay of a bag, and all that it gives."""
+"""A replay of a bag, and its results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ from trackslip_tools.replay.series import in_order
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a replay found; ``str`` of it is what the command prints."""
+    """Result of a replay; ``str`` of it is the command's output."""
 
     estimates: Estimates
-    summary: Mapping[str, Any]  #: as ``trackslip replay --json`` writes it
+    summary: Mapping[str, Any]  #: contents of ``trackslip replay --json``
     setup: SetupCheck
-    notes: tuple[str, ...]  #: what the command says besides: of the vehicle, of damage, of old names
+    notes: tuple[str, ...]  #: further output of the command: vehicle, damage, old names
     text: str
 
     def __str__(self) -> str:
@@ -96,7 +96,7 @@ def replayed(
     notes: list[str],
     datum: Datum | None = None,
 ) -> Result:
-    """Of an open bag; ``parameters``: vehicle, files and settings; ``notes`` gather meanwhile."""
+    """Replay an open bag; ``parameters``: vehicle, files and settings; ``notes``: receives messages."""
     vehicle, params, settings = parameters
     given = params, setting_texts(settings)
     p, filters, reference = replay_options.setting_of(bag, options, *given, vehicle)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of arguments as the readers of files and options read them."""
+"""Converts arguments to values, as the readers of files and options do."""
 
 import json
 import os
@@ -12,10 +12,10 @@ from trackslip_common.errors import InputError
 
 
 def as_number(where: str, value: object) -> float:
-    """A number.
+    """The value as a number.
 
     Raises:
-        InputError: it is none; ``where`` opens the message.
+        InputError: the value is no number; ``where`` is the start of the message.
     """
     if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
         return float(value)
@@ -23,10 +23,10 @@ def as_number(where: str, value: object) -> float:
 
 
 def as_count(where: str, value: object) -> int:
-    """A whole number that is not negative.
+    """The value as a whole number that is not negative.
 
     Raises:
-        InputError: it is none; ``where`` opens the message.
+        InputError: the value is none; ``where`` is the start of the message.
     """
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0:
         return int(value)
@@ -34,10 +34,10 @@ def as_count(where: str, value: object) -> int:
 
 
 def as_text(where: str, value: object) -> str:
-    """A text, or a path as one.
+    """The value, a text or a path, as a text.
 
     Raises:
-        InputError: it is neither; ``where`` opens the message.
+        InputError: the value is neither; ``where`` is the start of the message.
     """
     if isinstance(value, (str, os.PathLike)):
         return os.fspath(value)
@@ -45,19 +45,19 @@ def as_text(where: str, value: object) -> str:
 
 
 def as_name(where: str, value: object) -> str | None:
-    """A text, or None where there is none.
+    """The value as a text; None stays None.
 
     Raises:
-        InputError: it is neither; ``where`` opens the message.
+        InputError: the value is neither; ``where`` is the start of the message.
     """
     return None if value is None else as_text(where, value)
 
 
 def as_texts(where: str, value: object) -> tuple[str, ...]:
-    """Several texts; one alone stands for itself.
+    """The value as several texts; a single text counts as one.
 
     Raises:
-        InputError: it is no text, or holds something else; ``where`` opens the message.
+        InputError: the value has other contents; ``where`` is the start of the message.
     """
     if isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping)):
         return tuple(as_text(where, one) for one in value)
@@ -65,10 +65,10 @@ def as_texts(where: str, value: object) -> tuple[str, ...]:
 
 
 def json_text(where: str, value: object) -> str:
-    """A value as JSON, which is YAML too; numbers and arrays of numpy are as those of Python.
+    """The value as JSON (which is YAML too); numbers and arrays of numpy are converted to those of Python.
 
     Raises:
-        InputError: it holds something that no file states; ``where`` opens the message.
+        InputError: the value has contents that no file can have; ``where`` is the start of the message.
     """
 
     def plain(one: object) -> object:

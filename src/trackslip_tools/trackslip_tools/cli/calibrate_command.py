@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip calibrate``: parameters of the machine and its sensors from drives, as a file."""
+"""``trackslip calibrate``: estimates parameters of the machine and its sensors from drives."""
 
 import argparse
 import sys
@@ -20,7 +20,7 @@ from trackslip_tools.cli.progress import counted, in_shares
 
 EXAMPLE = "trackslip calibrate bags/slalom_sand out/demo/bag --output calibration.yaml"
 
-_REFERENCE = "reference_pose"  # of an imported log
+_REFERENCE = "reference_pose"  # in imported logs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate, print what was found, write what was asked for."""
+    """Calibrate, print the findings, and write the outputs."""
     require_writable(output=args.output, json=args.json)
     if args.output is not None:
         refuse_foreign("output", args.output, BEGINNING)
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _sources(args: argparse.Namespace, bag: Bag, p: SlipEstimatorParameters) -> tuple[str, str]:
-    """Topics of gyro and poses; '' where there is none."""
+    """Topics of gyro and poses; '' if there is none."""
     there = {relative(topic) for topic, info in bag.topics.items() if info.count}
     gyro = args.gyro or next((source for source in p.yaw_rate_sources if source in there), "")
     poses = args.poses or next((s for s in (*p.pose_sources, _REFERENCE) if s in there), "")

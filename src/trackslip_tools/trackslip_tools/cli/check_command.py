@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip check``: which mistake of the setup explains how the sensors of a bag disagree."""
+"""``trackslip check``: finds the setup mistake that explains contradictions between the sensors of a bag."""
 
 import argparse
 import shlex
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check, print what was found; exit code 1 where a cause was."""
+    """Check and print the result; exit code 1 if a cause was found."""
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
         replay_options.note_damage(bag)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The commands of ``trackslip``: what each does in one sentence, and the module that it alone loads."""
+"""The commands of ``trackslip``: a description and the module of each."""
 
 from importlib.util import find_spec
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from typing import NamedTuple
 class Command(NamedTuple):
     """One command; its module has EXAMPLE, ``add_arguments`` and ``run``.
 
-    ``run`` returns the exit code. It raises ``InputError`` where an argument, or what it names, cannot be
+    ``run`` returns the exit code, or raises ``InputError`` if an argument or the thing it names cannot be
     used.
     """
 
@@ -80,6 +80,6 @@ _ALL = {
 
 
 def commands() -> dict[str, Command]:
-    """By name; those of the simulator where it is installed."""
+    """Name → command; those of the simulator only if it is installed."""
     there = {package for package in ("trackslip_tools", "trackslip_sim") if find_spec(package) is not None}
     return {name: c for name, c in _ALL.items() if c.module.partition(".")[0] in there}

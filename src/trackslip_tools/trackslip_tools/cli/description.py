@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a bag, as text."""
+"""Text description of a bag."""
 
 from datetime import datetime, timezone
 
@@ -15,7 +15,7 @@ _HEAD = ("topic", "count", "Hz", "type")
 
 
 def describe(bag: Bag) -> str:
-    """A few facts and a table of topics; the rate is the mean over the bag's whole duration."""
+    """Facts and a table of topics; rates are means over the bag's whole duration."""
     began = bag.start_ns * 1e-9
     start = (
         f"{datetime.fromtimestamp(began, tz=timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if began < _LATEST else "?"
@@ -42,7 +42,7 @@ def describe(bag: Bag) -> str:
 
 
 def _vehicles(bag: Bag) -> list[str]:
-    """One line for each machine; of those in a namespace, which it is."""
+    """One line for each machine, with its namespace."""
     lines = []
     for namespace in namespaces(bag):
         vehicle = bag_vehicle(in_namespace(bag, namespace) if namespace else bag)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip replay`` and ``report`` over many bags: each a piece of work, one table of all."""
+"""``trackslip replay`` and ``report`` over many bags: one piece of work per bag, one table of all."""
 
 import argparse
 import sys
@@ -16,19 +16,19 @@ from trackslip_tools.fleet.entry import Entry, exit_code
 from trackslip_tools.fleet.find import find_bags, is_folder
 from trackslip_tools.fleet.table import notes, text
 
-_ONE_BAG = ("output", "publish")  # options of replay that belong to one bag
+_ONE_BAG = ("output", "publish")  # replay options for a single bag
 
 
 def is_fleet(paths: Sequence[Path]) -> bool:
-    """Whether several bags are named, or a folder of them."""
+    """Whether several bags or a folder of bags are named."""
     return len(paths) > 1 or is_folder(paths[0])
 
 
 def run(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> int:
-    """Replay all bags, print their table, write ``--json``; the exit code is that of the worst.
+    """Replay all bags, print their table, write ``--json``; returns the worst exit code.
 
     Raises:
-        InputError: an option cannot be used, or the workers cannot.
+        InputError: an option or the workers cannot be used.
     """
     for option in _ONE_BAG:
         if getattr(args, option):
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entr
 
 
 def work(args: argparse.Namespace, one: Callable[[argparse.Namespace, Path], Entry]) -> list[Entry]:
-    """The entries of the bags that ``args`` name, in order, shown as a table."""
+    """Results of the bags that ``args`` name, in order; prints their table."""
     bags = find_bags(args.bags)
     with worker_options.chosen(args, shared=args, most=len(bags)) as mapped:
         entries = list(shown(mapped(one, bags), f"{len(bags)} bags", total=len(bags)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip import``: a log of another robot becomes a bag."""
+"""``trackslip import``: converts a log of another robot to a bag."""
 
 import argparse
 import shlex
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import and show what the bag holds; without a mapping, write a first one."""
+    """Import a log and describe the bag; without a mapping, write a draft of one."""
     vehicle = None if args.vehicle is None else load_vehicle(args.vehicle)
     if args.mapping is None:
         return _write_mapping(args.logs, args.vehicle, args.output)
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | None) -> int:
-    """Into the working directory, under the name of the log."""
+    """Write a draft mapping into the working directory, named after the log."""
     lost = next((log for log in logs if not log.exists()), None)
     if lost is not None:
         raise InputError(
@@ -101,7 +101,7 @@ def _write_mapping(logs: Sequence[Path], vehicle: str | None, output: Path | Non
 
 
 def _priors(vehicle: str | None) -> dict[str, Any]:
-    """Of the slip estimator: what ``trackslip vehicle new`` wrote beside the vehicle's file."""
+    """Parameters of the slip estimator that ``trackslip vehicle new`` wrote beside the vehicle's file."""
     if vehicle is None:
         return {}
     path = Path(vehicle)
@@ -110,7 +110,7 @@ def _priors(vehicle: str | None) -> dict[str, Any]:
 
 
 def _notes(imported: Imported) -> Iterator[str]:
-    """What a user must know of it."""
+    """Lines on the import for the user."""
     if imported.datum is not None:
         latitude, longitude, altitude = imported.datum
         yield f"datum: latitude {latitude:.9f}, longitude {longitude:.9f} deg, altitude {altitude:.3f} m"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip live``: a page that shows the machine, of the graph that runs or of a bag."""
+"""``trackslip live``: serves a page that shows the machine, from the running graph or a bag."""
 
 import argparse
 import json
@@ -26,7 +26,7 @@ EXAMPLE = "trackslip live out/demo/bag --rate 5"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments; what is not given is as in ``live.yaml``."""
+    """Declare the command's arguments; defaults are in ``live.yaml``."""
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, nargs="?", help="show this bag instead of the graph that runs")
     add("--host", metavar="H", help="address to listen on (default: this computer alone)")
@@ -45,12 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until Ctrl-C; over the graph this is the node ``live``."""
+    """Serve until Ctrl-C; for the running graph this starts the node ``live``."""
     given = {"host": args.host, "port": args.port, "origins": args.origin and tuple(args.origin)}
     given = {name: value for name, value in given.items() if value is not None}
     if args.bag is not None:
         p = replace(load_parameters(LiveParameters, NODE, DEFAULT_FILES), **given)
-        p.allowed(p.port)  # refused before a bag is replayed
+        p.allowed(p.port)  # reports errors before the replay
         with open_bag(args.bag, args.namespace) as bag:
             setup = replay_options.setup_of(bag, args.vehicle) or Result()
             with with_estimates(bag, args.vehicle) as whole:
@@ -96,7 +96,7 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result)
 
 @contextmanager
 def with_estimates(bag: Bag, vehicle: str | None = None) -> Iterator[Bag]:
-    """The bag and, where it holds none, the estimates that a replay of it gives, of the vehicle named."""
+    """Context of the bag; if the bag has no estimates, those of a replay are added."""
     if any(topic.removeprefix("/") == "odometry" for topic in bag.topics):
         yield bag
         return

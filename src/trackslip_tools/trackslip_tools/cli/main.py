@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip``: the workbench around bags. Only the module of the command that is asked for is loaded."""
+"""``trackslip``: the command line. Only the module of the requested command is loaded."""
 
 import argparse
 import atexit
@@ -22,15 +22,15 @@ from trackslip_tools.cli.commands import Command, commands
 
 
 class _Parser(argparse.ArgumentParser):
-    """argparse, with one line on stderr for bad input."""
+    """argparse with errors as one line on stderr."""
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the command line."""
+        """Raise InputError for the command line."""
         raise InputError(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
 class _Version(argparse.Action):
-    """Printed, and nothing else is done."""
+    """Print the version and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         print(f"trackslip {__version__}")
@@ -39,12 +39,12 @@ class _Version(argparse.Action):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    if argv is None:  # a process of its own
+    if argv is None:  # in a process of its own
         _open_closed_output()
         escape_unencodable()
         repeat_lost_interrupts()
         collect_garbage_seldom()
-        atexit.register(gc.freeze)  # else all that it holds is looked through before it ends: 0.3 s
+        atexit.register(gc.freeze)  # skips the final garbage collection: 0.3 s
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
         with compilation_announced(progress.show_status):
@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _open_closed_output() -> None:
-    """Where stdout or stderr is closed (``>&-``) Python has None: what is written then goes nowhere."""
+    """Replace a closed stdout or stderr (``>&-``), which Python sets to None, by /dev/null."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 (open until the end)
@@ -73,7 +73,7 @@ def _open_closed_output() -> None:
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """The arguments of a command, and ``run``, which takes them.
+    """The arguments of a command, and its ``run`` function.
 
     Raises:
         InputError: the command or an argument is unknown.
@@ -101,7 +101,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn:
-    """What no command knows: an option that was mistyped, or a word too many."""
+    """Raise InputError for a mistyped option or an extra word."""
     options = [option for action in parser._actions for option in action.option_strings]
     like = did_you_mean(unknown[0], options) if unknown[0].startswith("-") else ""
     words = " ".join(unknown)
@@ -109,8 +109,8 @@ def _refuse(unknown: Sequence[str], parser: argparse.ArgumentParser) -> NoReturn
 
 
 def _add(added: Any, name: str, command: Command, *, whole: bool) -> None:
-    """List a command; ``whole``: with its arguments, for which its module is loaded."""
-    text = command.description.replace("%", "%%")  # argparse puts values into this one
+    """Add a command; ``whole``: with its arguments, which requires its module."""
+    text = command.description.replace("%", "%%")  # argparse formats this text
     parser = added.add_parser(name, help=text, description=command.description)
     if whole:
         module = importlib.import_module(command.module)

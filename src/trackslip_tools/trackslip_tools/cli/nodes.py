@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The few commands that need ROS load their node here, so that all others run without it."""
+"""Loads the nodes of the few commands that need ROS; all other commands run without ROS."""
 
 import importlib
 import os
@@ -11,10 +11,10 @@ from trackslip_common.errors import InputError
 
 
 def node_module(name: str, asked_by: str) -> Any:
-    """The module of a node, by its whole name.
+    """The module of a node, by its full name.
 
     Raises:
-        InputError: ROS is not there; ``asked_by`` opens the message.
+        InputError: ROS is not available; ``asked_by`` is the start of the message.
     """
     try:
         return importlib.import_module(name)
@@ -26,9 +26,9 @@ def node_module(name: str, asked_by: str) -> Any:
 
 
 def shorten_logs() -> None:
-    """Leave out the date and the name that ROS prints before every line: there is only one node here.
+    """Omit date and node name from ROS log lines: there is only one node here.
 
-    On a terminal a line takes the place of the progress that is shown, which comes again below it.
+    On a terminal, a log line replaces the progress display, which appears again below it.
     """
     begin = "\r\x1b[K" if sys.stderr.isatty() else ""
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", f"{begin}[{{severity}}] {{message}}")

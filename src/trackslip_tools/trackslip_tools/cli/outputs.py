@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of results: refused before the work where they could not be written after it; that of ``--json``."""
+"""Output files: checked for writability before the work, and written after it."""
 
 import json
 import math
@@ -11,18 +11,18 @@ from typing import Any
 from trackslip_common.errors import InputError
 from trackslip_common.whole_file import write_whole
 
-# How what is written begins.
+# First characters of the files.
 PAGE = "<!DOCTYPE html>\n<!-- SPDX-FileCopyrightText: 2026 Trackslip authors"
 PNG = b"\x89PNG\r\n\x1a\n"
 _JSON = ("{", "[")
 
 
 def require_writable(**files: Path | None) -> None:
-    """Files that are written at the end, by the option that names them; one that is there is replaced.
+    """Check that the files of these options can be written; existing files will be replaced.
 
     Raises:
-        InputError: one is a directory, has no folder to be in, or may not be written; or ``json`` is a
-            file of something else.
+        InputError: a path is a directory, has no parent folder or may not be written; or ``json`` names an
+            existing file that is no JSON.
     """
     for option, path in files.items():
         if path is None:
@@ -42,12 +42,12 @@ def require_writable(**files: Path | None) -> None:
 
 
 def refuse_foreign(option: str, path: Path, *beginnings: str | bytes) -> None:
-    """A file that is there is replaced only where it begins like one that was written for that option.
+    """Check that an existing file begins as the outputs of this option do.
 
-    So a bag, or a text of the user's, that was named by mistake stays.
+    A bag or a text that was named by mistake is therefore not replaced.
 
     Raises:
-        InputError: it does not, or cannot be read.
+        InputError: the file begins otherwise, or cannot be read.
     """
     if not path.is_file():
         return
@@ -77,10 +77,10 @@ def write_file(option: str, path: Path, content: str) -> None:
 
 
 def make_folder(option: str, path: Path) -> None:
-    """Make the folder that an option names, unless it is there.
+    """Create the folder that an option names, unless it exists.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: the folder cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ def make_folder(option: str, path: Path) -> None:
 
 
 def write_json(path: Path, content: dict[str, Any] | list[dict[str, Any]]) -> None:
-    """Write a summary; what is no finite number becomes null, for JSON has neither.
+    """Write a summary as JSON; nan and infinity become null.
 
     Raises:
         InputError: the file cannot be written.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A progress bar with the remaining time on a terminal; nothing in a pipe, for which no library is loaded."""
+"""A progress bar with the remaining time on a terminal; nothing, and no import of rich, in a pipe."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sized
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_relabel: list[Callable[[str], None]] = []  # of the bars that are shown, the last one before all
+_relabel: list[Callable[[str], None]] = []  # label setters of the open bars, the innermost last
 
 
 def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
-    """The items, with a bar on stderr that follows them; ``total`` where they have no length."""
+    """Yield the items and show a bar on stderr; ``total`` for items without a length."""
     whole = len(items) if total is None and isinstance(items, Sized) else total
     with counted(whole, label) as advance:
         for item in items:
@@ -29,9 +29,9 @@ def shown(items: Iterable[T], label: str, total: int | None = None) -> Iterator[
 
 @contextmanager
 def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr, moved on by calling what is yielded with how much more is done.
+    """Context of a bar on stderr; the yielded function advances the bar.
 
-    ``total`` None: nobody knows how much there is; the bar shows that something is done.
+    ``total`` None: unknown; the bar only shows activity.
     """
     if not sys.stderr.isatty():
         yield lambda _: None
@@ -51,17 +51,17 @@ def counted(total: float | None, label: str) -> Iterator[Callable[[float], None]
 
 
 def show_status(text: str) -> None:
-    """For now in place of the bar's label, or on the cursor's line of a terminal; empty: no more."""
+    """Replace the bar's label, or the cursor's line on a terminal; an empty text restores it."""
     (_relabel[-1] if _relabel else show_in_place)(text)
 
 
 def in_shares(advance: Callable[[float], None], whole: float) -> Callable[[float], None]:
-    """Moves a bar that counts pieces of work on by parts of one of them, which together are ``whole``."""
+    """Advances a bar of items by parts of one item, which sum to ``whole``."""
     return lambda part: advance(part / (whole or 1.0))
 
 
 def following(bag: "Bag", advance: Callable[[float], None]) -> Callable[["Part"], None]:
-    """Moves a bar of seconds on by the parts of a replay that it watches."""
+    """Watch of a replay that advances a bar of seconds."""
     reached_ns = bag.start_ns
 
     def watch(part: "Part") -> None:

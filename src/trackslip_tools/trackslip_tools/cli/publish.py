@@ -29,12 +29,12 @@ _OFFLINE = (
     "reference",
     "output",
     "json",
-)  # options that make no sense here
-_LIVE = ("rate", "paused", "loop", "also")  # options that make sense here alone
+)  # options rejected together with --publish
+_LIVE = ("rate", "paused", "loop", "also")  # options accepted only together with --publish
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that belong to ``--publish``."""
+    """Declare ``--publish`` and its options."""
     group = parser.add_argument_group("driving a live graph (needs ROS)")
     add = group.add_argument
     add("--publish", action="store_true", help="publish the bag and /clock instead; the space bar pauses")
@@ -51,10 +51,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_without_publish(args: argparse.Namespace) -> None:
-    """Options that only a live graph gives a meaning.
+    """Reject options that need a live graph.
 
     Raises:
-        InputError: one of them was given.
+        InputError: one of them is given.
     """
     _refuse(args, _LIVE, "only together with --publish")
 
@@ -63,7 +63,7 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
     """Play the bag; returns the exit code.
 
     Raises:
-        InputError: an option or a topic cannot be used, or ROS is not there.
+        InputError: an option or a topic cannot be used, or ROS is not available.
     """
     _refuse(args, _OFFLINE, "not together with --publish")
     require_topics(bag, [*filters.remap, *args.also])
@@ -88,7 +88,7 @@ def publish(bag: Bag, filters: InputFilters, args: argparse.Namespace) -> int:
 
 
 def rate(text: str) -> float:
-    """A number of times real time, of the command line."""
+    """Parse a multiple of real time."""
     with suppress(ValueError):
         if _RATES[0] <= float(text) <= _RATES[1]:
             return float(text)
@@ -103,7 +103,7 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
 
 @contextmanager
 def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
-    """A function that shows how far the playback is: a bar on a terminal, nothing in a pipe."""
+    """Context of a function that shows the playback's position: a bar on a terminal, nothing in a pipe."""
     if not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -123,7 +123,7 @@ def _progress(bag: Bag) -> Iterator[Callable[[Playback], None]]:
 
 
 class Keyboard:
-    """Gives what is typed key by key while it is open; nothing in a pipe or in the background."""
+    """Reads single keys while it is open; nothing in a pipe or in the background."""
 
     def __init__(self) -> None:
         self._saved: list[Any] | None = None
@@ -145,19 +145,19 @@ class Keyboard:
             self._saved = None
 
     def typed(self) -> str:
-        """What was typed since this was last asked."""
+        """The keys typed since the last call."""
         text = ""
         while self._saved is not None and select.select([sys.stdin], [], [], 0.0)[0]:
             key = os.read(sys.stdin.fileno(), 64)
-            if not key:  # the terminal is gone
+            if not key:  # terminal closed
                 break
             text += key.decode(errors="replace")
         return text
 
 
 def _is_in_front(terminal: int) -> bool:
-    """Whether we are the terminal's foreground job: any other is stopped if it touches the settings."""
+    """Whether this is the foreground job; a background job is stopped when it changes terminal settings."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
-    except OSError:  # a terminal, but not that of our session
+    except OSError:  # terminal of another session
         return False

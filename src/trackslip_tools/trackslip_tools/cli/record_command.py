@@ -11,7 +11,7 @@ EXAMPLE = "trackslip record --output runs/field_3 --more-topics '/gnss.*' --spli
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments; what is not given is as in ``record.yaml``."""
+    """Declare the command's arguments; defaults are in ``record.yaml``."""
     add = parser.add_argument
     add("--output", metavar="BAG", help="directory to create (default: trackslip_<date>_<time>)")
     add("--more-topics", metavar="REGEX", help="record topics whose whole name matches, too")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip recover``: a whole bag from one whose recorder was killed, or whose disk failed."""
+"""``trackslip recover``: writes a valid bag from one whose recorder was killed or whose disk failed."""
 
 import argparse
 from pathlib import Path
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Recover, list what was lost, and show what the new bag holds."""
+    """Recover, list the losses, and describe the new bag."""
     damaged = args.bag.resolve()
     output = args.output or damaged.with_name(f"{damaged.stem}_recovered")
     refuse_existing(output)
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _lines(recovery: Recovery) -> list[str]:
-    """What was lost."""
+    """Lines on the losses."""
     lines = list(recovery.problems)
     if recovery.lost_bytes:
         lines.append(f"lost: {recovery.lost_bytes} bytes behind the last whole chunk")

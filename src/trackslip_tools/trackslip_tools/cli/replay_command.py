@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip replay``: the estimator over a bag."""
+"""``trackslip replay``: runs the estimators over a bag."""
 
 import argparse
 import shlex
@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, print the summary, write what was asked for; or give the bag to a live graph."""
-    filters = replay_options.options_of(args).filters()  # refused before the work
+    """Replay, print the summary and write the outputs; or publish the bag to a live graph."""
+    filters = replay_options.options_of(args).filters()  # reports errors before the work
     if fleet_command.is_fleet(args.bags):
         if not args.publish:
             publish.refuse_without_publish(args)
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _next(args: argparse.Namespace, *, has_failed: bool) -> str:
-    """The command to go on with; a report takes one parameter file, for it compares several."""
+    """The suggested next command; reports take one parameter file per run, because they compare several."""
     if len(args.params) > 1 and not has_failed:
         bag = shlex.quote(str(args.bags[0]))
         return f"next: trackslip report {bag}, with --params as one file: it compares several"
@@ -83,7 +83,7 @@ def _next(args: argparse.Namespace, *, has_failed: bool) -> str:
 
 
 def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> Replay:
-    """By the options, into the bag of ``--output`` where one is wanted."""
+    """Replay with the options, and write ``--output`` if given."""
     replay_options.note_damage(bag)
     given = args.params, args.set
     p, filters, reference = replay_options.setting_of(
@@ -100,7 +100,7 @@ def _replayed(bag: Bag, args: argparse.Namespace, watches: Sequence[Watch]) -> R
 
 
 def _entry(args: argparse.Namespace, path: Path) -> Entry:
-    """One bag of many; what a worker does."""
+    """Result of one bag of many; runs in a worker."""
 
     def replayed(watch: Watch) -> tuple[Replay, str]:
         with open_bag(path, args.namespace) as bag:

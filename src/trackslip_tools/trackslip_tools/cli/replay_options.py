@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The options of every command that replays bags: which part of a bag, what is hidden, which parameters."""
+"""Options of all commands that replay bags: part of the bag, hidden topics, parameters."""
 
 import argparse
 import math
@@ -35,13 +35,13 @@ from trackslip_tools.cli import shared_options
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _KINDS: Mapping[str, type[Parameters]] = {NODE: SlipEstimatorParameters, SOIL_NODE: SoilEstimatorParameters}
-_LONGEST = 1e9  # s, some thirty years
+_LONGEST = 1e9  # s, about thirty years
 _POSES = (TOPICS["box_pose"].type_name, TOPICS["odometry"].type_name)
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Which part of a bag is replayed, what is hidden, and what the estimates are scored against."""
+    """Part of a bag to replay, hidden inputs, and the topic to score against."""
 
     start: float = 0.0  # s from the bag's first message
     stop: float = math.inf  # s from the bag's first message
@@ -52,7 +52,7 @@ class ReplayOptions:
     reference: str | None = None  # topic
 
     def filters(self) -> InputFilters:
-        """What they change in a bag.
+        """The input filters of these options.
 
         Raises:
             InputError: an option has another form, or a value out of range.
@@ -71,17 +71,17 @@ class ReplayOptions:
 
     @property
     def scored_against(self) -> str | None:
-        """The topic, without the slash that it may begin with."""
+        """The topic without a leading slash."""
         return relative(self.reference) if self.reference else None
 
 
 def options_of(args: argparse.Namespace) -> ReplayOptions:
-    """Those of a command line that ``add_options`` declared."""
+    """The options of a command line, as declared by ``add_options``."""
     return ReplayOptions(**{field.name: getattr(args, field.name) for field in fields(ReplayOptions)})
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare all of them but the parameter files."""
+    """Declare these options, ``--set``, ``--vehicle`` and ``--namespace``."""
     add, usual = parser.add_argument, ReplayOptions()
     shared_options.add_set(parser)
     shared_options.add_vehicle(parser, "the bag's")
@@ -108,7 +108,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
-    """Declare what accepts a setup that is wrong."""
+    """Declare ``--force``."""
     parser.add_argument(
         "--force",
         action="store_true",
@@ -119,12 +119,12 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 def parameters_of(
     bag: Bag, files: Iterable[str], settings: Iterable[str], vehicle: str | None = None
 ) -> SlipEstimatorParameters:
-    """Defaults, then what the bag carries, the vehicle named, files, ``--set``: the last one counts.
+    """Defaults, overridden in turn by the bag's parameters, the named vehicle, files, and ``--set``.
 
-    Prints which vehicle it is.
+    Prints the vehicle's name.
 
     Raises:
-        InputError: a file, a name or a value is refused.
+        InputError: a file, a name or a value is rejected.
     """
     of_bag = bag_vehicle(bag)
     carried, *given = _layers(bag, files, settings, NODE)
@@ -141,7 +141,7 @@ def parameters_of(
 
 
 def _antenna_of(vehicle: str, carried: Mapping[str, Any]) -> dict[str, Any]:
-    """The antenna's place by the vehicle that an option names, where the bag has another; says so."""
+    """The antenna's lever arm of the named vehicle, if the bag has one; prints a difference to the bag's."""
     sensors = load_vehicle(vehicle).sensors
     names = {f"sources.{GNSS_POSE}.lever_arm_{axis}": axis for axis in "xyz"}
     if sensors is None or sensors.antenna is None or not carried.keys() >= names.keys():
@@ -156,12 +156,12 @@ def _antenna_of(vehicle: str, carried: Mapping[str, Any]) -> dict[str, Any]:
 def soil_parameters_of(
     bag: Bag, p: SlipEstimatorParameters, files: Iterable[str], settings: Iterable[str]
 ) -> SoilEstimatorParameters | None:
-    """The same for the soil estimator, which has the vehicle of the slip estimator; None without pressures.
+    """As ``parameters_of``, for the soil estimator with the vehicle of ``p``; None without hydraulics.
 
-    Prints what is missing of the vehicle, if that is why there is no soil.
+    Prints missing vehicle data, if these prevent an estimate of the soil.
 
     Raises:
-        InputError: a file, a name or a value is refused.
+        InputError: a file, a name or a value is rejected.
     """
     if not any(relative(topic) == HYDRAULICS for topic in bag.topics):
         return None
@@ -173,14 +173,14 @@ def soil_parameters_of(
 
 
 def _layers(bag: Bag, files: Iterable[str], settings: Iterable[str], node: str) -> list[Mapping[str, Any]]:
-    """What the bag carries for a node, then each file, then ``--set``."""
+    """Parameters of a node from the bag, from each file, and from ``--set``, in this order."""
     carried = _carried(bag, node)
     given = [_given(name, node, carried) for name in files]
     return [carried, *given, _of_today(parse_settings(settings, node), carried, "--set")]
 
 
 def _of_today(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Parameters by the names of today; lists of earlier versions are of the bag's sources."""
+    """Parameters under their current names; lists of sources in older formats refer to the bag's sources."""
     sources = {kind: carried[kind] for kind in SOURCE_LISTS if kind in carried}
     renamed = current_names({**sources, **given})
     values = {name: value for name, value in renamed.items() if name in given or name not in sources}
@@ -190,7 +190,7 @@ def _of_today(given: Mapping[str, Any], carried: Mapping[str, Any], where: str) 
 
 
 def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
-    """The bag's parameters that this version knows, by the names of today."""
+    """The bag's parameters that this version has, under their current names."""
     stated, where = stated_parameters(bag, node), f"bag '{bag.path}'"
     carried = current_names(stated)
     known = _known(node, carried, where)
@@ -203,7 +203,7 @@ def _carried(bag: Bag, node: str) -> Mapping[str, Any]:
 
 
 def _given(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A parameter file's; what its sections for many nodes hold for others is left out."""
+    """The parameters of a node in a file, without those for other nodes in its shared sections."""
     path = config_file(name)
     tree = read_yaml(path)
     by_node = {n: node_parameters(tree, n, str(path)) for n in _KINDS}
@@ -220,7 +220,7 @@ def _given(name: str, node: str, carried: Mapping[str, Any]) -> Mapping[str, Any
 
 
 def _known(node: str, values: Mapping[str, Any], where: str) -> set[str]:
-    """Names of a node's parameters with these values over its defaults."""
+    """Names of a node's parameters, when these values override its defaults."""
     kind = _KINDS[node]
     return {
         *known_names(kind, kind.overlaid(node_defaults(node, f"{node}.yaml"), values), where),
@@ -235,10 +235,10 @@ def setting_of(
     settings: Iterable[str],
     vehicle: str | None = None,
 ) -> tuple[SlipEstimatorParameters, InputFilters, str | None]:
-    """Parameters, what is changed in the bag, and the topic to score against.
+    """Parameters, input filters, and the topic to score against.
 
     Raises:
-        InputError: a file, a name or a value is refused, or nobody knows a topic that an option names.
+        InputError: a file, a name or a value is rejected, or an option names an unknown topic.
     """
     filters, reference = options.filters(), options.scored_against
     p = parameters_of(bag, files, settings, vehicle)
@@ -247,10 +247,10 @@ def setting_of(
 
 
 def setup_of(bag: Bag, vehicle: str | None = None) -> Result | None:
-    """What the setup check of a whole bag finds, shown; None where it has no tracks."""
+    """Print and return the result of the setup check of a whole bag; None without sprockets."""
     if not any(relative(topic) == SPROCKETS for topic in bag.topics):
         return None
-    with collected():  # which vehicle it is, is shown with the rest
+    with collected():  # suppresses the line on the vehicle, printed with the rest
         p = parameters_of(bag, [], [], vehicle)
     result = check_bag(bag, p)
     show(finding(result))
@@ -258,16 +258,16 @@ def setup_of(bag: Bag, vehicle: str | None = None) -> Result | None:
 
 
 def note_damage(bag: Bag) -> None:
-    """Print what of a bag is damaged."""
+    """Print the damage of a bag."""
     if bag.damage:
         show(f"note: {bag.damage}", file=sys.stderr)
 
 
 def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, reference: str | None) -> None:
-    """A topic that an option names and nobody knows is a slip of the pen.
+    """Check that options name only known topics.
 
     Raises:
-        InputError: there is such a topic.
+        InputError: an option names an unknown topic.
     """
     require_topics(bag, filters.remap)
     types = {filters.remap.get(relative(t), relative(t)): info.type_name for t, info in bag.topics.items()}
@@ -287,17 +287,17 @@ def require_named(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters, r
 
 
 def parse_settings(texts: Iterable[str], node: str) -> dict[str, Any]:
-    """What the texts of ``--set`` give one of the two estimators, as dotted names.
+    """Dotted name → value, from the texts of ``--set`` for one of the two estimators.
 
     Raises:
-        InputError: a text is not of the other estimator and has another form.
+        InputError: a text is not for the other estimator and has another form.
     """
     other = {NODE: SOIL_NODE, SOIL_NODE: NODE}[node]
     return dict(parse_set(text, node) for text in texts if not text.startswith(f"{other}."))
 
 
 def parse_set(text: str, of_node: str = NODE) -> tuple[str, Any]:
-    """``slip_estimator.history_window=3.0`` → dotted name within the node, value as YAML reads it.
+    """``slip_estimator.history_window=3.0`` → dotted name within the node, value as parsed by YAML.
 
     Raises:
         InputError: the text has another form.
@@ -310,7 +310,7 @@ def parse_set(text: str, of_node: str = NODE) -> tuple[str, Any]:
 
 
 def _seed(text: str) -> int:
-    """A seed of numpy's generators."""
+    """Parse a seed of numpy's generators."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"'{text}' is refused; accepted: a whole number >= 0")
     return int(text)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip report``: one HTML page about a run, or about several side by side."""
+"""``trackslip report``: one HTML page about one run, or several side by side."""
 
 import argparse
 from collections.abc import Sequence
@@ -64,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay, write the page, print where it is."""
-    replay_options.options_of(args).filters()  # refused before the work, like the limits
+    """Replay, write the page, and print its path."""
+    replay_options.options_of(args).filters()  # reports errors before the work, as for the limits
     limits = load_limits(args.limits or ())
     files = args.params or [_OWN]
     if any(map(is_folder, args.bags)):
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
 def _run(
     args: argparse.Namespace, bag: Bag, name: str, recording: Recording | None, label: str, further: Watch
 ) -> Run:
-    """A bag with a parameter file; ``recording``: what the bag holds, where that is known."""
+    """Run over a bag with a parameter file; ``recording``: contents of the bag, if already read."""
     options, given = replay_options.options_of(args), ([] if name == _OWN else [name], args.set)
     p, filters, reference = replay_options.setting_of(bag, options, *given, args.vehicle)
     of_soil = replay_options.soil_parameters_of(bag, p, *given)
@@ -110,7 +110,7 @@ def _run(
 
 
 def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
-    """A page of each bag, and one that lists them."""
+    """Write a page of each bag, and an index."""
     if len(files) > 1:
         raise InputError(f"--params {files[1]}: one too many; accepted: one for a folder of bags")
     make_folder("output", args.output)
@@ -124,7 +124,7 @@ def _pages(args: argparse.Namespace, files: Sequence[str]) -> int:
 
 
 def _entry(args: argparse.Namespace, path: Path) -> Entry:
-    """One bag of many; what a worker does."""
+    """Result of one bag of many; runs in a worker."""
 
     def replayed(watch: Watch) -> tuple[Replay, str]:
         (name,) = args.params or [_OWN]
@@ -136,14 +136,14 @@ def _entry(args: argparse.Namespace, path: Path) -> Entry:
 
 
 def _smoothed(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters) -> Rows:
-    """(n,) ESTIMATE."""
+    """(n,) ESTIMATE of the smoother."""
     found = GrowingRows(ESTIMATE, MOST_DRAWN)
     smooth_bag(bag, p, filters, None, lambda block: found.add(block.smoothed))
     return found.rows()
 
 
 def distinct(paths: Sequence[Path]) -> dict[Path, str]:
-    """The end of each of several paths, long enough to tell it from the others; a single one is whole."""
+    """The shortest ends of the paths that distinguish them; a single path is returned whole."""
     known = list(dict.fromkeys(paths))
     for count in range(1, max(len(path.parts) for path in known)) if len(known) > 1 else ():
         ends = {path: str(Path(*path.parts[-count:])) for path in known}
@@ -153,14 +153,14 @@ def distinct(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def _label(bag: str, name: str, bags: bool, files: bool) -> str:
-    """What distinguishes this run from the others."""
+    """Label that distinguishes this run from the others."""
     if files and not bags:
         return name
     return bag if name == _OWN and not files else f"{bag}, {name}"
 
 
 def _page(runs: Sequence[Run], limits: VerdictLimits) -> str:
-    from trackslip_tools.report.page import render  # Bokeh: half a second that other commands spare
+    from trackslip_tools.report.page import render  # Bokeh takes half a second
 
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers that others recorded
+    with np.errstate(over="ignore", invalid="ignore"):  # recorded numbers may be of any size
         return render(runs, limits)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several commands have: bag, machine, parameters; they load nothing."""
+"""Options common to several commands: bag, machine, parameters; imports no other modules of the tools."""
 
 import argparse
 from pathlib import Path
@@ -43,7 +43,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
 
 
 def stated(args: argparse.Namespace) -> list[str]:
-    """Options of a command that the next one needs too: machine, parameters; as words of a command line."""
+    """Command-line words of the options that the next command needs too: machine, parameters."""
     named = {"--vehicle": args.vehicle, "--namespace": args.namespace}
     found = [word for option, value in named.items() if value for word in (option, value)]
     found += [word for setting in args.set for word in ("--set", setting)]

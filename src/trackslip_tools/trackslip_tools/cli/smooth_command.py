@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip smooth``: the best estimate of each moment of a bag, from what came before and after it."""
+"""``trackslip smooth``: smoothed estimates of a bag, each from the measurements before and after it."""
 
 import argparse
 from collections.abc import Callable
@@ -31,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Smooth, print the errors, write what was asked for."""
+    """Smooth, print the errors, and write the outputs."""
     options = replay_options.options_of(args)
-    options.filters()  # refused before the work
+    options.filters()  # reports errors before the work
     refuse_existing(args.output)
     require_writable(json=args.json)
     with open_bag(args.bag, args.namespace) as bag:
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _watch(writer: SmoothedWriter | None, advance: Callable[[float], None]) -> Callable[[Smoothed], None]:
-    """Writes each block, where it is wanted, and moves the bar on."""
+    """Watch that writes each block, with a ``writer``, and advances the bar."""
 
     def watch(block: Smoothed) -> None:
         if writer is not None:

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tune, print the evidence, write it."""
+    """Tune, print the evidence, and write it."""
     plan = read_plan(config_file(args.plan))
     for name, beginning in BEGINNINGS.items():
         refuse_foreign("output", args.output / name, beginning)

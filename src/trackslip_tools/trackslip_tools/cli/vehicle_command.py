@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip vehicle``: makes the file of a new machine, and lists those that are there."""
+"""``trackslip vehicle``: creates the file of a new machine, and lists the existing ones."""
 
 import argparse
 import re
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List, or make the files and print what was guessed and what comes next."""
+    """List the vehicles, or write the files and print the guesses and the next steps."""
     if arguments.action == "list":
         show("\n".join(vehicle_names()))
         return ExitCode.DONE
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _asked(known: dict[str, float]) -> dict[str, float]:
-    """What the user answers for the numbers that matter; an empty answer leaves one out."""
+    """The known numbers with the user's answers for the important others; an empty answer omits a number."""
     found: dict[str, float] = {}
     specs = {name: spec for _, name, spec in options()}
     for name in (MASS, *NEEDED[1:]):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``--workers`` and ``--scheduler``: who does the work of a command over many bags."""
+"""``--workers`` and ``--scheduler``: the workers of a command over many bags."""
 
 import argparse
 from contextlib import AbstractContextManager
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from trackslip_tools.workers import Map
 
 
-_PER_CORE = 4  # processes; more take memory, some 200 MB each, and are no faster
+_PER_CORE = 4  # processes; more take memory, some 200 MB each, without being faster
 _DIGITS = 12
 
 
@@ -30,8 +30,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def chosen(
     args: argparse.Namespace, shared: Any = None, most: int | None = None
 ) -> AbstractContextManager["Map"]:
-    """The workers that were asked for; ``most``: how many have something to do."""
-    from trackslip_tools.workers import cores, workers  # a twentieth of what a replay of one bag takes
+    """Context of the requested workers; ``most``: largest number of them that have work."""
+    from trackslip_tools.workers import cores, workers  # 5 % of the time of a replay of one bag
 
     count = args.workers or cores()
     return workers(count if most is None else min(count, most), args.scheduler, shared)
