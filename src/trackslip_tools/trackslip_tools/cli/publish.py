@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip replay --publish``: a bag drives a live graph."""
+"""``trackslip replay --publish``: plays a bag into a live graph."""
 
 import argparse
 import os

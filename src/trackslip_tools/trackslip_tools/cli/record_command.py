@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node to its end; returns its exit code."""
+    """Run the node until it ends; returns its exit code."""
     names = ("output", "more_topics", "split_size", "split_duration", "max_disk")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     options = [word for name, value in given.items() for word in ("-p", f"{name}:={json.dumps(value)}")]

@@ -109,7 +109,7 @@ def _largest_slip(run: Run, limits: VerdictLimits) -> Fact:
 
 
 def persistent_slips(times: FloatArray, slips: FloatArray) -> FloatArray:
-    """(n,) medians over ``_LEAST_TIME_S`` of (n,) slips at times in s; nan where one of them is unknown."""
+    """(n,) medians over ``_LEAST_TIME_S`` of (n,) slips at times in s; nan if one of them is nan."""
     period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     size = round(_LEAST_TIME_S / period) | 1 if period > 0.0 else 1
     if size >= len(slips):

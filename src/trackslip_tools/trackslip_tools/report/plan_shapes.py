@@ -21,7 +21,7 @@ def ellipses(positions: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def rectangle(pose: FloatArray, size: tuple[float, float], centre: tuple[float, float]) -> FloatArray:
-    """(5, 2) closed outline of one of ``size`` along x and y, its ``centre`` in the frame at ``pose``."""
+    """(5, 2) closed outline of a rectangle, ``size`` along x and y, ``centre`` in the frame at ``pose``."""
     points = 0.5 * _CORNERS * np.array(size) + np.array(centre)
     return placed(pose, points)
 
@@ -38,6 +38,6 @@ def machine_size(vehicle: VehicleParameters) -> tuple[float, float]:
 
 
 def placed(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """(n, 2) points of a frame at ``pose`` (3,) x, y, heading, in the frame that the pose is in."""
+    """(n, 2) points, transformed from the frame at ``pose`` (3,) x, y, heading to the frame of that pose."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.asarray(pose[:2] + points @ np.array(((c, s), (-s, c))), dtype=np.float64)

@@ -1,32 +1,32 @@
 // SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
-// Shows the frames that the server sends. Whatever they hold is put on the page as text or number, never as
-// HTML, and nothing is ever sent.
+// Shows the frames of the server. Their contents are inserted as text or numbers, never as HTML, and the page
+// sends nothing.
 
-const PATIENCE = 2000 // ms without a frame that was shown, after which all is grey
-const WATCH = 250 // ms between looks whether it is so
-const GIVEN_UP = 5000 // ms after which it reconnects
+const PATIENCE = 2000 // ms since the last frame, after which the page turns grey
+const WATCH = 250 // ms between these checks
+const GIVEN_UP = 5000 // ms without a frame after which the page reconnects
 const RETRY = 500 // ms between attempts
-const KEPT = 1920 // rows of the strips
+const KEPT = 1920 // rows kept by the strips
 const LEVELS = ["ok", "warn", "error", "stale", "silent"]
 const WORDS = ["✓ ok", "▲ warning", "✖ error", "◌ no data", "✖ silent"]
-const MARGIN = 1 // m about the path
-const CLOSEST = 2, WIDEST = 2000 // m across
+const MARGIN = 1 // m around the path
+const CLOSEST = 2, WIDEST = 2000 // m, limits of the displayed width
 const EVENTS = 200
-const DRAWN = 3 // frames to one drawing of the strips
+const DRAWN = 3 // frames per drawing of the strips
 const NARROW = 760, LOW = 340 // pixels: on a narrow page the path is lower
 
 const by_id = id => document.getElementById(id)
 let models = null // function: name -> Bokeh model
 let run = null, number = 0, event_number = 0
-let shown = performance.now(), shown_at = null // when a frame was shown last; its time, on the vehicle's clock
-let window_ms = 60000, across = null // across: m shown about the machine; null: the whole path
+let shown = performance.now(), shown_at = null // time of the last frame: here; on the vehicle's clock
+let window_ms = 60000, across = null // across: m displayed around the machine; null: the whole path
 let bounds = [Infinity, Infinity, -Infinity, -Infinity], machine = [[], []], views = []
-let lines = [], strips = [] // strips: {lines, rows that are not drawn yet, whether it is in view}
+let lines = [], strips = [] // strips: {lines, rows to draw, whether the strip is in view}
 
 async function begin() {
   setInterval(watch, WATCH)
-  document.addEventListener("visibilitychange", watch) // timers of hidden pages are slow
+  document.addEventListener("visibilitychange", watch) // browsers slow down the timers of hidden pages
   const page = await described()
   const id = "live"
   const roots = Object.fromEntries(Object.entries(page.plots).map(([element, model]) => [model, element]))
@@ -49,7 +49,7 @@ async function described() {
     try {
       const answer = await fetch("page.json")
       if (answer.ok) return await answer.json()
-    } catch {} // the server is not there at the moment
+    } catch {} // the server does not answer yet
     await new Promise(resolve => setTimeout(resolve, RETRY))
   }
 }
@@ -71,7 +71,7 @@ function watch() {
     const since = shown_at === null ? "" : ` since ${clock(shown_at)}`
     tell_link("silent", `no data${since} (${Math.floor(quiet / 1000)} s)`)
   }
-  const connects = socket !== null && socket.readyState === WebSocket.CONNECTING // a busy server answers late
+  const connects = socket !== null && socket.readyState === WebSocket.CONNECTING // a busy server needs longer
   if (socket !== null && now - Math.max(shown, connected) > (connects ? 3 : 1) * GIVEN_UP) {
     socket.close()
     connect()
@@ -98,7 +98,7 @@ function show(frame) {
   document.documentElement.dataset.frames = String(Number(document.documentElement.dataset.frames ?? 0) + 1)
 }
 
-// What has a source of its own
+// Curves, path and fixes
 
 const numbers = values => Float64Array.from(values, value => value ?? NaN)
 
@@ -140,7 +140,7 @@ function watch_strips() {
   for (const {panel} of strips) watcher.observe(by_id(`strip-${panel}`))
 }
 
-// Of the strips, those that can be seen are drawn, with every third frame: drawing is what costs
+// Draws the strips in view; called with every third frame, because drawing dominates the load
 function show_strips(time, all) {
   for (const strip of strips) {
     if (!strip.in_view && !all) continue
@@ -176,7 +176,7 @@ function show_news(frame) {
   }
 }
 
-// What every frame has whole
+// Data that every frame contains in full
 
 function show_now(frame) {
   by_id("clock").textContent = clock(frame.time)

@@ -1,8 +1,8 @@
 // SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
-// One moment in all plots. Given by Bokeh: cb_obj, the movement of the mouse; spans, the lines across the
+// Shows one time in all plots. Arguments from Bokeh: cb_obj, the mouse event; spans, the vertical lines in the
 // plots over time; paths (t, x, y, heading) and markers (x, y, heading), one for each run; on_path, whether
-// the mouse is over the path.
+// the mouse is over the path plot.
 
 function nearestOnPath(x, y) {
   let best = Infinity, time = null

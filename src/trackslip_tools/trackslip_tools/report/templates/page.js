@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
-// Light and dark: by the system's wish or the button. DARK gives for each colour of a light page the one of
-// a dark page.
+// Light and dark theme, by the system's preference or the button. DARK maps the colours of the light page to
+// those of the dark page.
 
 const LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]))
 const wish = matchMedia("(prefers-color-scheme: dark)")

@@ -1,11 +1,11 @@
 // SPDX-FileCopyrightText: 2026 Trackslip authors
 // SPDX-License-Identifier: Apache-2.0
-// What a report does beside showing its plots: the first ones are there at once and the others follow one by one;
-// a mouse drags to zoom, while a finger scrolls the page and zooms by the buttons.
+// Behaviour of a report: the first plots are shown at once, the others follow one by one. A mouse drags to zoom;
+// a finger scrolls the page and zooms with the buttons.
 
-const NARROW = 760, LOW = 380, BORDER = 66 // pixels: on a narrow page the path is lower, and axes are closer
-const CHARACTER = 6.2, SYMBOL = 34, LEGEND_ROW = 22 // pixels of a legend's letters, symbols and rows
-const AROUND = 65 // pixels of a plot's height that its title and axis take
+const NARROW = 760, LOW = 380, BORDER = 66 // pixels: narrow pages have a lower path plot and narrower borders
+const CHARACTER = 6.2, SYMBOL = 34, LEGEND_ROW = 22 // pixels: size of a legend's letters, symbols and rows
+const AROUND = 65 // pixels: height of a plot's title and axis
 const DRAGGED = ["BoxZoomTool", "WheelZoomTool"]
 
 const model = name => Bokeh.documents[0].get_model_by_name(name)
@@ -30,7 +30,7 @@ function narrow() {
   }
 }
 
-// The legend in as many columns as there is room for, and the plot higher by the rows that this takes
+// Fits the columns of the legend to the width, and increases the plot's height by the additional rows
 function wrap(plot, legend, width) {
   const {items, ncols} = legend
   const longest = Math.max(...items.map(({label}) => label.value.length))
@@ -42,8 +42,8 @@ function wrap(plot, legend, width) {
   plot.height += more
 }
 
-// What a finger will do a browser decides before any script hears of it: by the style that Bokeh gives plots with
-// active tools. Those of a mouse that was there before must not take the first swipe.
+// Browsers decide by the style touch-action, before scripts run, whether a finger scrolls. Bokeh sets this style
+// on plots with active tools; tools activated for a mouse would then take the first swipe.
 function leave_fingers_to_the_page() {
   const [view] = Bokeh.index
   Object.getPrototypeOf(view)._update_touch_action = () => {}
