@@ -19,7 +19,7 @@ BEGINNING = "# from "  # first characters of the parameter file
 
 
 def text(calibration: Calibration) -> str:
-    """A line for each finding with its evidence, then what to adopt, and the confirmed parameters."""
+    """A line for each finding with its evidence, then the values to adopt, and the confirmed parameters."""
     lines = [line for name, finding in calibration.findings.items() for line in _lines(name, finding)]
     adopted = {name: value for values in calibration.parameters.values() for name, value in values.items()}
     named = ", ".join(f"{name} {value:g}" for name, value in adopted.items())

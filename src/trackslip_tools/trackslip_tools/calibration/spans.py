@@ -32,7 +32,7 @@ def spans(recording: Recording, motion: Motion, least: float, settling: float = 
 
 
 def unbroken(t: FloatArray, begins: FloatArray, ends: FloatArray) -> BoolArray:
-    """(n,) whether readings at ``t`` cover each span from begin to end without a gap."""
+    """(n,) whether readings at ``t`` cover each span from start to end without a gap."""
     if not len(t):
         return np.zeros(len(begins), dtype=np.bool_)
     gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP)

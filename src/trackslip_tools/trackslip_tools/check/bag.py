@@ -24,7 +24,7 @@ def check_bag(
     filters: InputFilters | None = None,
     advance: Callable[[float], None] = lambda _: None,
 ) -> Result:
-    """Check a bag: causes, and what the bag cannot decide; ``advance`` gets the seconds read.
+    """Check a bag: causes and undecided questions; ``advance`` gets the seconds read.
 
     Raises:
         InputError: the bag lacks the sprockets, or is damaged.

@@ -141,7 +141,7 @@ def parameters_of(
 
 
 def _antenna_of(vehicle: str, carried: Mapping[str, Any]) -> dict[str, Any]:
-    """The antenna's lever arm of the named vehicle, if the bag has one; prints a difference to the bag's."""
+    """The antenna's lever arm of the named vehicle, if the bag has one; prints both if they differ."""
     sensors = load_vehicle(vehicle).sensors
     names = {f"sources.{GNSS_POSE}.lever_arm_{axis}": axis for axis in "xyz"}
     if sensors is None or sensors.antenna is None or not carried.keys() >= names.keys():

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _asked(known: dict[str, float]) -> dict[str, float]:
-    """The known numbers with the user's answers for the important others; an empty answer omits a number."""
+    """The user's answers for important numbers that are not known; an empty answer omits a number."""
     found: dict[str, float] = {}
     specs = {name: spec for _, name, spec in options()}
     for name in (MASS, *NEEDED[1:]):

@@ -31,7 +31,7 @@ def chosen(
     args: argparse.Namespace, shared: Any = None, most: int | None = None
 ) -> AbstractContextManager["Map"]:
     """Context of the requested workers; ``most``: largest number of them that have work."""
-    from trackslip_tools.workers import cores, workers  # 5 % of the time of a replay of one bag
+    from trackslip_tools.workers import cores, workers  # takes a twentieth of a replay of one bag
 
     count = args.workers or cores()
     return workers(count if most is None else min(count, most), args.scheduler, shared)

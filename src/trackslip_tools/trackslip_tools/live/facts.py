@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Texts of the page: pose, motion, attitude, swing, and why the soil cannot be identified."""
+"""Texts of the page: pose, motion, attitude, swing, and the reason why the soil is not identified."""
 
 import math
 

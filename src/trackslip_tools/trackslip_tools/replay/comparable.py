@@ -186,7 +186,7 @@ class JournalRuns:
 
 
 def _gap(lost: int) -> str:
-    """Why no line can be compared after ``lost`` missing lines."""
+    """Reason of a break before a line that follows ``lost`` missing lines."""
     if lost == OUT_OF_ORDER:
         return "the bag merges recordings of several runs: the journal's lines are out of order"
     return f"the bag lacks {lost} lines of the live estimator's journal"

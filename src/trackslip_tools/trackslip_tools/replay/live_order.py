@@ -23,8 +23,8 @@ from trackslip_estimation.slip.measurements import RELOAD
 from trackslip_tools.replay.arrivals import ARRIVAL, IS_COMMAND, IS_RELOAD, IS_START
 from trackslip_tools.replay.comparable import LINE, OUT_OF_ORDER, Comparability, ComparablePart, JournalRuns
 
-HORIZON_NS = 60_000_000_000  # log time between an input and its line; a repair by DDS takes 5 s at most
-_COPY_NS = 5_000_000_000  # log time between a line and its copy in another recording of the same run
+HORIZON_NS = 60_000_000_000  # largest log time between an input and its line; DDS repairs within 5 s
+_COPY_NS = 5_000_000_000  # largest log time between a line and its copy in another recording of the run
 _MOST_RECENT = 10_000  # lines in which copies are sought: ten times what a machine logs in that time
 _LATE_NS = 5_000_000_000  # largest delay of a run's parameters after its first line, log time
 _END_NS, _NONE = np.iinfo(np.int64).max, np.iinfo(np.int64).max

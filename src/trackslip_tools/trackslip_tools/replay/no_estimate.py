@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Explains why a replay gives no estimate, or no heading, in terms of what a user can change."""
+"""Explains why a replay gives no estimate, or no heading, in terms that a user can act on."""
 
 import math
 from collections import Counter

@@ -78,7 +78,7 @@ class Replay:
     happened: list[Happened] = field(default_factory=list)  # events that explain contradictions
     withheld: list[Withheld] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
-    start: str = ""  # what was learned before the bag, if that is used
+    start: str = ""  # line on what was learned before the bag; empty: nothing
     longest_gap: tuple[float, float] | None = None  # without an accepted fix, s from the bag's first message
     setup: Setup = field(default_factory=Setup)  # result of the setup check
 

@@ -134,7 +134,7 @@ class SoilRun:
         self._logged_ns = np.concatenate((self._logged_ns, logged.log_times_ns[~hidden]))
 
     def _advance(self, estimates: Rows, logged_ns: IntArray) -> None:
-        """Pass each reading before the first estimate that is published later, as live."""
+        """Feed both in live order: a reading precedes the first estimate published after it."""
         published_ns = np.maximum.accumulate(np.maximum(logged_ns, self._published_ns))
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))

@@ -57,7 +57,7 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
         _Begin(b.first, b.first + len(b.states), _first_row(b.window))
         for b in run_blocks(log.rest, start, config)
     ]
-    carried: Records | None = None  # smoothed state that enters the block before, of the last block done
+    carried: Records | None = None  # smoothed first entry of the last block done
     ends: list[Records | None] = []
     for begin in reversed(begins):
         ends.append(carried)

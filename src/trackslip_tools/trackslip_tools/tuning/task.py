@@ -61,7 +61,7 @@ class Score(NamedTuple):
     rejected: dict[str, int]  # source → number of rejected measurements
     position: float  # m, RMS error
     heading: float  # rad, RMS error
-    nees: float  # mean of the pose, 3 if consistent; of the position, 2, if the reference has no heading
+    nees: float  # mean of the pose, 3 if consistent; of the position, 2, without headings
     pose_log_likelihood: float  # mean ln likelihood of the reference's poses under the filter's covariance
 
 
