@@ -34,7 +34,7 @@ from trackslip_tools.calibration.spans import blocks, spans, unbroken
 LEAST_TURN = 1.0  # rad, all turns together; fewer are not enough
 _LARGEST_DELAY = 1.0  # s
 _WIDEST_DELAY = 0.1  # s, half-width beyond which a delay is not reported
-_DOUBTFUL = 0.3  # rad, stated standard deviation beyond which a heading is left out
+_LARGEST_HEADING_STDDEV = 0.3  # rad, stated standard deviation beyond which a heading is left out
 _OUTLIER = 5.0  # robust standard deviations
 _FLOOR = 5e-4  # rad, least standard deviation of a heading
 _SHORTEST = 0.5  # s, of a turn
@@ -161,7 +161,7 @@ def _pair(recording: Recording) -> _Pair | None:
     if len(gyro.t) < 4:
         return None
     inside = (t >= gyro.t[0] + _LARGEST_DELAY) & (t <= gyro.t[-1] - _LARGEST_DELAY)
-    certain = inside & (shown[:, 1] <= _UNCERTAIN**2)
+    certain = inside & (shown[:, 1] <= _LARGEST_HEADING_STDDEV**2)
     t, headings, variances = t[certain], shown[certain, 0], np.maximum(shown[certain, 1], _FLOOR**2)
     if len(t) < 4:
         return None
