@@ -17,7 +17,7 @@ import numpy as np
 from trackslip_estimation.attitude.records import SIZE as ATTITUDE_SIZE
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
-from trackslip_estimation.kalman.update import correct, observe_alone
+from trackslip_estimation.kalman.update import correct, independent_observation
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.log import make_log, run_log, run_whole
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
@@ -81,7 +81,7 @@ def _algebra(n: int, coupled: int, m: int) -> float:
     rng = np.random.default_rng(n)
     P, F, Q = np.eye(n), np.eye(n), np.eye(n) * 1e-3
     F[:coupled] += rng.normal(0.0, 1e-2, (coupled, n))
-    o = observe_alone(rng.normal(0.0, 1.0, m), rng.normal(0.0, 1.0, (m, n)), np.eye(m))
+    o = independent_observation(rng.normal(0.0, 1.0, m), rng.normal(0.0, 1.0, (m, n)), np.eye(m))
     x = np.zeros(n)
 
     def steps(count: int) -> None:

@@ -48,4 +48,4 @@ def test_a_study_has_cells_of_terrains() -> None:
     assert [cell.terrain for cell in cells] == ["hill", ""]
     hill, level = (study.cells[cell][0] for cell in cells)
     assert (hill.terrain, level.terrain) == ("hill", "")
-    assert study.sole_fix_source(hill) != study.sole_fix_source(level)
+    assert study.depends_on(hill) != study.depends_on(level)

@@ -80,12 +80,12 @@ def test_it_writes_rows_table_and_figures(
 def test_a_drawn_cell_was_remembered_with_another_default_of_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     """What an unknown source's stamps may err by is no parameter of the estimator as it is."""
     (cell,) = {cell for cell in _drawn().cells if cell.soil == "sand"}
-    before = _drawn().sole_fix_source(cell)
-    assert before == _drawn().sole_fix_source(cell)
+    before = _drawn().depends_on(cell)
+    assert before == _drawn().depends_on(cell)
     defaults = sources._defaults()
     other = {**defaults, "pose_sources": {**defaults["pose_sources"], "stamp_error": 0.06}}
     monkeypatch.setattr(sources, "_defaults", lambda: other)
-    assert before != _drawn().sole_fix_source(cell)
+    assert before != _drawn().depends_on(cell)
 
 
 def _drawn() -> SlipStudy:

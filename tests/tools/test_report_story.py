@@ -16,7 +16,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.events import Event as Explaining
-from trackslip_estimation.slip.explanations import Explained, Explanation, Happened
+from trackslip_estimation.slip.explanations import AcceptedEvent, Explained, Explanation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.cli.report_command import distinct
@@ -161,9 +161,9 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
         found = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
         details.add_explained([Explained(zero_ns + at_s * SECOND_NS, found)])
     happened = [
-        Happened(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
-        Happened(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),
-        Happened(zero_ns + 24 * SECOND_NS, Explaining.RECOVERED, "box_pose", 1.0),
+        AcceptedEvent(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
+        AcceptedEvent(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),
+        AcceptedEvent(zero_ns + 24 * SECOND_NS, Explaining.RECOVERED, "box_pose", 1.0),
     ]
     replayed = dataclasses.replace(emulated_run.replay, happened=happened)
     run = dataclasses.replace(emulated_run, details=details, replay=replayed)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.attitude.filter import climb, use_sample
+from trackslip_estimation.attitude.filter import propagate_height, use_sample
 from trackslip_estimation.attitude.parameters import CONSTANTS, constants
 from trackslip_estimation.attitude.records import ATTITUDE, BIAS_X, HEIGHT, IMU, PITCH, ROLL
-from trackslip_estimation.attitude.start import forget_attitude
+from trackslip_estimation.attitude.start import reset_attitude
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
@@ -28,7 +28,7 @@ TOPIC = "imu/data_raw"
 def follow(attitude: Any, samples: Any, n: Any, found: FloatArray) -> None:
     """The filter over all samples; ``found`` (k, 7) are its means."""
     for k in range(samples.size):
-        climb(attitude[0], samples[k].velocity[0], samples[k].velocity[1], 0.01)
+        propagate_height(attitude[0], samples[k].velocity[0], samples[k].velocity[1], 0.01)
         attitude[0].sample = samples[k]
         use_sample(attitude[0], n[0])
         found[k] = attitude[0].mean
@@ -36,7 +36,7 @@ def follow(attitude: Any, samples: Any, n: Any, found: FloatArray) -> None:
 
 @compiled
 def forget(attitude: Any) -> None:
-    forget_attitude(attitude[0])
+    reset_attitude(attitude[0])
 
 
 class Ride:

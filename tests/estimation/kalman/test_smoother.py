@@ -71,8 +71,8 @@ def batch(measured: FloatArray) -> tuple[FloatArray, FloatArray]:
     for direction in np.sqrt(SPREAD):
         columns.append(np.concatenate([np.linalg.matrix_power(F, k) @ direction for k in range(COUNT)]))
     for j in range(1, COUNT):
-        later = [np.linalg.matrix_power(F, k - j) @ NOISE for k in range(j, COUNT)]
-        columns.append(np.concatenate((np.zeros(3 * j), *later)))
+        propagate_rate_covariance = [np.linalg.matrix_power(F, k - j) @ NOISE for k in range(j, COUNT)]
+        columns.append(np.concatenate((np.zeros(3 * j), *propagate_rate_covariance)))
     prior = np.stack(columns, axis=-1) @ np.stack(columns)
     H = np.eye(3 * COUNT)[0::3][SEEN]
     S = H @ prior @ H.T + SIGMA**2 * np.eye(len(H))

@@ -25,9 +25,9 @@ from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.kalman.update import (
     Observation,
     correct,
-    observe_alone,
+    independent_observation,
+    inflate_noise_to_gate,
     predicted_covariance,
-    soften,
 )
 
 
@@ -111,7 +111,7 @@ def test_update_of_one_number_by_hand() -> None:
     """Prior 1 ± 2 and reading 3 ± 1: gain 4/5."""
     x, P = np.ones(1), np.array(((4.0,),))
     assert predicted_covariance(P, np.eye(1)) == pytest.approx(4.0)
-    correct(x, P, observe_alone(np.array((2.0,)), np.eye(1), np.eye(1)))
+    correct(x, P, independent_observation(np.array((2.0,)), np.eye(1), np.eye(1)))
     assert x[0] == pytest.approx(1.0 + 2.0 * 4.0 / 5.0)
     assert P[0, 0] == pytest.approx(4.0 / 5.0)
 
@@ -123,7 +123,7 @@ def test_joseph_is_the_optimal_form_and_the_information_form(m: int, seed: int) 
     x, P = rng.normal(size=5), spd(rng, 5)
     nu, H, R = rng.normal(size=m), rng.normal(size=(m, 5)), spd(rng, m)
     mean, covariance = x.copy(), P.copy()
-    correct(mean, covariance, observe_alone(nu, H, R))
+    correct(mean, covariance, independent_observation(nu, H, R))
     S = H @ P @ H.T + R
     np.testing.assert_allclose(predicted_covariance(P, H) + R, S, rtol=1e-12)
     K = P @ H.T @ np.linalg.inv(S)
@@ -144,7 +144,7 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
             P = sandwich(np.eye(4) + 0.2 * rng.normal(size=(4, 4)), P) + spd(rng, 4, 1e-3)
         m = int(rng.integers(1, 4))
         trace = np.trace(P)
-        correct(x, P, observe_alone(rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m)))
+        correct(x, P, independent_observation(rng.normal(size=m), rng.normal(size=(m, 4)), spd(rng, m)))
         assert np.trace(P) <= trace * (1.0 + 1e-9)
         np.testing.assert_array_equal(P, P.T)
         assert np.linalg.eigvalsh(P)[0] > 0.0
@@ -153,7 +153,9 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
 def test_a_perfect_reading_leaves_no_negative_variance() -> None:
     """The case in which P − K S Kᵀ loses all its digits."""
     P = np.array(((1e8, 1e8 - 1.0), (1e8 - 1.0, 1e8)))
-    correct(np.zeros(2), P, observe_alone(np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),))))
+    correct(
+        np.zeros(2), P, independent_observation(np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
+    )
     assert np.linalg.eigvalsh(P)[0] > 0.0
     assert P[0, 0] == pytest.approx(1e-8, rel=0.2)
 
@@ -196,7 +198,7 @@ def test_the_soft_gate_leaves_the_nis_at_its_limit(size: float) -> None:
     rng = np.random.default_rng(6)
     predicted, R, nu, limit = spd(rng, 2), spd(rng, 2), size * np.array((1.0, -0.5)), 9.0
     stated = R.copy()
-    soften(R, nu, predicted, limit)
+    inflate_noise_to_gate(R, nu, predicted, limit)
     before = nu @ np.linalg.solve(predicted + stated, nu)
     after = nu @ np.linalg.solve(predicted + R, nu)
     assert after == pytest.approx(min(before, limit))

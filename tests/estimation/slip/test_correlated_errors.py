@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixes whose errors are correlated in time: found from the fixes, held by an offset, and never given away.
 
-An offset is a state (``source_states``); errors of what sits above are weighed (``adaptation.repeats``).
+An offset is a state (``source_offsets``); R of a sensor on the upper structure is inflated
+(``adaptation.correlated_inflation``).
 """
 
 import math
@@ -17,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.slip.adaptation import repeats, shared_error
+from trackslip_estimation.slip.adaptation import correlated_inflation, largest_correlated_inflation
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.correlated_errors import (
     MASSES,
@@ -48,7 +49,7 @@ PLACE, OFFSET = slice(0, Y + 1), slice(SENSOR_ERRORS, SENSOR_ERRORS + 2)
 
 def cap(P: float, R: float) -> float:
     """Of one axis, as of two that are alike."""
-    return shared_error(P * np.eye(2), R * np.eye(2))
+    return largest_correlated_inflation(P * np.eye(2), R * np.eye(2))
 
 
 @given(st.floats(1e-6, 1.0), st.floats(1.001, 1e4))
@@ -76,7 +77,7 @@ def test_position_is_never_much_worse_than_the_fixes_and_claims_no_less_than_is_
     for k in range(1500):
         slow = kept * slow + math.sqrt(1.0 - kept * kept) * SIGMA * rng.normal(size=runs)
         error, P = error + walk * rng.normal(size=runs), P + walk * walk
-        R = min(repeats(round(PERIOD * 1e9), CORRELATION_TIME), cap(P, SIGMA**2)) * SIGMA**2
+        R = min(correlated_inflation(round(PERIOD * 1e9), CORRELATION_TIME), cap(P, SIGMA**2)) * SIGMA**2
         K = P / (P + R)
         error, P = error + K * (slow - error), (1.0 - K) * P
         if k > 500:

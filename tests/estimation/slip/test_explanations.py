@@ -12,9 +12,9 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.explanations import (
     AS_BEFORE,
+    AcceptedEvent,
     Explained,
     Explanation,
-    Happened,
     recent,
     sentence,
 )
@@ -56,9 +56,9 @@ def test_what_nothing_happened_means_does_not_shorten_the_time() -> None:
 
 def test_last_events_have_stamps_and_no_single_outliers() -> None:
     happened = [
-        Happened(40 * S, Event.OFFSET, "gnss_pose", 0.9),
-        Happened(45 * S, Event.OUTLIER, "gnss_pose", 0.9),
-        Happened(50 * S + S // 4, Event.RECOVERED, "gnss_pose", 0.9),
+        AcceptedEvent(40 * S, Event.OFFSET, "gnss_pose", 0.9),
+        AcceptedEvent(45 * S, Event.OUTLIER, "gnss_pose", 0.9),
+        AcceptedEvent(50 * S + S // 4, Event.RECOVERED, "gnss_pose", 0.9),
     ]
     assert recent(happened) == "40.00 gnss_pose is off; 50.25 gnss_pose has recovered; probability 90 %"
     assert recent([]) == "none"

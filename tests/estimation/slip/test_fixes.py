@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from trackslip_estimation.slip.config import make_config
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.late_stamps import log_odds_of_delay, open_delay
+from trackslip_estimation.slip.late_stamps import inflate_delay, log_odds_of_delay
 from trackslip_estimation.slip.models.model import FIX_DELAY
 
 STAMP_ERROR = 0.03  # s
@@ -65,7 +65,7 @@ def test_odds_and_delay_follow_the_rule_of_bayes(v: float, share: float, z: floa
     densities = [math.exp(-(z**2) / (2.0 * S)) / math.sqrt(S) for S in (w + noise, v + noise)]
     odds = math.log(densities[0] / densities[1] * p.events.late_share)
     assert log_odds_of_delay(state, 0, c) == pytest.approx(odds, rel=1e-6, abs=1e-6)
-    open_delay(state, 0, c)
+    inflate_delay(state, 0, c)
     assert state["mean"][FIX_DELAY] == pytest.approx(w / (w + noise) * z, rel=1e-6, abs=1e-6)
     assert state["covariance"][FIX_DELAY, FIX_DELAY] == pytest.approx(w * noise / (w + noise), rel=1e-6)
     assert log_odds_of_delay(state, 0, c) == -math.inf  # it is known already

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from trackslip_common.errors import InputError
 from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
-from trackslip_estimation.slip.adaptation import repeats
+from trackslip_estimation.slip.adaptation import correlated_inflation
 from trackslip_estimation.slip.conversions import heading_fix
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import (
@@ -229,8 +229,10 @@ def test_time_correlated_errors_count_as_their_mean_varies(elapsed: float, time:
     """The variance of a mean of many readings of a first-order process, over that of as many white ones."""
     rho = math.exp(-elapsed / time)
     if rho < 1.0 - 1e-9:
-        assert repeats(round(elapsed * S), time) == pytest.approx((1.0 + rho) / (1.0 - rho), rel=1e-6)
-    assert repeats(round(elapsed * S), 0.0) == 1.0
+        assert correlated_inflation(round(elapsed * S), time) == pytest.approx(
+            (1.0 + rho) / (1.0 - rho), rel=1e-6
+        )
+    assert correlated_inflation(round(elapsed * S), 0.0) == 1.0
 
 
 @pytest.mark.parametrize("turned", [-0.035, 0.035])

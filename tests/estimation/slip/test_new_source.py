@@ -12,9 +12,9 @@ from trackslip_estimation.kalman.linear_algebra import root, weighted_square
 from trackslip_estimation.kalman.update import (
     Observation,
     correct,
-    observe_alone,
+    independent_observation,
+    inflate_noise_to_gate,
     predicted_covariance,
-    soften,
 )
 from trackslip_estimation.slip.config import Config
 from trackslip_estimation.slip.levers import lever
@@ -36,7 +36,9 @@ def observe_range(state: State, measurement: MeasurementRecord, c: Config) -> Ob
     distance = math.hypot(east, north)
     H[0] = (east * place.jacobian[X] + north * place.jacobian[Y]) / distance
     H[0, X], H[0, Y] = east / distance, north / distance
-    return observe_alone(np.array((measurement.value[0] - distance,)), H, measurement.noise[:1, :1].copy())
+    return independent_observation(
+        np.array((measurement.value[0] - distance,)), H, measurement.noise[:1, :1].copy()
+    )
 
 
 def test_ranges_to_beacons_locate_a_machine() -> None:
@@ -50,7 +52,9 @@ def test_ranges_to_beacons_locate_a_machine() -> None:
         distance = np.linalg.norm(antenna - beacon) + SIGMA * rng.normal()
         measurement["value"], measurement["noise"][0, 0] = (distance, *beacon), SIGMA**2
         o = observe_range(state, measurement, c)
-        soften(o.noise, o.innovation, predicted_covariance(state["covariance"], o.jacobian), 9.0)
+        inflate_noise_to_gate(
+            o.noise, o.innovation, predicted_covariance(state["covariance"], o.jacobian), 9.0
+        )
         correct(state["mean"], state["covariance"], o)
     error, P = state["mean"][:3] - truth, state["covariance"][:3, :3].copy()
     assert np.hypot(*error[:2]) < 0.3  # the heading, 0.1 rad off, moves C about the antenna

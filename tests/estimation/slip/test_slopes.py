@@ -24,7 +24,7 @@ from trackslip_estimation.slip.measurements import (
     YawRate,
 )
 from trackslip_estimation.slip.models.model import DOWNHILL
-from trackslip_estimation.slip.models.slope import update_direction
+from trackslip_estimation.slip.models.slope import inflate_downhill_slip
 from trackslip_estimation.slip.mounting import quaternion_of
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE
@@ -152,7 +152,7 @@ def test_what_tracks_slipped_uphill_was_expected_downhill() -> None:
     for down, turned in ((-0.26, 2.0), (-0.26, 2.0), (-0.26, 0.0), (0.26, 2.0)):
         state["covariance"][DOWNHILL, DOWNHILL] = 1e-4
         level["downhill_x"], speeds["left"], speeds["right"] = down, turned, turned
-        update_direction(state)
+        inflate_downhill_slip(state)
         deviations.append(math.sqrt(state["covariance"][DOWNHILL, DOWNHILL]))
     assert deviations[1] == deviations[2] == 0.01
     assert deviations[3] > 0.9 * k

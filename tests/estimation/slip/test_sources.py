@@ -15,7 +15,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.model import SIZE
-from trackslip_estimation.slip.observations.pose import shows_heading
+from trackslip_estimation.slip.observations.pose import is_heading_used
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE, to_records
 from trackslip_estimation.slip.update import observe
@@ -254,7 +254,7 @@ def test_an_uncertain_heading_is_not_a_measurement() -> None:
         for stddev in (0.05, 0.29, 0.31, 0.6)
     ]
     records = to_records(fixes, {"box_pose": 0})
-    assert [shows_heading(record, c) for record in records] == [True, True, False, False]
+    assert [is_heading_used(record, c) for record in records] == [True, True, False, False]
     assert [len(observe(np.zeros(1, STATE)[0], record, c).innovation) for record in records] == [3, 3, 2, 2]
 
 

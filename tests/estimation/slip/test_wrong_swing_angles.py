@@ -126,5 +126,5 @@ def test_an_encoder_that_slipped_stays_off_and_is_used_again() -> None:
     true = np.interp(found[-1].stamp_ns / S - 1.0, recording.t, recording.swings[:, 0])
     assert found[-1].outputs.swing is not None
     assert abs(math.remainder(found[-1].outputs.swing.angle - float(true), math.tau)) < 0.02
-    assert Event.FOLDED in {h.event for h in estimator.read_events()}
+    assert Event.BECAME_JUMP in {h.event for h in estimator.read_events()}
     assert Event.MOVED not in {h.event for h in estimator.read_events()}

@@ -49,15 +49,15 @@ from trackslip_estimation.attitude.records import (
 from trackslip_estimation.attitude.span import (
     LONGEST,
     SHORTEST,
-    begin_span,
-    feel,
+    accumulate_rotation,
+    add_sample,
+    mean_acceleration,
     mean_tilt,
-    own_acceleration,
-    turn_span,
+    reset_span,
 )
-from trackslip_estimation.attitude.start import begin_by_gravity
+from trackslip_estimation.attitude.start import initialise_from_gravity
 from trackslip_estimation.kalman.propagate import propagate_covariance
-from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance
+from trackslip_estimation.kalman.update import correct, independent_observation, predicted_covariance
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.parameters import AttitudeConstants
@@ -72,7 +72,7 @@ _LEAST = 1e-12  # (m/s²)², least variance of a force
 
 
 @compiled
-def feels_gravity(a: Attitude) -> bool:
+def is_gravity(a: Attitude) -> bool:
     """Whether the mean specific force is gravity, from below."""
     x, y, z = a.mean_force
     size = math.sqrt(x * x + y * y + z * z)
@@ -96,16 +96,16 @@ def use_sample(a: Attitude, n: AttitudeConstants) -> int:
         if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
             a.known = 0
     a.refusal = use_orientation(a, n) if imu.oriented == 1 else 0
-    if _follow_force(a, dt, n) and feels_gravity(a):
+    if _filter_force(a, dt, n) and is_gravity(a):
         if a.known == 0:
-            begin_by_gravity(a, n)
+            initialise_from_gravity(a, n)
         rates = _rates(a)
         u = _velocity_at(imu, rates)
         force = force_of(imu)
-        feel(a, (force[0] + rates[2] * u[1], force[1] - rates[2] * u[0]), u)
+        add_sample(a, (force[0] + rates[2] * u[1], force[1] - rates[2] * u[0]), u)
         if a.span.time >= SHORTEST or a.span.time == 0.0:
-            _level_by(a, own_acceleration(a, u), n)
-            begin_span(a, _velocity_at(imu, _rates(a)))
+            _level_by(a, mean_acceleration(a, u), n)
+            reset_span(a, _velocity_at(imu, _rates(a)))
     a.rates[0], a.rates[1], a.rates[2] = _rates(a)
     a.stamp_ns, a.seen = imu.stamp_ns, 1
     set_level(a)
@@ -149,7 +149,7 @@ def has_force(imu: ImuSample) -> bool:
 
 
 @compiled
-def _follow_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
+def _filter_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
     """Low-pass the force; return whether it may correct the tilt."""
     force = force_of(a.sample)
     if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
@@ -203,7 +203,7 @@ def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: Attitude
     Q[PITCH, PITCH] += by_pitch * dt
     x[ROLL] += of_roll * dt
     x[PITCH] += of_pitch * dt
-    turn_span(a, of_roll * dt, of_pitch * dt)
+    accumulate_rotation(a, of_roll * dt, of_pitch * dt)
     propagate_covariance(P, F, Q, PITCH + 1)
 
 
@@ -243,24 +243,24 @@ def _use(
         R, most = R * max(n.correlation_time / dt, 1.0), max(n.noise_time / dt, 1.0)
     a.noise_count[axis] = min(a.noise_count[axis] + share, most)
     R = max(R + spread, innovation * innovation / n.outlier_nis - predicted)
-    correct(a.mean[:], P, observe_alone(np.array((innovation,)), H, np.array(((R,),))))
+    correct(a.mean[:], P, independent_observation(np.array((innovation,)), H, np.array(((R,),))))
 
 
 @compiled
-def rise_of(x: FloatArray, v_x: float, v_y: float) -> float:
+def climb_rate(x: FloatArray, v_x: float, v_y: float) -> float:
     """ż, m/s, at these speeds along the ground."""
     return float(-v_x * math.sin(x[PITCH]) + v_y * math.sin(x[ROLL]) * math.cos(x[PITCH]))
 
 
 @compiled
-def climb(a: Attitude, v_x: float, v_y: float, dt: float) -> None:
+def propagate_height(a: Attitude, v_x: float, v_y: float, dt: float) -> None:
     """Propagate the height over ``dt`` s at these speeds along the ground."""
     if a.known == 0:
         return
     x, P = a.mean, a.covariance
     sin, cos = math.sin(x[ROLL]), math.cos(x[ROLL])
     sin_pitch, cos_pitch = math.sin(x[PITCH]), math.cos(x[PITCH])
-    x[HEIGHT] += rise_of(x, v_x, v_y) * dt
+    x[HEIGHT] += climb_rate(x, v_x, v_y) * dt
     by_roll = v_y * cos * cos_pitch * dt
     by_pitch = -(v_x * cos_pitch + v_y * sin * sin_pitch) * dt
     for j in range(SIZE):

@@ -39,7 +39,7 @@ def set_level(a: Attitude) -> None:
 
 
 @compiled
-def downward(level: Level, covariance: FloatArray) -> float:
+def climb_rate_variance(level: Level, covariance: FloatArray) -> float:
     """Variance of ż, (m/s)², from the ``covariance`` of v_x and v_y along the ground."""
     x, y = level.downhill_x, level.downhill_y
     return float(x * x * covariance[0, 0] + 2.0 * x * y * covariance[0, 1] + y * y * covariance[1, 1])

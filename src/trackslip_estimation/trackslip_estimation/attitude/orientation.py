@@ -22,9 +22,9 @@ import numpy as np
 from trackslip_common.compiled import compiled
 from trackslip_common.message_fields import ABSENT
 from trackslip_estimation.attitude.records import PITCH, ROLL, SIZE, AttitudeRefusal
-from trackslip_estimation.attitude.start import begin_tilt
+from trackslip_estimation.attitude.start import initialise_tilt
 from trackslip_estimation.kalman.linear_algebra import root, weighted_square, wrap
-from trackslip_estimation.kalman.update import correct, observe_alone
+from trackslip_estimation.kalman.update import correct, independent_observation
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.parameters import AttitudeConstants
@@ -62,13 +62,13 @@ def use_orientation(a: Attitude, n: AttitudeConstants) -> int:
     R[PITCH, PITCH] += imu.sin**2 * of_x + imu.cos**2 * of_y
     again = 1.0
     if a.known == 0:
-        begin_tilt(a, roll, pitch, n)
+        initialise_tilt(a, roll, pitch, n)
     else:
         elapsed = max((imu.stamp_ns - a.oriented_ns) * 1e-9, _SHORTEST)
         again = 1.0 / math.tanh(elapsed / (2.0 * n.orientation_time))
     innovation = np.array((wrap(roll - x[ROLL]), pitch - x[PITCH]))
     if weighted_square(root(P[: PITCH + 1, : PITCH + 1] + R), innovation) > n.gate:
         return _GATED
-    correct(x, P, observe_alone(innovation, np.eye(PITCH + 1, SIZE), again * R))
+    correct(x, P, independent_observation(innovation, np.eye(PITCH + 1, SIZE), again * R))
     a.oriented_ns = imu.stamp_ns
     return 0

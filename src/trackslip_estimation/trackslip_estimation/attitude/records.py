@@ -90,7 +90,7 @@ class Climb(Record):
 
     used_ns: int  # stamp of the last altitude that was used
     refused: int  # number of altitudes outside the gate since, in a row, that agree
-    refused_ns: int  # stamp of the first of these altitudes
+    rejected_ns: int  # stamp of the first of these altitudes
     apart: float  # innovation of the first, m
 
 

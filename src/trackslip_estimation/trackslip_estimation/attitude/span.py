@@ -26,7 +26,7 @@ SHORTEST = 0.08  # s, least T: the pitch error is the same for 0.5, and three ti
 
 
 @compiled
-def begin_span(a: Attitude, u: tuple[float, float]) -> None:
+def reset_span(a: Attitude, u: tuple[float, float]) -> None:
     """Begin a span at the new sample, where the IMU has the velocity u."""
     span = a.span
     span.stamp_ns, span.begun, span.samples, span.time = a.sample.stamp_ns, 1, 0, 0.0
@@ -36,19 +36,19 @@ def begin_span(a: Attitude, u: tuple[float, float]) -> None:
 
 
 @compiled
-def turn_span(a: Attitude, roll: float, pitch: float) -> None:
+def accumulate_rotation(a: Attitude, roll: float, pitch: float) -> None:
     """Accumulate a rotation by the gyro since the last sample, rad, in the lag of the span."""
     a.span.lag[ROLL] += roll * a.span.time
     a.span.lag[PITCH] += pitch * a.span.time
 
 
 @compiled
-def feel(a: Attitude, force: tuple[float, float], u: tuple[float, float]) -> None:
+def add_sample(a: Attitude, force: tuple[float, float], u: tuple[float, float]) -> None:
     """Add f − ω × u of the new sample, m/s², to the span; after a gap begin a span of zero length."""
     span = a.span
     dt = (a.sample.stamp_ns - span.stamp_ns) * 1e-9
     if span.begun == 0 or not 0.0 < dt <= LONGEST:
-        begin_span(a, u)
+        reset_span(a, u)
         dt, span.known = 0.0, 0
     span.stamp_ns = a.sample.stamp_ns
     span.time += dt
@@ -69,7 +69,7 @@ def mean_tilt(a: Attitude) -> tuple[float, float]:
 
 
 @compiled
-def own_acceleration(a: Attitude, u: tuple[float, float]) -> tuple[float, float]:
+def mean_acceleration(a: Attitude, u: tuple[float, float]) -> tuple[float, float]:
     """u̇ of a span that ends here at the velocity u, m/s²; zero if a velocity was unknown."""
     span = a.span
     if span.known == 0:

@@ -26,7 +26,7 @@ _FIRST_NOISE = 1.0  # (m/s²)², noise of the accelerometers before the first sa
 
 
 @compiled
-def forget_attitude(a: Attitude) -> None:
+def reset_attitude(a: Attitude) -> None:
     """Reset the attitude to unknown, without any sample."""
     a.known = a.seen = a.stamp_ns = a.refusal = 0
     a.oriented_ns = NEVER_NS
@@ -37,7 +37,7 @@ def forget_attitude(a: Attitude) -> None:
 
 
 @compiled
-def begin_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants) -> None:
+def initialise_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants) -> None:
     """Initialise roll and pitch, rad, with their prior variance; height and biases keep their estimates."""
     x, P = a.mean, a.covariance
     for i in range(SIZE):
@@ -52,11 +52,11 @@ def begin_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants) -> 
 
 
 @compiled
-def begin_by_gravity(a: Attitude, n: AttitudeConstants) -> None:
+def initialise_from_gravity(a: Attitude, n: AttitudeConstants) -> None:
     """Initialise roll and pitch from the mean specific force."""
     x = a.mean
     f_x, f_y, f_z = a.mean_force
     cos, sin = a.sample.cos, a.sample.sin
     roll = math.atan2(f_y - (sin * x[BIAS_X] + cos * x[BIAS_Y]), f_z)
     pitch = math.atan2((cos * x[BIAS_X] - sin * x[BIAS_Y]) - f_x, math.sqrt(f_y * f_y + f_z * f_z))
-    begin_tilt(a, roll, pitch, n)
+    initialise_tilt(a, roll, pitch, n)

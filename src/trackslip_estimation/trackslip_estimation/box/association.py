@@ -123,8 +123,8 @@ class Association:
         self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= kept_ns]
         likely = []
         for candidate, follower in zip(candidates, followers, strict=True):
-            is_unobserved_receiver = candidate.is_unobserved_receiver or math.isinf(expected.elapsed)
-            if is_unobserved_receiver and self._is_accepted(candidate, odometry, stamp_ns):
+            is_new = candidate.is_new or math.isinf(expected.elapsed)
+            if is_new and self._is_accepted(candidate, odometry, stamp_ns):
                 follower.likely_ns = stamp_ns
                 likely.append(candidate)
         if len(likely) == 1 and sum(f.is_likely(stamp_ns, p) for f in self._followers) == 1:

@@ -56,7 +56,7 @@ class Candidate:
     fits: list[Optimum]
     place: FloatArray
     distance: float
-    is_unobserved_receiver: bool
+    is_new: bool
 
 
 class BoxSearch:
@@ -128,8 +128,8 @@ class BoxSearch:
         if distance > expected.reach or turned > expected.yaw_reach:
             return Reason.GATE
         was_free = self.background.was_free(ranges, angles, self._margin)[indices]
-        is_unobserved_receiver = 2 * int(np.count_nonzero(was_free)) > len(indices)
-        return Candidate(beams, fits, pose[:2], distance, is_unobserved_receiver)
+        is_new = 2 * int(np.count_nonzero(was_free)) > len(indices)
+        return Candidate(beams, fits, pose[:2], distance, is_new)
 
     def _near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
         """(N,) which beams end where the box may be."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from trackslip_common.compiled import compiled
 
 
-class Known(NamedTuple):
+class RateCovariance(NamedTuple):
     """Covariance of a quantity and its rate."""
 
     variance: float  # of the quantity
@@ -19,10 +19,10 @@ class Known(NamedTuple):
 
 
 @compiled
-def later(known: Known, dt: float, walk: float) -> Known:
+def propagate_rate_covariance(known: RateCovariance, dt: float, walk: float) -> RateCovariance:
     """Covariance ``dt`` s later, where the rate walks by ``walk`` per √s."""
     more = walk * walk * dt
-    return Known(
+    return RateCovariance(
         known.variance + (2.0 * known.covariance + (known.rate_variance + more / 3.0) * dt) * dt,
         known.covariance + (known.rate_variance + more / 2.0) * dt,
         known.rate_variance + more,

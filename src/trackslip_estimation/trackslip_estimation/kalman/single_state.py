@@ -43,7 +43,7 @@ def add_state(P: FloatArray, to: int, what: int, factor: float) -> None:
 
 
 @compiled
-def exchange_prior(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
+def replace_prior_variance(x: FloatArray, P: FloatArray, k: int, before: float, now: float) -> None:
     """x and P as if the prior variance of state k, of prior mean 0, had been ``now`` and not ``before``.
 
     This is a measurement of zero with the variance 1/(1/now − 1/before), negative where the prior widens.

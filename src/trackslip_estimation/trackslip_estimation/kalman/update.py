@@ -41,7 +41,7 @@ class Observation(NamedTuple):
 
 
 @compiled
-def observe_alone(innovation: FloatArray, H: FloatArray, R: FloatArray) -> Observation:
+def independent_observation(innovation: FloatArray, H: FloatArray, R: FloatArray) -> Observation:
     """An observation that corrects all states, with noise independent of the state."""
     return Observation(innovation, H, R, 0, 0, H[:0])
 
@@ -61,7 +61,7 @@ def predicted_covariance(P: FloatArray, H: FloatArray) -> FloatArray:
 
 
 @compiled
-def soften(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: float) -> None:
+def inflate_noise_to_gate(R: FloatArray, innovation: FloatArray, predicted: FloatArray, limit: float) -> None:
     """Increase R until the NIS is at most ``limit``: the soft gate; ``predicted``: H P Hᵀ (m, m)."""
     nis = weighted_square(root(predicted + R), innovation)
     if nis > limit:

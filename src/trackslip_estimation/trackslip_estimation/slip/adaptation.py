@@ -241,7 +241,7 @@ def _set_means(a: Adaptation, best: float, n: AdaptationConstants) -> None:
 
 
 @compiled
-def repeats(elapsed_ns: int, time: float) -> float:
+def correlated_inflation(elapsed_ns: int, time: float) -> float:
     """Inflation of R for fixes Δt apart whose errors have the correlation time τ_e, ``time``, s.
 
     (1 + ρ)/(1 − ρ), ρ = exp(−Δt/τ_e): n such fixes have the information of n independent ones over this.
@@ -252,7 +252,7 @@ def repeats(elapsed_ns: int, time: float) -> float:
 
 
 @compiled
-def shared_error(P: FloatArray, R: FloatArray) -> float:
+def largest_correlated_inflation(P: FloatArray, R: FloatArray) -> float:
     """Largest useful inflation of R for a fix whose error the estimate, of covariance P, may contain already.
 
     Let P = R + U, where R is the shared error. After a gain K the true variance is R + (1 − K)² U, and the
@@ -305,7 +305,7 @@ def learn_from_fix(
 
 
 @compiled
-def density_of_one(L: FloatArray, innovation: FloatArray) -> float:
+def log_density(L: FloatArray, innovation: FloatArray) -> float:
     """ln of the density of an innovation (m,) under Student's t; L (m, m): root of its covariance."""
     m = innovation.size
     count = _OF_GAUSSIAN[m - 1]
@@ -315,7 +315,7 @@ def density_of_one(L: FloatArray, innovation: FloatArray) -> float:
 
 
 @compiled
-def density_of_fix(
+def log_density_over_factors(
     a: Adaptation, source: int, innovation: FloatArray, P: FloatArray, R: FloatArray, c: Config
 ) -> float:
     """ln of the density of an innovation (m,), averaged over f; P (m, m) predicted, R (m, m) stated."""

@@ -172,8 +172,8 @@ def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
     if p.swings:
         c["prior_mean"][SWING], c["prior_variance"][SWING] = p.initial_swing()
     c["prior_covariance"] = np.diag(c["prior_variance"])
-    if hasattr(model, "couple"):
-        model.couple(c["prior_covariance"], float(c["prior_variance"][TURN_STATE_1]))
+    if hasattr(model, "couple_turn_states"):
+        model.couple_turn_states(c["prior_covariance"], float(c["prior_variance"][TURN_STATE_1]))
     c["prior_variance"] = np.diag(c["prior_covariance"])
     for motion in Motion:
         for changing in (False, True):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record, dtype_of
-from trackslip_estimation.kalman.constant_velocity import Known, later
+from trackslip_estimation.kalman.constant_velocity import RateCovariance, propagate_rate_covariance
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -77,8 +77,8 @@ def begin_counts(counts: CountsRecord, c: Config) -> None:
 @compiled
 def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> Followed:
     """The filter ``dt`` s later, after mean encoder speeds of ``left`` and ``right`` rad/s."""
-    known = Known(counts.variance, counts.covariance, counts.speed_variance)
-    variance, covariance, speed_variance = later(known, dt, _SPEED_WALK)
+    known = RateCovariance(counts.variance, counts.covariance, counts.speed_variance)
+    variance, covariance, speed_variance = propagate_rate_covariance(known, dt, _SPEED_WALK)
     R, half = c.encoder_resolution**2 / 12.0, c.encoder_resolution / 2.0
     S = variance + R
     gain = _Gain(R / S, covariance / S)

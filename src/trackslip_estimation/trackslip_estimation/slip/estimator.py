@@ -17,7 +17,7 @@ from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.bank.rows import probability_of_best
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.explanations import Explained, Happened, Sources, explanations, history
+from trackslip_estimation.slip.explanations import AcceptedEvent, Explained, Sources, explanations, history
 from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
 from trackslip_estimation.slip.measurements import (
     FORGET,
@@ -123,7 +123,7 @@ class SlipEstimator:
         ``script``: (n,) of ``EVENT``, the only events of a single branch.
         """
         self._window_ns, self._start = window_ns, learned
-        self._happened: list[Happened] = []
+        self._happened: list[AcceptedEvent] = []
         self._use(parameters)
         self.window: Window = make_window(_CAPACITY, int(self.config["poses"][0]), script)
         self.process_records(to_records((), self.sources))  # compiles now, not at the first measurement
@@ -180,7 +180,7 @@ class SlipEstimator:
         """Probability of the most probable branch; 0 without an estimate."""
         return float(probability_of_best(self.window, self.window.count - 1)) if self.started else 0.0
 
-    def read_events(self) -> list[Happened]:
+    def read_events(self) -> list[AcceptedEvent]:
         """Events of the most probable branch: its latest 16, and older ones of earlier calls."""
         if self.started:
             branch = self.window.branches[0, self.window.count - 1]

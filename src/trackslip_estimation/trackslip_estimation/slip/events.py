@@ -64,7 +64,7 @@ class Event(IntEnum):
     SLIPPED = 9
     SLID = 10
     NOISE = 11
-    FOLDED = 12
+    BECAME_JUMP = 12
     SKIDDED = 13
     FAILED = 14
     WANDERS = 15
@@ -88,7 +88,7 @@ class Event(IntEnum):
     SLIPPED,
     SLID,
     NOISE,
-    FOLDED,
+    BECAME_JUMP,
     SKIDDED,
     FAILED,
     WANDERS,

@@ -62,7 +62,7 @@ class Explained(NamedTuple):
         return sentence(self.found, self.seconds) if self.competing else ""
 
 
-class Happened(NamedTuple):
+class AcceptedEvent(NamedTuple):
     """An event of the most probable branch."""
 
     stamp_ns: int  # of the explained measurement
@@ -89,7 +89,7 @@ class Sources(NamedTuple):
 
 
 _BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
-_JUMPS = (Event.MOVED, Event.FOLDED, Event.TURNED, Event.SWUNG)
+_JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
 _OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
 _FAILURES = "{source} and motion disagree"
@@ -114,7 +114,7 @@ _WORDS = {
     Event.BIASED: "the bias of the gyro changed",
     Event.LATE: "stamps of {source} are late or early",
     Event.NOISE: "{source} is noisier than before",
-    Event.FOLDED: "the machine was moved",
+    Event.BECAME_JUMP: "the machine was moved",
 }
 _OFF_FOR_GOOD = "angles of {source} are off for good"
 
@@ -148,7 +148,7 @@ def sentence(found: Sequence[Explanation], seconds: float) -> str:
     return f"{count} explanations for {seconds:.1f} s: {listed}"
 
 
-def recent(events: Sequence[Happened]) -> str:
+def recent(events: Sequence[AcceptedEvent]) -> str:
     """The latest events, without outliers, with stamps of the explained measurements, for /diagnostics."""
     ongoing = [h for h in events if h.event is not Event.OUTLIER][-_LISTED:]
     if not ongoing:
@@ -157,7 +157,9 @@ def recent(events: Sequence[Happened]) -> str:
     return f"{listed}; probability {100.0 * ongoing[-1].probability:.0f} %"
 
 
-def history(branch: Branch, sources: Sources, known: list[Happened], probability: float) -> list[Happened]:
+def history(
+    branch: Branch, sources: Sources, known: list[AcceptedEvent], probability: float
+) -> list[AcceptedEvent]:
     """Events of a record of ``BRANCH``: the latest ones from the record, earlier ones from ``known``.
 
     ``probability``: of the branch.
@@ -168,12 +170,12 @@ def history(branch: Branch, sources: Sources, known: list[Happened], probability
         e = branch["history"][n % HISTORY]
         name = sources.names.get(int(e["source"]), "")
         of_source = name, probability, _begins(e), name in sources.swings
-        found.append(Happened(int(e["decided_ns"]), Event(e["event"]), *of_source))
+        found.append(AcceptedEvent(int(e["decided_ns"]), Event(e["event"]), *of_source))
     return found
 
 
 def _text(event: Event, source: str, swings: bool) -> str:
-    words = _OFF_FOR_GOOD if swings and event is Event.FOLDED else _WORDS[event]
+    words = _OFF_FOR_GOOD if swings and event is Event.BECAME_JUMP else _WORDS[event]
     return words.format(source=source)
 
 
@@ -216,7 +218,7 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
         elif event is not Event.OUTLIER and not (event in _FAULTS and source in healthy):
             name = sources.names.get(source, "")
             text = _text(event, name, name in sources.swings)
-            if event is Event.FOLDED:
+            if event is Event.BECAME_JUMP:
                 stamp_ns = _begin_of_offset(events[:n], source, stamp_ns)
             return text, Explanation(text, 0.0, stamp_ns, event not in _JUMPS)
     return AS_BEFORE, Explanation(AS_BEFORE, 0.0, int(state["stamp_ns"]))

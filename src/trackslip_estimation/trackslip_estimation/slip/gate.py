@@ -26,11 +26,11 @@ _WIDEST = 100.0  # further timeouts, at which w stops growing: the gate then acc
 
 
 @compiled
-def width(refused_ns: int, timeout_ns: int, relaxation: float) -> float:
-    """w, after a rejection time ``refused_ns``."""
-    if refused_ns <= timeout_ns:
+def gate_factor(rejected_ns: int, timeout_ns: int, relaxation: float) -> float:
+    """w, after a rejection time ``rejected_ns``."""
+    if rejected_ns <= timeout_ns:
         return 1.0
-    widened: float = relaxation ** min(refused_ns / timeout_ns - 1.0, _WIDEST)
+    widened: float = relaxation ** min(rejected_ns / timeout_ns - 1.0, _WIDEST)
     return widened
 
 
@@ -38,17 +38,17 @@ def width(refused_ns: int, timeout_ns: int, relaxation: float) -> float:
 def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config) -> float:
     """Gate w g of a measurement with ``rows`` degrees of freedom."""
     source = measurement.source
-    wide = width(state.refused_ns[source], c.timeouts_ns[source], c.gate_relaxation)
+    wide = gate_factor(state.rejected_ns[source], c.timeouts_ns[source], c.gate_relaxation)
     return float(c.gate_limits[rows] * wide)
 
 
 @compiled
-def note_reception(state: State, measurement: MeasurementRecord, c: Config) -> None:
+def update_rejection_time(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """Add the time since the previous measurement, up to a timeout, to the rejection time, or reset it."""
     source = measurement.source
     if state.consistent_ns[source] >= state.received_ns[source]:
-        state.refused_ns[source] = 0
+        state.rejected_ns[source] = 0
     else:
         silent_ns = measurement.stamp_ns - state.received_ns[source]
-        state.refused_ns[source] += min(max(silent_ns, 0), c.timeouts_ns[source])
+        state.rejected_ns[source] += min(max(silent_ns, 0), c.timeouts_ns[source])
     state.received_ns[source] = measurement.stamp_ns

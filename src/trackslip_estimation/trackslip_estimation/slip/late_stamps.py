@@ -20,7 +20,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.single_state import exchange_prior, log_ratio
+from trackslip_estimation.kalman.single_state import log_ratio, replace_prior_variance
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY
 
@@ -32,7 +32,7 @@ _SHOWN = 0.8  # largest P, over v; above it noise of the fixes dominates δ
 
 
 @compiled
-def begin_delay(state: State, c: Config) -> None:
+def reset_delay(state: State, c: Config) -> None:
     """Set v to the prior variance of δ."""
     state.delay_variance = c.prior_variance[FIX_DELAY]
 
@@ -55,11 +55,11 @@ def log_odds_of_delay(state: State, source: int, c: Config) -> float:
 
 
 @compiled
-def open_delay(state: State, source: int, c: Config) -> None:
+def inflate_delay(state: State, source: int, c: Config) -> None:
     """Replace the prior variance v of δ by w; the information of fixes is kept."""
     x, w, mean = state.mean[: c.size], _late_variance(source, c), c.prior_mean[FIX_DELAY]
     x[FIX_DELAY] -= mean
-    exchange_prior(x, state.covariance[:], FIX_DELAY, state.delay_variance, w)
+    replace_prior_variance(x, state.covariance[:], FIX_DELAY, state.delay_variance, w)
     x[FIX_DELAY] += mean
     state.delay_variance = w
 

@@ -29,11 +29,11 @@ from trackslip_estimation.slip.window import (
     Window,
     horizon_ns,
     insert,
+    insertion_index,
     is_at,
     is_full,
     is_same,
     last_sample,
-    place_of,
     trim,
 )
 
@@ -174,7 +174,7 @@ def _add(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int
     status, measurements = window.status[0], window.measurements
     if measurement.stamp_ns < horizon_ns(window, c):
         return _TOO_LATE, 0
-    entry = max(place_of(measurements, status.count, measurement), 1)  # entry 0 is the start
+    entry = max(insertion_index(measurements, status.count, measurement), 1)  # entry 0 is the start
     if is_at(measurements, status.count, entry, measurement) or is_same(measurement, measurements[0]):
         return _DUPLICATE, 0
     insert(window, entry)
@@ -187,8 +187,8 @@ def _add(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int
 def _publish(window: Window, entry: int, was_head_ns: int, result: Result, c: Config) -> None:
     """Set ``published`` for the newest sprocket sample, or for a measurement that advances the clock."""
     status, measurement = window.status[0], window.measurements[entry]
-    carries = was_head_ns < status.clock.head_ns == measurement.stamp_ns
-    if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or carries):
+    advances_clock = was_head_ns < status.clock.head_ns == measurement.stamp_ns
+    if measurement.stamp_ns <= status.published_ns or not (measurement.kind == SPROCKETS or advances_clock):
         return
     status.published_ns, result.published = measurement.stamp_ns, True
     fill_mixture(window, entry, c, result.estimate)

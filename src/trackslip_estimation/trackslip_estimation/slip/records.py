@@ -171,7 +171,7 @@ class State(Record):
     sample: SprocketSample
     time_since_sample: float  # s, at the middle of a step that extrapolates the speeds of the sample
     consistent_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest one inside the gate
-    refused_ns: Annotated[IntArray, MOST_SOURCES]  # time of rejections since then, without silences
+    rejected_ns: Annotated[IntArray, MOST_SOURCES]  # time of rejections since then, without silences
     received_ns: Annotated[IntArray, MOST_SOURCES]  # stamp of the latest measurement; NEVER_NS of poses
     offsets: Annotated[Table[Offset], MOST_RECEIVERS]  # of pose sources
     sole_fix_source: int  # source of the only fix that supports the position; −1: others agree with it

@@ -20,7 +20,12 @@ from typing import TYPE_CHECKING
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.single_state import add_state, decay_state, exchange_prior, replace_state
+from trackslip_estimation.kalman.single_state import (
+    add_state,
+    decay_state,
+    replace_prior_variance,
+    replace_state,
+)
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, same_quality
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 
@@ -128,7 +133,7 @@ def prepare_offset(
             to_measured_position(prior.mean, prior.covariance, source, -1.0, c)
     elif target > 0.0:
         for i in (first, first + 1):
-            exchange_prior(state.mean, state.covariance, i, offset.variance, target)
+            replace_prior_variance(state.mean, state.covariance, i, offset.variance, target)
     offset.variance, offset.stddev = target, stddev
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import inlined
-from trackslip_estimation.attitude.start import forget_attitude
+from trackslip_estimation.attitude.start import reset_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.bank.receivers import add_first_fix
 from trackslip_estimation.slip.bank.rows import begin_row, is_moving_without_heading, split_unknown_heading
 from trackslip_estimation.slip.bank.script import play_script
-from trackslip_estimation.slip.late_stamps import begin_delay
+from trackslip_estimation.slip.late_stamps import reset_delay
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import SWING, YAW
@@ -25,7 +25,7 @@ from trackslip_estimation.slip.source_faults import IS_HEALTHY
 from trackslip_estimation.slip.source_offsets import begin_offset, to_sensor_heading
 from trackslip_estimation.slip.sprockets import set_zero_speeds, store_sample
 from trackslip_estimation.slip.validity import has_heading
-from trackslip_estimation.slip.window import Window, drop, insert, is_at, place_of
+from trackslip_estimation.slip.window import Window, drop, insert, insertion_index, is_at
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -40,7 +40,7 @@ _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE),
 def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
     status, measurements = window.status[0], window.measurements
-    entry = place_of(measurements, status.count, measurement)
+    entry = insertion_index(measurements, status.count, measurement)
     begins = measurement.kind == POSE and (c.starts_with_fix or measurement.source == MANUAL)
     if measurement.kind == SPROCKETS:
         begins = not c.starts_with_fix
@@ -75,7 +75,7 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
 def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """Set the initial state; a fix without heading starts with that of the parameters."""
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
-    forget_attitude(state.attitude)
+    reset_attitude(state.attitude)
     for number in range(c.poses):
         state.offsets[number].variance = state.offsets[number].stddev = 0.0
     x[:] = c.prior_mean
@@ -110,7 +110,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     if c.resumes:
         resume_adaptation(state.adaptation, c.start)
     begin_odometry(state)
-    begin_delay(state, c)
+    reset_delay(state, c)
     if measurement.kind != POSE:
         state.fixed_ns = NEVER_NS
     state.track_distance = state.learned_downhill = state.displacement[:] = 0.0
@@ -123,5 +123,5 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
     for k in range(MOST_SOURCES):
         state.consistent_ns[k], state.received_ns[k] = stamp_ns, NEVER_NS
         state.readings[k].stamp_ns = NEVER_NS
-        state.refused_ns[k], state.last_ns[k], state.standstills[k].count = 0, stamp_ns, 0
+        state.rejected_ns[k], state.last_ns[k], state.standstills[k].count = 0, stamp_ns, 0
         state.streaks[k].count, state.streaks[k].value = 0, 0.0

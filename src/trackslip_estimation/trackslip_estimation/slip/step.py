@@ -34,16 +34,16 @@ from trackslip_estimation.slip.models.dispatch import (
     COUPLED,
     has_velocity_errors,
     linearize,
-    move,
+    propagate_mean,
     twist,
     twist_jacobian,
 )
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, SIZE, UNDERCARRIAGE_SIZE, YAW, X, Y
-from trackslip_estimation.slip.models.shear import build_up
-from trackslip_estimation.slip.models.slope import update_direction
-from trackslip_estimation.slip.models.swing import shear
+from trackslip_estimation.slip.models.shear import update_shear
+from trackslip_estimation.slip.models.slope import inflate_downhill_slip
+from trackslip_estimation.slip.models.swing import propagate_swing_covariance
 from trackslip_estimation.slip.motion import reset_motion, update_motion
-from trackslip_estimation.slip.observations.altitude import use_altitude
+from trackslip_estimation.slip.observations.altitude import update_height
 from trackslip_estimation.slip.observations.odometry import integrate_motion
 from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, TRACKS
 from trackslip_estimation.slip.source_faults import IS_FAILED, IS_HEALTHY, propagate_faults
@@ -56,7 +56,7 @@ from trackslip_estimation.slip.sprockets import (
     store_sample,
 )
 from trackslip_estimation.slip.tilt import rise, update_ground
-from trackslip_estimation.slip.update import use
+from trackslip_estimation.slip.update import apply_measurement
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -96,11 +96,11 @@ def step(
         place(state, measurement)
         update.follows = False
     else:
-        use(state, measurement, c, update, prior)
+        apply_measurement(state, measurement, c, update, prior)
         _settle_heading(state)
         _update_ground(state, update, prior)
         if measurement.kind == POSE and update.outcome == _ACCEPTED:
-            update.attitude = use_altitude(state, measurement, c)
+            update.attitude = update_height(state, measurement, c)
     if measurement.kind != SPROCKETS:
         make_positive(state.covariance, prior.covariance, c.size)
         if state.attitude.known == 1:
@@ -198,7 +198,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
     rise(state, dt, c)
     if has_velocity_errors(c):
         add_track_error_noise(state, dt, c)
-        update_direction(state)
+        inflate_downhill_slip(state)
     moved, F, Q = linearize(x, P, state, dt, c)
     if P[YAW, YAW] > UNKNOWN_HEADING**2:  # the displacement may have any direction
         squared = (moved[X] - x[X]) ** 2 + (moved[Y] - x[Y]) ** 2
@@ -207,17 +207,17 @@ def propagate(state: State, dt: float, c: Config) -> None:
     state.displacement[X] += moved[X] - x[X]
     state.displacement[Y] += moved[Y] - x[Y]
     if has_velocity_errors(c):
-        build_up(state, dt, c)
+        update_shear(state, dt, c)
     if not c.sigma_points:
         x[:] = moved
         if c.swings:
-            shear(P, F)
+            propagate_swing_covariance(P, F)
         propagate_covariance(P, F, Q, COUPLED)
     else:
         own = P[: x.size, : x.size].copy()
         points, weights = daf.sigma_points(x, own, c.kappa, c.active)
         for i in range(weights.size):
-            points[i] = move(points[i], state, dt, c)
+            points[i] = propagate_mean(points[i], state, dt, c)
         mean, departures, weights = daf.moments(points, weights, YAW)
         x[:] = mean
         P[: x.size, : x.size] = daf.spread_covariance(departures, weights) + Q

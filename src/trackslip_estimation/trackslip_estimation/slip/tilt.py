@@ -16,8 +16,8 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.filter import climb, force_of, has_force, rise_of, use_sample
-from trackslip_estimation.attitude.level import downward
+from trackslip_estimation.attitude.filter import climb_rate, force_of, has_force, propagate_height, use_sample
+from trackslip_estimation.attitude.level import climb_rate_variance
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
 from trackslip_estimation.slip.measurements import UNOBSERVED
@@ -63,7 +63,7 @@ def rise(state: State, dt: float, c: Config) -> None:
     """Propagate the height over ``dt`` s with the speeds of the state."""
     if state.attitude.known == 1 and dt > 0.0:
         v_x, v_y, _ = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
-        climb(state.attitude, v_x, v_y, dt)
+        propagate_height(state.attitude, v_x, v_y, dt)
 
 
 @compiled
@@ -71,7 +71,7 @@ def update_ground(state: State, east: float, north: float) -> None:
     """Correct the height by a correction of the position, m, along the ground."""
     if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
         ahead, left = _along_ground(state, east, north)
-        climb(state.attitude, ahead, left, 1.0)
+        propagate_height(state.attitude, ahead, left, 1.0)
 
 
 @compiled
@@ -88,9 +88,9 @@ def _of_place(state: State) -> float:
     """Variance of the height, m², by the position error on the slope."""
     tilt, P = state.attitude.mean, state.covariance
     ahead, left = _along_ground(state, 1.0, 0.0)
-    east = rise_of(tilt, ahead, left)
+    east = climb_rate(tilt, ahead, left)
     ahead, left = _along_ground(state, 0.0, 1.0)
-    north = rise_of(tilt, ahead, left)
+    north = climb_rate(tilt, ahead, left)
     return float(east * east * P[X, X] + 2.0 * east * north * P[X, Y] + north * north * P[Y, Y])
 
 
@@ -118,6 +118,6 @@ def fill_tilt(state: State, estimate: EstimateRecord) -> None:
     tilt.covariance[HEIGHT, HEIGHT] += _of_place(state)
     tilt.force_variance = a.sample.force_variance if feels else UNOBSERVED
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
-    estimate.rise = rise_of(a.mean, v_x, v_y)
+    estimate.rise = climb_rate(a.mean, v_x, v_y)
     estimate.rise_variance = v_x**2 * P[PITCH, PITCH] + v_y**2 * P[ROLL, ROLL]
-    estimate.rise_variance += downward(a.level, estimate.twist_covariance[:])
+    estimate.rise_variance += climb_rate_variance(a.level, estimate.twist_covariance[:])

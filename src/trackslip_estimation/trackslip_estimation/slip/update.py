@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.gate import note_reception
+from trackslip_estimation.slip.gate import update_rejection_time
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, use_rate
-from trackslip_estimation.slip.observations.odometry import use_odometry
-from trackslip_estimation.slip.observations.slips import observe_slips, use_slips
+from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, update_with_rate
+from trackslip_estimation.slip.observations.odometry import update_with_odometry
+from trackslip_estimation.slip.observations.slips import observe_slips, update_with_slips
 from trackslip_estimation.slip.records import GYROS, ODOMETRY, SLIPS, YAW_RATE
 from trackslip_estimation.slip.source_faults import IS_HEALTHY
 from trackslip_estimation.slip.tilt import tilt_by
-from trackslip_estimation.slip.weighing import observe_weighed, use_weighed
+from trackslip_estimation.slip.weighing import observe_weighed, weigh_and_update
 from trackslip_estimation.slip.window import is_weighed
 
 if TYPE_CHECKING:
@@ -38,24 +38,26 @@ _GATED = int(Outcome.GATED)
 
 
 @inlined
-def use(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
+def apply_measurement(
+    state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
+) -> None:
     """Update the state by a measurement."""
     kind = measurement.kind
     if is_weighed(measurement):
-        use_weighed(state, measurement, c, update, prior)
+        weigh_and_update(state, measurement, c, update, prior)
         return
-    note_reception(state, measurement, c)
+    update_rejection_time(state, measurement, c)
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
             update.attitude = tilt_by(state, measurement, bias_of(measurement.source, c), c)
         if state.fault[GYROS] != IS_HEALTHY:
             update.outcome = _GATED
             return
-        use_rate(state, measurement, c, update, prior)
+        update_with_rate(state, measurement, c, update, prior)
     elif kind == ODOMETRY:
-        use_odometry(state, measurement, c, update, prior)
+        update_with_odometry(state, measurement, c, update, prior)
     else:
-        use_slips(state, measurement, c, update, prior)
+        update_with_slips(state, measurement, c, update, prior)
 
 
 @compiled

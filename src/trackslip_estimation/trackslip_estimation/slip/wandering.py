@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.record_types import Record
-from trackslip_estimation.kalman.constant_velocity import Known, later
+from trackslip_estimation.kalman.constant_velocity import RateCovariance, propagate_rate_covariance
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
 
@@ -86,8 +86,10 @@ def _propagate(wander: Wander, dt: float, c: Config) -> None:
     """Propagate p, v and P by ``dt`` s."""
     wander.east += wander.east_speed * dt
     wander.north += wander.north_speed * dt
-    known = Known(wander.variance, wander.covariance, wander.speed_variance)
-    wander.variance, wander.covariance, wander.speed_variance = later(known, dt, c.events.wander_walk)
+    known = RateCovariance(wander.variance, wander.covariance, wander.speed_variance)
+    wander.variance, wander.covariance, wander.speed_variance = propagate_rate_covariance(
+        known, dt, c.events.wander_walk
+    )
 
 
 @compiled

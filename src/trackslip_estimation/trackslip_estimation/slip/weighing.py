@@ -26,14 +26,19 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import log_determinant, root, weighted_square, wrap
-from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
+from trackslip_estimation.kalman.update import (
+    Observation,
+    correct,
+    inflate_noise_to_gate,
+    predicted_covariance,
+)
 from trackslip_estimation.slip.adaptation import (
-    density_of_fix,
-    density_of_one,
+    correlated_inflation,
+    largest_correlated_inflation,
     learn_from_fix,
     learn_from_speed,
-    repeats,
-    shared_error,
+    log_density,
+    log_density_over_factors,
 )
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, student_inflation
 from trackslip_estimation.slip.levers import lever, turn_about
@@ -43,7 +48,7 @@ from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.observations.heading import observe_heading
-from trackslip_estimation.slip.observations.odometry import by_track_error
+from trackslip_estimation.slip.observations.odometry import track_error_variances
 from trackslip_estimation.slip.observations.pose import has_offset, observe_pose, stated_noise
 from trackslip_estimation.slip.observations.swing import observe_swing
 from trackslip_estimation.slip.observations.velocity import observe_velocity
@@ -84,7 +89,7 @@ _ANGLE_ERROR_TIME = 1.0  # correlation time of errors of a compass or an encoder
 
 
 @inlined
-def use_weighed(
+def weigh_and_update(
     state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
 ) -> None:
     """Weigh the branch by a measurement, and update the state with it; arguments as in ``update``."""
@@ -98,7 +103,7 @@ def use_weighed(
         _compare_with_last(state, measurement, update)
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
-        _show_place(state, source, o, update, c)
+        _set_measured_position(state, source, o, update, c)
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
@@ -112,7 +117,7 @@ def use_weighed(
         if m > YAW:
             _use_heading_alone(state, o, predicted, c, update)
         return
-    known = repeats(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
+    known = correlated_inflation(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
     R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
     if kind in (HEADING, ON_SWING):
         uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
@@ -127,9 +132,9 @@ def use_weighed(
         share = student_inflation(update.nis, m)
         inflate_offset(state, P, source, share * np.diag(predicted + R), c)
         predicted = predicted_covariance(P, o.jacobian)
-    soften(R, o.innovation, predicted, c.gate_limits[m])
+    inflate_noise_to_gate(R, o.innovation, predicted, c.gate_limits[m])
     if kind == POSE:
-        R *= min(known, shared_error(predicted, R))
+        R *= min(known, largest_correlated_inflation(predicted, R))
         inflate_repeated_fix(state, source, alone, R, c)
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
     if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
@@ -199,7 +204,7 @@ def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int
 
 
 @compiled
-def _show_place(state: State, source: int, o: Observation, update: Update, c: Config) -> None:
+def _set_measured_position(state: State, source: int, o: Observation, update: Update, c: Config) -> None:
     """Set ``update.measured_position``: base_link by a pose, without correction of the source's offset."""
     for axis in (X, Y):
         update.measured_position[axis] = o.innovation[axis] + state.mean[axis]
@@ -220,7 +225,7 @@ def _learn_track_error(
     aside = (cos * innovation[Y] - sin * innovation[X]) / elapsed
     variance = (sin * sin * S[X, X] - 2.0 * cos * sin * S[X, Y] + cos * cos * S[Y, Y]) / elapsed**2
     left, right = state.speeds.left, state.speeds.right
-    _, sideways, turning = by_track_error(state, MeanSpeeds(left, right, elapsed), c)
+    _, sideways, turning = track_error_variances(state, MeanSpeeds(left, right, elapsed), c)
     distance = c.rolling_radius * (left + right) / 2.0 * elapsed
     by_tracks = sideways + distance * distance * turning / 3.0
     learn_from_speed(state.adaptation, aside, variance, by_tracks, state.motion.motion == _STANDING, c)
@@ -252,9 +257,9 @@ def _weigh(
     if fault == IS_SCATTERING:
         update.evidence, update.outcome = density_of_scatter(measurement, o, predicted, c), _GATED
         return R, False, alone
-    density = density_of_one(L, o.innovation)
+    density = log_density(L, o.innovation)
     if not coarse:
-        density = density_of_fix(a, source, o.innovation, predicted, o.noise, c)
+        density = log_density_over_factors(a, source, o.innovation, predicted, o.noise, c)
     evidence, outlier = math.log(1.0 - share) + density, math.log(share) + outside
     is_outlier = fault == IS_IGNORED or (outlier > evidence and not np.isinf(limit))
     shown = c.bank.outlier_share if is_outlier else c.bank.healthy_share

@@ -85,7 +85,7 @@ class Window(NamedTuple):
     counts: NDArray[np.int64]  # (capacity,) number of branches by entry
     updates: Table[Update]  # (capacity,) of ``UPDATE``, of the first branch
     priors: Table[Prior]  # of ``PRIOR``: (capacity,) with a script, for the smoother; else (1,)
-    trials: Table[Update]  # (MOST_BRANCHES,) of ``UPDATE``, of the other branches at the newest entry
+    branch_updates: Table[Update]  # (MOST_BRANCHES,) of ``UPDATE``, of the other branches at the newest entry
     pool_states: Table[State]  # (POOL,) branches and children during the weighing
     pool_branches: Table[Branch]
     pool_updates: Table[Update]
@@ -223,7 +223,7 @@ def is_same(a: MeasurementRecord, b: MeasurementRecord) -> bool:
 
 
 @compiled
-def place_of(measurements: Records, count: int, measurement: MeasurementRecord) -> int:
+def insertion_index(measurements: Records, count: int, measurement: MeasurementRecord) -> int:
     """Entry at which to insert a measurement: after those that precede it."""
     k = count
     while k > 0 and not precedes(measurements[k - 1], measurement):
@@ -233,7 +233,7 @@ def place_of(measurements: Records, count: int, measurement: MeasurementRecord) 
 
 @compiled
 def is_at(measurements: Records, count: int, k: int, measurement: MeasurementRecord) -> bool:
-    """Whether entry k = ``place_of`` a measurement already holds one of the same stamp, kind and source."""
+    """Whether entry k, the insertion index of a measurement, already holds the same measurement."""
     return k < count and not precedes(measurement, measurements[k])
 
 

@@ -20,7 +20,7 @@ from trackslip_estimation.box.fit import compile_fit
 from trackslip_estimation.slip.config import CONFIG
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
-from trackslip_estimation.slip.observations.altitude import use_altitude
+from trackslip_estimation.slip.observations.altitude import update_height
 from trackslip_estimation.slip.outputs import fill_outputs
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import ESTIMATE, MEASUREMENT, STATE
@@ -58,7 +58,7 @@ def _last() -> None:
     state, measurement, c, estimate = map(numba.from_dtype, (STATE, MEASUREMENT, CONFIG, ESTIMATE))
     parts: tuple[tuple[Any, tuple[Any, ...]], ...] = (
         (tilt_by, (state, measurement, numba.int64, c)),
-        (use_altitude, (state, measurement, c)),
+        (update_height, (state, measurement, c)),
         (fill_outputs, (state, c, estimate)),
     )
     for kernel, arguments in parts:

@@ -76,7 +76,7 @@ class Study(ABC, Generic[Piece, Result]):
         """Check parameters and texts of ``--set``; raise ``InputError`` where one is refused."""
 
     @abstractmethod
-    def sole_fix_source(self, piece: Piece) -> Mapping[str, Any]:
+    def depends_on(self, piece: Piece) -> Mapping[str, Any]:
         """All parameters and files that its result rests on, beside the piece itself."""
 
     @abstractmethod
@@ -127,7 +127,7 @@ class Study(ABC, Generic[Piece, Result]):
         write_whole(folder / self.files()[0], f"{BEGINNING}\n{self.markdown(rows)}")
 
     def _key(self, piece: Any) -> str:
-        return key_of({"piece": asdict(piece), **self.sole_fix_source(piece)}, *self.SOURCES)
+        return key_of({"piece": asdict(piece), **self.depends_on(piece)}, *self.SOURCES)
 
 
 def table(columns: Columns, rows: Sequence[Any], text_columns: int) -> list[str]:

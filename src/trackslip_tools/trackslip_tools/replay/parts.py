@@ -10,7 +10,7 @@ import numpy as np
 from trackslip_common.arrays import Rows
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.explanations import Explained, Happened
+from trackslip_estimation.slip.explanations import AcceptedEvent, Explained
 from trackslip_estimation.slip.learned import Learned, from_tree, meaning
 from trackslip_estimation.slip.learned_text import Finding, findings
 from trackslip_estimation.slip.measurements import Command
@@ -46,7 +46,9 @@ class Part(NamedTuple):
     tables: dict[str, Logged]  # tables of other topics, up to the same log time
     learned: list[Known]  # learned quantities within the part
     again: Begin | None = None  # start of the estimator before this part, if it was started again
-    happened: Sequence[Happened] = ()  # events of the most probable branch since the estimator was started
+    happened: Sequence[
+        AcceptedEvent
+    ] = ()  # events of the most probable branch since the estimator was started
     explained: Sequence[Explained] = ()  # explanations within the part
 
     @property

@@ -21,7 +21,7 @@ from trackslip_common.topics import (
 from trackslip_common.vehicle import Kinematics
 from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.setup_check.finding import Result as Setup
-from trackslip_estimation.slip.explanations import Happened
+from trackslip_estimation.slip.explanations import AcceptedEvent
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import ESTIMATE
@@ -75,7 +75,7 @@ class Replay:
     no_estimate: str = ""  # why there is no estimate, or none with a heading
     vehicle: str = ""  # its name
     learned: list[Known] = field(default_factory=list)  # course of the learned quantities
-    happened: list[Happened] = field(default_factory=list)  # events that explain contradictions
+    happened: list[AcceptedEvent] = field(default_factory=list)  # events that explain contradictions
     withheld: list[Withheld] = field(default_factory=list)
     start_ns: int = 0  # log time of the bag's first message
     start: str = ""  # line on what was learned before the bag; empty: nothing
@@ -114,8 +114,8 @@ class Collector:
         self.processed = Processed(Counter(), self._rejected)
         self._learned: list[Known] = []
         self._gaps, self._newest_ns = FixGaps(), 0
-        self._before: list[Happened] = []  # of ended runs
-        self._happened: list[Happened] = []
+        self._before: list[AcceptedEvent] = []  # of ended runs
+        self._happened: list[AcceptedEvent] = []
 
     def add(self, part: Part) -> None:
         """Add a part."""

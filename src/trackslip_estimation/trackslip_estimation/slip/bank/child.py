@@ -13,7 +13,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.opening import open_states
+from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.script import record_event
 from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED
 from trackslip_estimation.slip.models.model import X, Y
@@ -58,14 +58,16 @@ def squared_jump(m: MeasurementRecord, before: State) -> float:
 
 
 @compiled
-def child_now(window: Window, p: int, k: int, event: int, source: int, log_odds: float, c: Config) -> None:
+def add_child_before(
+    window: Window, p: int, k: int, event: int, source: int, log_odds: float, c: Config
+) -> None:
     """Add a child with an event just before measurement k; ``log_odds``: further term of its prior."""
     prior = log_time(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, 0, False, prior, c)
 
 
 @compiled
-def child_since(
+def add_child_since(
     window: Window, p: int, k: int, event: int, source: int, part: int, log_odds: float, c: Config
 ) -> None:
     """Add a child with an event since the snapshot; ``part`` as in ``EventRecord``, ``log_odds`` as above."""
@@ -110,7 +112,7 @@ def add_child(
     value = _value(window, p, k, event, source, since, c)
     e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
     update.opened = event
-    update.reset_states = open_states(state, e, c)
+    update.reset_states = apply_event(state, e, c)
 
 
 @compiled

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import (
     add_child,
-    child_now,
-    child_since,
+    add_child_before,
+    add_child_since,
     distance_since,
     log_time,
     squared_jump,
 )
 from trackslip_estimation.slip.bank.earlier_children import (
+    are_track_speeds_measured,
     correlated_penalty,
-    fixes_decide,
+    has_recent_fix,
     make_earlier_children,
-    tracks_are_known,
 )
-from trackslip_estimation.slip.bank.lags import is_behind, log_odds_of_lag
+from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
 from trackslip_estimation.slip.bank.pool import to_pool, update_of
 from trackslip_estimation.slip.events import (
+    BECAME_JUMP,
     BIASED,
-    FOLDED,
     HEADING_OFF,
     HEADING_WANDERS,
     LATE,
@@ -48,7 +48,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
-from trackslip_estimation.slip.models.swing import is_moved_by_swing, may_swing
+from trackslip_estimation.slip.models.swing import is_free_to_swing, is_moved_by_swing
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.records import HEADING, MOST_SOURCES, ON_SWING, POSE, TRACKS, VELOCITY
 from trackslip_estimation.slip.source_faults import (
@@ -79,7 +79,7 @@ _WANDER_TIMES = 3.0  # fault times: an offset that wandered may stay for a while
 
 
 @compiled
-def propose(window: Window, k: int, c: Config) -> int:
+def create_children(window: Window, k: int, c: Config) -> int:
     """Weigh the branches of row k, and add to the pool the children of those that measurement k contradicts.
 
     Returns the number of branches and children. The pool also holds the branches, if there are several or if
@@ -125,11 +125,11 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
             branch.cusum[i] = max(branch.cusum[i] + min(e, c.bank.cusum_largest) - c.bank.cusum_drift, 0.0)
-    branch.weight -= outside_range(state, c)
+    branch.weight -= slip_range_penalty(state, c)
 
 
 @compiled
-def outside_range(state: State, c: Config) -> float:
+def slip_range_penalty(state: State, c: Config) -> float:
     """Reduction of ln of a branch's weight for an i₀ outside its physical range."""
     if not has_velocity_errors(c) or state.fault[TRACKS] == IS_MISCOUNTING:
         return 0.0
@@ -155,15 +155,15 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     fault, update = before.fault[measurement.source], update_of(window, s, k)
     if fault == IS_SCATTERING:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
-    if _contradicts(window, s, k, c) or _may_fold(window, s, k, c):
+    if _contradicts(window, s, k, c) or _may_become_jump(window, s, k, c):
         return True
-    if is_behind(window, s, k, c) or _late_log_odds(measurement, before, c) > 0.0:
+    if has_hidden_change(window, s, k, c) or _late_log_odds(measurement, before, c) > 0.0:
         return True
     if has_failed_unit(before) and measurement.kind in (POSE, VELOCITY):
         return True
     if wanders(before, measurement.source, c):
         return True
-    if measurement.kind == POSE and outside_range(before, c) > 0.0:
+    if measurement.kind == POSE and slip_range_penalty(before, c) > 0.0:
         return True
     if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
         repeats = is_repeated(update, c) and _moves(before, measurement.source, c)
@@ -185,7 +185,7 @@ def _moves(before: State, source: int, c: Config) -> bool:
 
 
 @compiled
-def _may_fold(window: Window, s: int, k: int, c: Config) -> bool:
+def _may_become_jump(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether to try the source's offset as a jump of the machine, once each fault time or three."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault = before.fault[source]
@@ -213,7 +213,7 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
         return
     _end_faults(window, p, k, contradicts, c)
     for event in (SLIPPED, BIASED):
-        odds = log_odds_of_lag(window, p, k, event, c)
+        odds = log_odds_of_hidden_change(window, p, k, event, c)
         if odds > -c.bank.spawns:
             add_child(window, p, k, event, source, 0, False, odds, c)
     late = _late_log_odds(m, before, c)
@@ -221,7 +221,7 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
         add_child(window, p, k, LATE, source, 0, False, late, c)
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
     if m.kind == POSE:
-        implausible = outside_range(before, c) > 0.0
+        implausible = slip_range_penalty(before, c) > 0.0
         _make_fix_children(window, p, k, contradicts, c)
         if contradicts or implausible or shows:
             make_earlier_children(window, p, k, contradicts, implausible, c)
@@ -236,7 +236,7 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
 def _end_scatter(window: Window, p: int, k: int, c: Config) -> None:
     """Add children in which scattering has ended, with or without a jump of the machine meanwhile."""
     m, before = window.measurements[k], window.states[p, k - 1]
-    child_now(window, p, k, RECOVERED, m.source, 0.0, c)
+    add_child_before(window, p, k, RECOVERED, m.source, 0.0, c)
     if m.kind == POSE:
         scattered = math.log(max((m.stamp_ns - before.fault_ns[m.source]) * 1e-9, c.bank.shortest_time))
         moved = scattered + c.log_rates[MOVED, m.source] + _log_any_size(m, before, c)
@@ -250,14 +250,14 @@ def _end_faults(window: Window, p: int, k: int, contradicts: bool, c: Config) ->
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault = m.source, before.fault[m.source]
     if fault != IS_HEALTHY and (contradicts or wanders(before, source, c)):
-        child_now(window, p, k, RECOVERED, source, 0.0, c)
-    if _may_fold(window, p, k, c):  # the offset paid for its duration; a jump does not
+        add_child_before(window, p, k, RECOVERED, source, 0.0, c)
+    if _may_become_jump(window, p, k, c):  # the offset paid for its duration; a jump does not
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
-        add_child(window, p, k, FOLDED, source, 0, False, prior, c)
+        add_child(window, p, k, BECAME_JUMP, source, 0, False, prior, c)
     for unit in range(MOST_SOURCES):
         if m.kind in (POSE, VELOCITY) and is_failed(before.fault[unit]):
-            child_since(window, p, k, RECOVERED, unit, 0, 0.0, c)
+            add_child_since(window, p, k, RECOVERED, unit, 0, 0.0, c)
 
 
 @compiled
@@ -267,9 +267,9 @@ def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
     source = window.measurements[k].source
     if is_trusted(before.fault[source], POSE) and _moves(before, source, c):
         if is_repeated(update, c):
-            child_now(window, p, k, REPEATS, source, 0.0, c)
-        if contradicts and may_repeat(update, c) and tracks_are_known(before):
-            child_now(window, p, k, STAYS, source, 0.0, c)
+            add_child_before(window, p, k, REPEATS, source, 0.0, c)
+        if contradicts and may_repeat(update, c) and are_track_speeds_measured(before):
+            add_child_before(window, p, k, STAYS, source, 0.0, c)
     if contradicts:
         _jump(window, p, k, c)
 
@@ -283,12 +283,12 @@ def _jump(window: Window, p: int, k: int, c: Config) -> None:
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         if before.sole_fix_source != source:
-            child_now(window, p, k, SCATTERS, source, 0.0, c)
-            child_now(window, p, k, OFFSET, source, size, c)
+            add_child_before(window, p, k, SCATTERS, source, 0.0, c)
+            add_child_before(window, p, k, OFFSET, source, size, c)
             if update.dof > YAW and before.fault[source] == IS_HEALTHY:
                 _make_heading_offset_child(window, p, k, c)
     elif before.fault[source] == IS_OFFSET:  # a different offset
-        child_now(window, p, k, OFFSET, source, size, c)
+        add_child_before(window, p, k, OFFSET, source, size, c)
     moved = log_time(window, p, k, c) + c.log_rates[MOVED, source]
     if before.sole_fix_source == source:  # the position depends on one fix, which may be the outlier too
         moved = max(moved, math.log(before.outlier_share[source]))
@@ -305,7 +305,7 @@ def _make_heading_offset_child(window: Window, p: int, k: int, c: Config) -> Non
     source = window.measurements[k].source
     if c.yaw_offsets[source] >= 0:
         for event in (HEADING_OFF, HEADING_WANDERS):
-            child_now(window, p, k, event, source, 0.0, c)
+            add_child_before(window, p, k, event, source, 0.0, c)
 
 
 @compiled
@@ -324,12 +324,12 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     if before.fault[source] == IS_HEALTHY:
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
-        child_now(window, p, k, SCATTERS, source, 0.0, c)
+        add_child_before(window, p, k, SCATTERS, source, 0.0, c)
         _make_heading_offset_child(window, p, k, c)
-        if m.kind == VELOCITY and fixes_decide(before, m, c):
-            child_now(window, p, k, OFFSET, source, 0.0, c)
+        if m.kind == VELOCITY and has_recent_fix(before, m, c):
+            add_child_before(window, p, k, OFFSET, source, 0.0, c)
     jumped = log_time(window, p, k, c) + c.log_rates[MOVED, source]
-    if m.kind == ON_SWING or (m.kind == HEADING and may_swing(before, source, c)):
+    if m.kind == ON_SWING or (m.kind == HEADING and is_free_to_swing(before, source, c)):
         add_child(window, p, k, SWUNG, source, MEASURED, False, jumped, c)
     if m.kind == HEADING:
         add_child(window, p, k, TURNED, source, MEASURED, False, jumped, c)

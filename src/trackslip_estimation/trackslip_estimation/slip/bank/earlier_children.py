@@ -8,7 +8,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.child import add_child, child_since, distance_since
+from trackslip_estimation.slip.bank.child import add_child, add_child_since, distance_since
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.events import (
     BIASED,
@@ -29,7 +29,7 @@ from trackslip_estimation.slip.events import (
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP
-from trackslip_estimation.slip.models.swing import may_swing
+from trackslip_estimation.slip.models.swing import is_free_to_swing
 from trackslip_estimation.slip.records import GYROS, MOST_SOURCES, OLDER, POSE, TRACKS
 from trackslip_estimation.slip.source_faults import (
     IS_HEALTHY,
@@ -59,54 +59,54 @@ def make_earlier_children(
     e, source, drove = window.branches[p, k], m.source, distance_since(window, p, k) > c.bank.least_distance
     penalty = correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
-        child_since(window, p, k, SLIPPED, source, 0, -penalty, c)
+        add_child_since(window, p, k, SLIPPED, source, 0, -penalty, c)
     is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
     if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
         return  # probably an outlier; an earlier event also affects the next measurement
-    if contradicts and may_swing(before, source, c):
+    if contradicts and is_free_to_swing(before, source, c):
         for part in range(HEADINGS):
-            child_since(window, p, k, SWUNG, source, part, -_ANY_SHARE, c)
+            add_child_since(window, p, k, SWUNG, source, part, -_ANY_SHARE, c)
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
-    if is_place and drove and tracks_are_known(before) and may_repeat(update, c):
-        child_since(window, p, k, STAYS, source, 0, 0.0, c)
+    if is_place and drove and are_track_speeds_measured(before) and may_repeat(update, c):
+        add_child_since(window, p, k, STAYS, source, 0, 0.0, c)
     if is_place and update.coarse == 0 and not errs_by_position(source, c):
-        child_since(window, p, k, WANDERS, source, 0, 0.0, c)
+        add_child_since(window, p, k, WANDERS, source, 0, 0.0, c)
     _make_source_fault_children(window, p, k, penalty, c)
     if has_velocity_errors(c):
         _make_failure_children(window, p, k, penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
-        child_since(window, p, k, NOISE, source, 0, 0.0, c)
+        add_child_since(window, p, k, NOISE, source, 0, 0.0, c)
     if _is_steep(before) and has_velocity_errors(c):
-        child_since(window, p, k, SLID, source, 0, 0.0, c)
+        add_child_since(window, p, k, SLID, source, 0, 0.0, c)
     if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):
         for part in range(HEADINGS):
-            child_since(window, p, k, TURNED, source, part, -_ANY_SHARE - penalty, c)
+            add_child_since(window, p, k, TURNED, source, part, -_ANY_SHARE - penalty, c)
 
 
 @compiled
 def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, c: Config) -> None:
     """Add children in which angles or velocities of another source are off."""
     before = window.states[p, k - 1]
-    if not fixes_decide(before, window.measurements[k], c):
+    if not has_recent_fix(before, window.measurements[k], c):
         return
     for other in range(MOST_SOURCES):
         if before.fault[other] != IS_HEALTHY:
             continue
         if c.yaw_offsets[other] >= 0:
-            child_since(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
+            add_child_since(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
         elif c.offsets[other] >= 0 and number_of(other, c) < 0:
-            child_since(window, p, k, OFFSET, other, 0, -penalty, c)
+            add_child_since(window, p, k, OFFSET, other, 0, -penalty, c)
 
 
 @compiled
-def fixes_decide(before: State, m: MeasurementRecord, c: Config) -> bool:
+def has_recent_fix(before: State, m: MeasurementRecord, c: Config) -> bool:
     """Whether recent fixes separate wrong velocities or angles from slip or a wrong heading."""
     is_fixed = m.stamp_ns - before.fixed_ns < c.bank.look_back_time * 1e9
-    return bool(is_fixed and not _heading_is_open(before))
+    return bool(is_fixed and not _is_heading_unknown(before))
 
 
 @compiled
-def _heading_is_open(before: State) -> bool:
+def _is_heading_unknown(before: State) -> bool:
     """Whether the heading is unknown, or known to a sector of the circle only."""
     return bool(before.is_sector or before.covariance[YAW, YAW] > UNKNOWN_HEADING**2)
 
@@ -119,24 +119,24 @@ def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Co
     its range indicates lost counts; their event replaces the slip event in the prior of the branch.
     """
     before = window.states[p, k - 1]
-    if _heading_is_open(before) or math.isinf(c.gate_limits[1]):  # infinite gate: everything is used
+    if _is_heading_unknown(before) or math.isinf(c.gate_limits[1]):  # infinite gate: everything is used
         return
     for unit in range(MOST_SOURCES):
         if c.shows_motion[unit] == 1 and before.fault[unit] == IS_HEALTHY:
-            child_since(window, p, k, FAILED, unit, 0, -penalty, c)
+            add_child_since(window, p, k, FAILED, unit, 0, -penalty, c)
         elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # by another fault
             add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
     if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
         instead = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
         add_child(window, p, k, FAILED, TRACKS, LOST, True, instead, c)
     elif before.fault[TRACKS] == IS_HEALTHY:
-        child_since(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
+        add_child_since(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
-        child_since(window, p, k, BIASED, GYROS, 0, -penalty, c)
+        add_child_since(window, p, k, BIASED, GYROS, 0, -penalty, c)
 
 
 @compiled
-def tracks_are_known(before: State) -> bool:
+def are_track_speeds_measured(before: State) -> bool:
     """Whether the track speeds are measured, not extrapolated."""
     return bool(before.time_since_sample == 0.0 and not before.coasting)
 

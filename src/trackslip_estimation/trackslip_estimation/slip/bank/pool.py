@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @compiled
 def update_of(window: Window, s: int, k: int) -> Update:
     """Record of ``UPDATE`` of branch s of the newest row k."""
-    return window.updates[k] if s == 0 else window.trials[s]
+    return window.updates[k] if s == 0 else window.branch_updates[s]
 
 
 @compiled
@@ -41,12 +41,12 @@ def to_pool(window: Window, k: int) -> int:
 def from_pool(window: Window, k: int, count: int, c: Config) -> None:
     """Fill row k with the most probable branches of the pool, in order; the first one has weight 0."""
     best, kept, healthy = (
-        window.pool_branches[_heaviest(window, count)].weight,
+        window.pool_branches[_most_probable(window, count)].weight,
         0,
-        _heaviest_healthy(window, count),
+        _most_probable_healthy(window, count),
     )
     while kept < MOST_BRANCHES:
-        h = _heaviest(window, count)
+        h = _most_probable(window, count)
         if kept == MOST_BRANCHES - 1 and healthy >= 0:
             h = healthy
         if h == healthy:
@@ -63,7 +63,7 @@ def from_pool(window: Window, k: int, count: int, c: Config) -> None:
         if kept == 0:
             window.updates[k] = window.pool_updates[h]
         else:
-            window.trials[kept] = window.pool_updates[h]
+            window.branch_updates[kept] = window.pool_updates[h]
         window.pool_branches[h].weight = -math.inf
         kept += 1
     window.counts[k] = kept
@@ -77,7 +77,7 @@ def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> Non
     s = min(window.counts[k], MOST_BRANCHES - 1)
     branch = window.branches[s, k]
     window.states[s, k], window.branches[s, k] = window.pool_states[h], window.pool_branches[h]
-    window.trials[s] = window.pool_updates[h]
+    window.branch_updates[s] = window.pool_updates[h]
     least = -c.bank.least_healthy
     branch.weight = least
     for snapshot in branch.snapshots:
@@ -86,7 +86,7 @@ def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> Non
 
 
 @compiled
-def _heaviest_healthy(window: Window, count: int) -> int:
+def _most_probable_healthy(window: Window, count: int) -> int:
     """Number of the most probable branch of the pool in which no source is at fault; −1: none."""
     heaviest = -1
     for h in range(count):
@@ -100,7 +100,7 @@ def _heaviest_healthy(window: Window, count: int) -> int:
 
 
 @compiled
-def _heaviest(window: Window, count: int) -> int:
+def _most_probable(window: Window, count: int) -> int:
     """Number of the most probable branch of the pool."""
     heaviest = 0
     for h in range(1, count):

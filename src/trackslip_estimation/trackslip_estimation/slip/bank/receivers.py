@@ -76,7 +76,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     """
     m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
     n = number_of(m.source, c)
-    if n < 0 or not _shows_errors(state, update, m.source, c):
+    if n < 0 or not _is_usable_for_errors(state, update, m.source, c):
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
     is_off = update.coarse == 0 and not is_trusted(state.fault[m.source], POSE)
@@ -95,7 +95,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def _shows_errors(state: State, update: Update, source: int, c: Config) -> bool:
+def _is_usable_for_errors(state: State, update: Update, source: int, c: Config) -> bool:
     """Whether a fix is usable for the errors of its receiver: fix, tracks, gyros and odometry have no fault.
 
     A precise fix is unusable as an outlier, or if errors of its source depend on the position.

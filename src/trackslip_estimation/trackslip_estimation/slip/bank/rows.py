@@ -22,8 +22,8 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled, inlined
-from trackslip_estimation.slip.bank.children import outside_range, propose
-from trackslip_estimation.slip.bank.opening import open_states
+from trackslip_estimation.slip.bank.children import create_children, slip_range_penalty
+from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, update_of
 from trackslip_estimation.slip.bank.receivers import (
     carry_receivers,
@@ -68,7 +68,13 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
         while j < jobs:
             state = states[j, k] if j < was else window.pool_states[j]
             branch = branches[j, k] if j < was else window.pool_branches[j]
-            update = window.updates[k] if j == 0 else window.trials[j] if j < was else window.pool_updates[j]
+            update = (
+                window.updates[k]
+                if j == 0
+                else window.branch_updates[j]
+                if j < was
+                else window.pool_updates[j]
+            )
             if j < was:
                 update.opened, update.reset_states = NONE, 0
                 if scripted:
@@ -87,14 +93,14 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
                     compare_fix(window, k, c)
             j += 1
             if j == was and weighs:
-                jobs = propose(window, k, c)
+                jobs = create_children(window, k, c)
         if scripted:
             play_script(window, k, 1, c)
         else:
             if weighs:
                 settle_row(window, k, jobs, c)
                 reset_receivers_after_turn(window, k, c)
-            keep_snapshots(window, k, c)
+            advance_snapshots(window, k, c)
             if is_moving_without_heading(states[0, k]):
                 split_unknown_heading(window, k, c)
         if not is_finite_state(states[0, k], c.size):
@@ -112,7 +118,7 @@ def begin_row(window: Window, k: int, c: Config) -> None:
     branch = window.branches[0, k]
     branch.weight, branch.events, branch.fresh = 0.0, 0, 0
     branch.cusum[:] = 0.0
-    _look_back_to(window, 0, k)
+    _reset_snapshots(window, 0, k)
 
 
 @compiled
@@ -138,7 +144,7 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
     from_pool(window, k, count, c)
     for s in range(window.counts[k]):
         if window.branches[s, k].fresh == 1:
-            _look_back_to(window, s, k)
+            _reset_snapshots(window, s, k)
 
 
 @compiled
@@ -148,7 +154,7 @@ def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
     source = latest_pose_source(state, c)
     branch.weight -= math.log(HEADINGS)
     branch.fresh = 1
-    open_states(state, record_event(branch, TURNED, source, part, 0.0, measurement, measurement, 1), c)
+    apply_event(state, record_event(branch, TURNED, source, part, 0.0, measurement, measurement, 1), c)
 
 
 @compiled
@@ -164,7 +170,7 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
                 window.pool_branches[h].weight = -math.inf
         for h in range(count, jobs):
             branch, state = window.pool_branches[h], window.pool_states[h]
-            branch.weight -= outside_range(state, c)
+            branch.weight -= slip_range_penalty(state, c)
             branch.cusum[:] = 0.0
             if state.fault[measurement.source] == IS_IGNORED:  # only for this measurement
                 state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0
@@ -200,11 +206,11 @@ def _move_snapshots(window: Window, k: int, c: Config) -> None:
         agrees = branch.cusum.max() < c.bank.cusum_calm and update.nis <= c.gate_limits[update.dof] / 2.0
         agrees = agrees and is_trusted(state.fault[measurement.source], POSE) and measurement.kind == POSE
         if branch.fresh == 1 or agrees:
-            _look_back_to(window, s, k)
+            _reset_snapshots(window, s, k)
 
 
 @compiled
-def _look_back_to(window: Window, s: int, k: int) -> None:
+def _reset_snapshots(window: Window, s: int, k: int) -> None:
     """Set the snapshots of branch s to row k, from which its children start."""
     branch = window.branches[s, k]
     for snapshot in branch.snapshots:
@@ -212,7 +218,7 @@ def _look_back_to(window: Window, s: int, k: int) -> None:
 
 
 @compiled
-def keep_snapshots(window: Window, k: int, c: Config) -> None:
+def advance_snapshots(window: Window, k: int, c: Config) -> None:
     """Replace the older snapshot after half of ``look_back_time``, or of ``look_back`` measurements."""
     stamp_ns, longest_ns = window.measurements[k].stamp_ns, c.bank.look_back_time * 1e9
     for s in range(window.counts[k]):

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.opening import open_states
+from trackslip_estimation.slip.bank.event_effects import apply_event
 from trackslip_estimation.slip.records import HISTORY
 from trackslip_estimation.slip.source_faults import IS_HEALTHY, IS_IGNORED
 from trackslip_estimation.slip.window import Window
@@ -49,5 +49,5 @@ def play_script(window: Window, k: int, after: int, c: Config) -> None:
         if e.stamp_ns != m.stamp_ns or e.kind != m.kind or e.of != m.source or e.after != after:
             return
         update.opened = e.event
-        update.reset_states |= open_states(state, e, c)
+        update.reset_states |= apply_event(state, e, c)
         status.played += 1

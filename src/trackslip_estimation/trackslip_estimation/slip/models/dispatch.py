@@ -33,7 +33,7 @@ from trackslip_estimation.slip.models.icr import IcrNoise
 from trackslip_estimation.slip.models.model import SENSOR_ERRORS, YAW, X, Y
 from trackslip_estimation.slip.models.speed import SPEED_ERROR, TURN_STATE_1, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import CONSTANTS as SWING_CONSTANTS
-from trackslip_estimation.slip.models.swing import linearize_swing, move_swing
+from trackslip_estimation.slip.models.swing import linearize_swing, propagate_swing
 from trackslip_estimation.slip.models.turning import TurningNoise
 from trackslip_estimation.slip.motion import Motion
 
@@ -98,14 +98,14 @@ def body_twist(
     x: FloatArray, left: float, right: float, drive: State, c: Config
 ) -> tuple[float, float, float]:
     """``twist`` with the sliding that gravity adds on tilted ground, along the machine's axes."""
-    return slope.slide(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
+    return slope.add_slide_velocity(x, twist(x, left, right, c), (left, right), drive.attitude.level, c)
 
 
 @compiled
 def body_jacobian(x: FloatArray, left: float, right: float, drive: State, c: Config) -> FloatArray:
     """(3, n) derivative of ``body_twist`` by the state."""
     J = twist_jacobian(x, left, right, c)
-    slope.slide_jacobian(J, (left, right), drive.attitude.level, c)
+    slope.add_slide_jacobian(J, (left, right), drive.attitude.level, c)
     return J
 
 
@@ -144,10 +144,10 @@ def has_velocity_errors(c: Config) -> bool:
 
 
 @compiled
-def couple(P: FloatArray, variance: float, c: Config) -> None:
+def couple_turn_states(P: FloatArray, variance: float, c: Config) -> None:
     """Couple the second turn state in P (n, n) to a ``variance`` of the first, in place (turning only)."""
     if c.model == _TURNING:
-        turning.couple(P, variance)
+        turning.couple_turn_states(P, variance)
 
 
 @compiled
@@ -157,7 +157,7 @@ def _persistence(dt: float, drive: State, c: Config) -> tuple[float, float]:
 
 
 @compiled
-def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
+def propagate_mean(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
     """f; the heading at the middle of the step rotates the velocity into the site frame."""
     kept, share = _persistence(dt, drive, c)
     moved = x.copy()
@@ -174,14 +174,14 @@ def move(x: FloatArray, drive: State, dt: float, c: Config) -> FloatArray:
         for i in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
             moved[i] = x[i] * kept
     if c.swings:
-        move_swing(x, moved, dt, drive, c)
+        propagate_swing(x, moved, dt, drive, c)
     for i in range(SENSOR_ERRORS, x.size):
-        moved[i] *= error_left(i, dt, c)
+        moved[i] *= sensor_error_persistence(i, dt, c)
     return moved
 
 
 @compiled
-def error_left(i: int, dt: float, c: Config) -> float:
+def sensor_error_persistence(i: int, dt: float, c: Config) -> float:
     """Share of state ``i``, the error of a sensor, that is left after dt."""
     return math.exp(-dt / c.error_times[i]) if c.error_times[i] > 0.0 else 1.0
 
@@ -200,7 +200,7 @@ def linearize(
     density = c.process_noise[drive.motion.motion, 1 if drive.motion.changing else 0]
     for i in range(n):
         F[i, i], Q[i, i] = 1.0, density[i] * dt
-    couple(Q, density[TURN_STATE_1] * dt, c)
+    couple_turn_states(Q, density[TURN_STATE_1] * dt, c)
     if dt <= 0.0:
         return moved, F, Q
     left, right = drive.speeds.left, drive.speeds.right
@@ -212,10 +212,10 @@ def linearize(
     J = body_jacobian(moved, left, right, drive, c)
     slope.horizontal_jacobian(J, drive.attitude.level)
     turns = has_velocity_errors(c) and drive.motion.motion == _IS_TURNING
-    slope.set_slope_noise(Q, dt, turns, drive.attitude.level)
+    slope.add_slope_noise(Q, dt, turns, drive.attitude.level)
     if c.model == _TURNING and drive.attitude.level.tilted == 1:
         distance = slope.track_speed((left, right), c) * dt
-        turning.set_slope_noise(Q, distance, drive.attitude.level.downhill_y)
+        turning.add_slope_noise(Q, distance, drive.attitude.level.downhill_y)
     halfway = x[YAW] + rate * dt / 2.0
     cos, sin = math.cos(halfway) * dt, math.sin(halfway) * dt
     east, north = v_x * cos - v_y * sin, v_x * sin + v_y * cos
@@ -239,11 +239,11 @@ def linearize(
         Q[:COUPLED, :COUPLED] += sandwich(S, speeds)
     moved[X], moved[Y], moved[YAW] = x[X] + east, x[Y] + north, wrap(x[YAW] + rate * dt)
     if c.swings:
-        move_swing(x, moved, dt, drive, c)
+        propagate_swing(x, moved, dt, drive, c)
         linearize_swing(x, F, Q, dt, drive, c)
     for i in range(SENSOR_ERRORS, n):
         if c.error_times[i] > 0.0:
-            F[i, i] = error_left(i, dt, c)
+            F[i, i] = sensor_error_persistence(i, dt, c)
             moved[i], Q[i, i] = x[i] * F[i, i], 1.0 - F[i, i] ** 2
     return moved, F, Q
 

@@ -39,7 +39,7 @@ PARTS = (
     *speed.PARTS,
     Part("centres", slice(LEFT_CENTRE, RIGHT_CENTRE + 1), "m, m", "y_L and y_R, left of C"),
 )
-_NARROWEST = 0.1  # m, least distance between the two centres
+_LEAST_CENTRE_DISTANCE = 0.1  # m, least distance between the two centres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ def velocity_error_constants(n: IcrNoise) -> dict[str, float]:
 def equations(x: FloatArray, left: float, right: float, c: Config) -> tuple[float, float]:
     """v in m/s and ω in rad/s without the velocity errors, from r ω_j (1 − i₀) = v − ω y_j."""
     hold = c.rolling_radius * (1.0 - x[COMMON_SLIP])
-    rate = hold * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _NARROWEST)
+    rate = hold * (right - left) / max(x[LEFT_CENTRE] - x[RIGHT_CENTRE], _LEAST_CENTRE_DISTANCE)
     return hold * (left + right) / 2.0 + rate * (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0, rate
 
 
@@ -95,9 +95,9 @@ def twist_jacobian(x: FloatArray, left: float, right: float, c: Config) -> Float
     J = np.zeros((3, x.size))
     apart, middle = x[LEFT_CENTRE] - x[RIGHT_CENTRE], (x[LEFT_CENTRE] + x[RIGHT_CENTRE]) / 2.0
     rate = equations(x, left, right, c)[1]
-    if apart > _NARROWEST:
+    if apart > _LEAST_CENTRE_DISTANCE:
         J[2, LEFT_CENTRE], J[2, RIGHT_CENTRE] = -rate / apart, rate / apart
-    J[2, COMMON_SLIP] = -c.rolling_radius * (right - left) / max(apart, _NARROWEST)
+    J[2, COMMON_SLIP] = -c.rolling_radius * (right - left) / max(apart, _LEAST_CENTRE_DISTANCE)
     J[0] = middle * J[2]
     J[0, LEFT_CENTRE] += rate / 2.0
     J[0, RIGHT_CENTRE] += rate / 2.0

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 _STANDING = int(Motion.STANDING)
-_BUILT = 1e-4  # missing share at which the shear counts as built up: after nine times K₀
+_MISSING_SHEAR = 1e-4  # missing share at which the shear counts as built up: after nine times K₀
 
 
 @compiled
-def build_up(state: State, dt: float, c: Config) -> None:
+def update_shear(state: State, dt: float, c: Config) -> None:
     """Update s after ``dt`` s at the state's speeds and motion."""
     built = state.shear
     if state.motion.motion == _STANDING:
@@ -44,28 +44,28 @@ def build_up(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def starts(drive: State, c: Config) -> bool:
+def is_shear_building_up(drive: State, c: Config) -> bool:
     """Whether a track turns and the shear under it is not built up yet."""
-    left, right = lost_speeds(drive, c)
+    left, right = shear_speeds(drive, c)
     distance = c.rolling_radius * abs(drive.speeds.left), c.rolling_radius * abs(drive.speeds.right)
-    return bool(abs(left) > _BUILT * distance[0] or abs(right) > _BUILT * distance[1])
+    return bool(abs(left) > _MISSING_SHEAR * distance[0] or abs(right) > _MISSING_SHEAR * distance[1])
 
 
 @compiled
-def lost_speeds(drive: State, c: Config) -> tuple[float, float]:
+def shear_speeds(drive: State, c: Config) -> tuple[float, float]:
     """Parts of the left and the right track's speed that the shear of the soil may absorb, m/s."""
     left, right = c.rolling_radius * drive.speeds.left, c.rolling_radius * drive.speeds.right
     return left - abs(left) * drive.shear[0], right - abs(right) * drive.shear[1]
 
 
 @compiled
-def lost_variances(drive: State, c: Config) -> tuple[float, float]:
+def shear_variances(drive: State, c: Config) -> tuple[float, float]:
     """Variances by the lost speeds: of v, and of ω times B, (m/s)².
 
     Both tracks lose the same share of speed, up to ``yaw_rate_ratio``. With correlation time τ, one standard
     deviation moves a machine that starts or reverses by K₀, and by no more than the track distance.
     """
-    e, (left, right) = c.velocity_errors, lost_speeds(drive, c)
+    e, (left, right) = c.velocity_errors, shear_speeds(drive, c)
     both = (left + right) / 2.0
     fastest = c.rolling_radius * max(abs(drive.speeds.left), abs(drive.speeds.right))
     share = min(1.0, e.start_shear / max(fastest * e.time, 1e-12))

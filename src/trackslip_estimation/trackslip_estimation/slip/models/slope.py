@@ -16,7 +16,7 @@ turn all of the shear is mobilised, and the machine slides downhill at any headi
 depends on the soil: both factors are measured on the shear truth at 15°, on sand, sandy loam and dry clay;
 ± 0.5. The turning behaviour changes with the direction on the slope: κ, η and x_I have process noise there.
 Near the strength the tracks spin uphill and roll downhill: the larger k is, the less it holds in another
-direction (``update_direction``). The horizontal motion is
+direction (``inflate_downhill_slip``). The horizontal motion is
 
     v_x cos θ + v_y sin φ sin θ,  v_y cos φ        and        ψ̇ = (q sin φ + r cos φ)/cos θ
 """
@@ -41,13 +41,21 @@ Twist = tuple[float, float, float]
 _GENTLE = 0.05  # sine of a slope on which k has half of its process noise
 _GENTLE_TURN = 0.1  # |D| over U at which T is |D|/2
 _AHEAD, _ASIDE = 1.0, 0.35  # factors of T along x and y
-_TURNED = 0.1  # change of the sine of the slope driven down at which k is inflated
-_OTHER = 0.5  # standard deviation then added, as a share of k, per change over the sine of the slope
-_WALKS = 0.5, 0.75, 0.25  # random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
+_DIRECTION_CHANGE = 0.1  # change of the sine of the slope driven down at which k is inflated
+_RELATIVE_INFLATION = (
+    0.5  # standard deviation then added, as a share of k, per change over the sine of the slope
+)
+_TURN_STATE_WALKS = (
+    0.5,
+    0.75,
+    0.25,
+)  # random walks of κ, η, x_I in turns, per sine of the slope: 1/√s, 1/√s, m/√s
 
 
 @compiled
-def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level, c: Config) -> Twist:
+def add_slide_velocity(
+    x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level, c: Config
+) -> Twist:
     """The twist with the sliding that gravity adds; ``speeds`` are those of the sprockets, rad/s."""
     if level.tilted == 0:
         return twist
@@ -57,7 +65,7 @@ def slide(x: FloatArray, twist: Twist, speeds: tuple[float, float], level: Level
 
 
 @compiled
-def slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Level, c: Config) -> None:
+def add_slide_jacobian(J: FloatArray, speeds: tuple[float, float], level: Level, c: Config) -> None:
     """Set the derivatives by k in J (3, n), the derivative of the twist; in place."""
     if level.tilted == 1:
         J[0, DOWNHILL] = track_speed(speeds, c) * level.downhill_x
@@ -100,22 +108,24 @@ def horizontal_jacobian(J: FloatArray, level: Level) -> None:
 
 
 @compiled
-def update_direction(state: State) -> None:
+def inflate_downhill_slip(state: State) -> None:
     """Inflate the variance of k where the slope along the direction of travel changes; more for larger k."""
     V, level = state.speeds.left + state.speeds.right, state.attitude.level
     if V == 0.0 or level.tilted == 0:
         return
     down = math.copysign(level.downhill_x, V * level.downhill_x)
     changed = abs(down - state.learned_downhill)
-    if changed < _TURNED:
+    if changed < _DIRECTION_CHANGE:
         return
     steep = math.sqrt(level.downhill_x**2 + level.downhill_y**2 + _GENTLE**2)
-    state.covariance[DOWNHILL, DOWNHILL] += (_OTHER * state.mean[DOWNHILL] * changed / steep) ** 2
+    state.covariance[DOWNHILL, DOWNHILL] += (
+        _RELATIVE_INFLATION * state.mean[DOWNHILL] * changed / steep
+    ) ** 2
     state.learned_downhill = down
 
 
 @compiled
-def set_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None:
+def add_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None:
     """Add noise of the heading by errors of roll and gyro to Q, and of κ, η and x_I in turns.
 
     The noise of k is scaled down on level ground, where k is not observable.
@@ -124,7 +134,7 @@ def set_slope_noise(Q: FloatArray, dt: float, turns: bool, level: Level) -> None
     Q[DOWNHILL, DOWNHILL] *= slope / (slope + _GENTLE**2)
     Q[YAW, YAW] += level.turn_variance * dt
     if turns and level.tilted == 1:
-        of_first, of_second, of_offset = _WALKS
+        of_first, of_second, of_offset = _TURN_STATE_WALKS
         Q[TURN_STATE_1, TURN_STATE_1] += of_first**2 * slope * dt
         Q[TURN_STATE_2, TURN_STATE_2] += of_second**2 * slope * dt
         Q[ROTATION_OFFSET, ROTATION_OFFSET] += of_offset**2 * slope * dt

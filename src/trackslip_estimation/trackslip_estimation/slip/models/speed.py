@@ -54,7 +54,7 @@ from trackslip_estimation.slip.models.model import (
     X,
     Y,
 )
-from trackslip_estimation.slip.models.shear import lost_variances
+from trackslip_estimation.slip.models.shear import shear_variances
 from trackslip_estimation.slip.motion import Motion, MotionState, rounding_over
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     changing = e.changing * departure(drive, c)
     yielding = 1.0 + (x[COMMON_SLIP] ** 2 + P[COMMON_SLIP, COMMON_SLIP]) / (e.yielding_slip * e.yielding_slip)
     of_tracks = drive.adaptation.track_variance * track_exposure(drive, c)
-    of_speed, of_rate = lost_variances(drive, c)
+    of_speed, of_rate = shear_variances(drive, c)
     of_speed += (steady**2 + changing**2) * yielding + e.standing**2
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks

@@ -52,7 +52,7 @@ class SwingConstants(Record):
 
 CONSTANTS = dtype_of(SwingConstants)
 
-_SWINGS = 0.05  # rad/s, swing rate beyond which the brake does not count as holding
+_LEAST_SWING_RATE = 0.05  # rad/s, swing rate beyond which the brake does not count as holding
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
@@ -104,41 +104,41 @@ def constants(p: SwingParameters, vehicle: VehicleParameters) -> tuple[float, ..
 
 
 @compiled
-def is_held(drive: State) -> bool:
+def is_swing_braked(drive: State) -> bool:
     """Whether the tracks drive, so that the brake holds the upper structure."""
     return bool(drive.motion.motion == _STRAIGHT or drive.motion.motion == _TURNING)
 
 
 @compiled
-def may_swing(state: State, source: int, c: Config) -> bool:
+def is_free_to_swing(state: State, source: int, c: Config) -> bool:
     """Whether a source is mounted on the upper structure, and the upper structure is free to swing."""
-    return bool(c.above[source] == 1 and not is_held(state))
+    return bool(c.above[source] == 1 and not is_swing_braked(state))
 
 
 @compiled
 def is_moved_by_swing(state: State, source: int, c: Config) -> bool:
     """Whether a source is mounted on the upper structure, and the upper structure swings."""
-    return bool(c.above[source] == 1 and abs(state.mean[SWING_RATE]) > _SWINGS)
+    return bool(c.above[source] == 1 and abs(state.mean[SWING_RATE]) > _LEAST_SWING_RATE)
 
 
 @compiled
-def _swings(rate: float) -> float:
+def _swing_share(rate: float) -> float:
     """Share from 0 to 1 by which a swing rate counts as a swing rather than noise."""
-    share: float = rate**4 / (rate**4 + _SWINGS**4)
+    share: float = rate**4 / (rate**4 + _LEAST_SWING_RATE**4)
     return share
 
 
 @compiled
 def _noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
     """q and τ at a swing rate."""
-    n, swings = c.swing, _swings(rate)
-    if not is_held(drive):
+    n, swings = c.swing, _swing_share(rate)
+    if not is_swing_braked(drive):
         return n.free_density, n.free_time
     return n.held_density + swings * n.free_density, n.held_time + swings * (n.free_time - n.held_time)
 
 
 @compiled
-def move_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Config) -> None:
+def propagate_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Config) -> None:
     """Write σ and σ̇ after ``dt`` s into ``moved`` and add the shift of x_I; σ is not wrapped."""
     tau = _noise(x[SWING_RATE], drive, c)[1]
     lost = -math.expm1(-dt / tau)
@@ -159,12 +159,12 @@ def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, driv
     sin = math.sin(x[SWING] + x[SWING_RATE] * lost * tau)
     F[ROTATION_OFFSET, SWING] = c.swing.balance * (math.sin(x[SWING]) - sin)
     F[ROTATION_OFFSET, SWING_RATE] = -c.swing.balance * sin * lost * tau
-    swung = _swings(x[SWING_RATE]) * abs(x[SWING_RATE]) * dt
+    swung = _swing_share(x[SWING_RATE]) * abs(x[SWING_RATE]) * dt
     Q[ROTATION_OFFSET, ROTATION_OFFSET] += c.swing.balance_density * swung
 
 
 @compiled
-def shear(P: FloatArray, F: FloatArray) -> None:
+def propagate_swing_covariance(P: FloatArray, F: FloatArray) -> None:
     """Propagate P by off-diagonal entries of F, in place: of x_I by σ and σ̇, of σ by σ̇."""
     of_angle, of_rate, seconds = (
         F[ROTATION_OFFSET, SWING],

@@ -55,7 +55,7 @@ PARTS = (
     Part("loss", slice(LOSS, LOSS + 1), "1", "speed lost in a turn, η"),
     Part("asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "turn to the left by the metre driven, ε"),
 )
-_ACROSS = 0.04  # random walk of ε per sine of the cross slope, rad/m/√m
+_ASYMMETRY_WALK = 0.04  # random walk of ε per sine of the cross slope, rad/m/√m
 
 
 class TurningConstants(Record):
@@ -116,7 +116,7 @@ def velocity_error_constants(n: TurningNoise) -> dict[str, float]:
 
 
 @compiled
-def couple(P: FloatArray, variance: float) -> None:
+def couple_turn_states(P: FloatArray, variance: float) -> None:
     """Couple η in P (n, n) to a ``variance`` that was added to κ: κ + η keeps its variance; in place."""
     P[LOSS, LOSS] += variance
     P[EFFICIENCY, LOSS] -= variance
@@ -124,9 +124,9 @@ def couple(P: FloatArray, variance: float) -> None:
 
 
 @compiled
-def set_slope_noise(Q: FloatArray, distance: float, across: float) -> None:
+def add_slope_noise(Q: FloatArray, distance: float, across: float) -> None:
     """Add the random walk of ε to Q over ``distance`` m of track on a cross slope of sine ``across``."""
-    Q[ASYMMETRY, ASYMMETRY] += _ACROSS * _ACROSS * across * across * distance
+    Q[ASYMMETRY, ASYMMETRY] += _ASYMMETRY_WALK * _ASYMMETRY_WALK * across * across * distance
 
 
 @compiled

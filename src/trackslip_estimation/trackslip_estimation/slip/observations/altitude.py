@@ -27,10 +27,15 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.level import downward, set_level
+from trackslip_estimation.attitude.level import climb_rate_variance, set_level
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
 from trackslip_estimation.kalman.linear_algebra import sandwich
-from trackslip_estimation.kalman.update import correct, observe_alone, predicted_covariance, soften
+from trackslip_estimation.kalman.update import (
+    correct,
+    independent_observation,
+    inflate_noise_to_gate,
+    predicted_covariance,
+)
 from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
@@ -51,7 +56,7 @@ _SHORTEST, _LONGEST = 1e-3, 3600.0  # s, bounds of Δt
 
 
 @compiled
-def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int:
+def update_height(state: State, measurement: MeasurementRecord, c: Config) -> int:
     """Update the height with the altitude of a fix that was used.
 
     Returns the ``AttitudeRefusal`` of a rejected altitude; 0 if it was used or is not requested.
@@ -68,13 +73,13 @@ def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int
     spread = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
     predicted = predicted_covariance(a.covariance[:], H) + spread
     nis = innovation * innovation / (predicted[0, 0] + R)
-    o = observe_alone(np.array((innovation,)), H, np.array(((R,),)))
+    o = independent_observation(np.array((innovation,)), H, np.array(((R,),)))
     if nis > c.adaptation.soft_gate * limit:
-        if not _persists(a.climb, innovation, stated, measurement, c):
+        if not _is_persistent(a.climb, innovation, stated, measurement, c):
             return _GATED
         spread += innovation * innovation
     else:
-        soften(o.noise, o.innovation, predicted, limit)
+        inflate_noise_to_gate(o.noise, o.innovation, predicted, limit)
     a.covariance[HEIGHT, HEIGHT] += spread
     correct(a.mean[:], a.covariance[:], o)
     set_level(a)
@@ -86,7 +91,7 @@ def use_altitude(state: State, measurement: MeasurementRecord, c: Config) -> int
 def _rise_variance(state: State, c: Config) -> float:
     """Variance of ż, (m/s)², by the uncertain velocity of C."""
     J = body_jacobian(state.mean[: c.size], state.speeds.left, state.speeds.right, state, c)
-    return downward(state.attitude.level, sandwich(J, state.covariance[:]))
+    return climb_rate_variance(state.attitude.level, sandwich(J, state.covariance[:]))
 
 
 @compiled
@@ -120,13 +125,13 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
 
 
 @compiled
-def _persists(
+def _is_persistent(
     climb: Climb, innovation: float, stated: float, measurement: MeasurementRecord, c: Config
 ) -> bool:
     """Whether this altitude, outside the gate, completes a series of altitudes that agree."""
     apart = innovation - climb.apart
     if climb.refused == 0 or apart * apart > 2.0 * c.gate_limits[1] * stated:
-        climb.refused, climb.refused_ns, climb.apart = 0, measurement.stamp_ns, innovation
+        climb.refused, climb.rejected_ns, climb.apart = 0, measurement.stamp_ns, innovation
     climb.refused += 1
-    lasted_ns = measurement.stamp_ns - climb.refused_ns
+    lasted_ns = measurement.stamp_ns - climb.rejected_ns
     return bool(climb.refused >= _PERSISTS and lasted_ns >= _PERSISTS * c.timeouts_ns[measurement.source])

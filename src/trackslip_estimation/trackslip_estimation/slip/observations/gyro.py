@@ -32,15 +32,25 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import copy_square, wrap
-from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
+from trackslip_estimation.kalman.update import (
+    Observation,
+    correct,
+    inflate_noise_to_gate,
+    predicted_covariance,
+)
 from trackslip_estimation.slip.adaptation import learn_from_rate
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.mean_speeds import mean_speeds_since, store_reading
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.models.dispatch import couple, has_velocity_errors, twist, twist_jacobian
+from trackslip_estimation.slip.models.dispatch import (
+    couple_turn_states,
+    has_velocity_errors,
+    twist,
+    twist_jacobian,
+)
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, TURN_STATE_1, TURN_STATE_2, YAW_RATE_ERROR
-from trackslip_estimation.slip.models.swing import may_swing
+from trackslip_estimation.slip.models.swing import is_free_to_swing
 from trackslip_estimation.slip.motion import Motion, is_rounding, steady_speeds
 from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
@@ -117,7 +127,9 @@ def _consider_states(left: float, right: float, bias: int, c: Config) -> int:
 
 
 @inlined
-def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
+def update_with_rate(
+    state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
+) -> None:
     """Gate and update with a yaw rate (see the top of the module); arguments as in ``update``."""
     source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
@@ -135,9 +147,9 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
         is_standing = state.motion.motion == _STANDING
         least_nis = learn_from_rate(state.adaptation, innovation, S, by_tracks, stated, is_standing, c)
     streak = state.streaks[source]
-    forgets = nis > limit or streak.count > 0
-    forgets = forgets and _has_ground_changed(measured, x, streak, left, right, c)
-    if forgets:
+    resets_turn_states = nis > limit or streak.count > 0
+    resets_turn_states = resets_turn_states and _has_ground_changed(measured, x, streak, left, right, c)
+    if resets_turn_states:
         streak.count = 0
         _reset_turning_states(P, c)
         S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
@@ -145,19 +157,19 @@ def use_rate(state: State, measurement: MeasurementRecord, c: Config, update: Up
     elif nis <= limit:
         streak.count = 0
     elif least_nis <= limit:
-        soften(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
+        inflate_noise_to_gate(o.noise, o.innovation, predicted_covariance(P, o.jacobian), limit)
     update.nis, update.log_determinant = nis, np.log(S)
     if least_nis > update.gate or not is_physical:
         update.outcome = _GATED
         copy_square(prior.covariance, P, c.size)
         return
     if least_nis > limit:
-        if may_swing(state, source, c):  # a start or stop of the swing beyond its noise, no bias
+        if is_free_to_swing(state, source, c):  # a start or stop of the swing beyond its noise, no bias
             P[SWING_RATE, SWING_RATE] += c.swing.fastest**2
         else:
             bias = bias_of(source, c)
             P[bias, bias] += innovation * innovation
-    if forgets or least_nis > limit:
+    if resets_turn_states or least_nis > limit:
         copy_square(P, prior.covariance, c.size)
     correct(x, P, o)
     x[YAW] = wrap(x[YAW])
@@ -223,5 +235,5 @@ def _reset_turning_states(P: FloatArray, c: Config) -> None:
     """Inflate the variances of the turn states and of i₀ in P by those at the start; in place."""
     P[TURN_STATE_1, TURN_STATE_1] += c.velocity_errors.first_variance
     P[TURN_STATE_2, TURN_STATE_2] += c.velocity_errors.second_variance
-    couple(P, c.velocity_errors.first_variance, c)
+    couple_turn_states(P, c.velocity_errors.first_variance, c)
     P[COMMON_SLIP, COMMON_SLIP] += c.velocity_errors.slip_variance

@@ -38,7 +38,12 @@ from trackslip_estimation.kalman.linear_algebra import (
     weighted_square,
     wrap,
 )
-from trackslip_estimation.kalman.update import Observation, correct, predicted_covariance, soften
+from trackslip_estimation.kalman.update import (
+    Observation,
+    correct,
+    inflate_noise_to_gate,
+    predicted_covariance,
+)
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.mean_speeds import MeanSpeeds, mean_speeds_since, store_reading
@@ -62,7 +67,7 @@ _MOST_SHARED = 0.7  # largest correlation of the position with an error of varia
 
 
 @compiled
-def _agree_on_nothing(before: OdometryRecord, since_ns: int) -> None:
+def _reset_slip_evidence(before: OdometryRecord, since_ns: int) -> None:
     before.slip_weight = before.slip_sum = before.slip_distance = 0.0
     before.slip_ns = since_ns
 
@@ -73,7 +78,7 @@ def begin_odometry(state: State) -> None:
     state.sprocket_angles[:], state.integrated_twist[:], state.fixed_ns = 0.0, 0.0, state.stamp_ns
     for k in range(state.odometry.size):
         state.odometry[k].known = False
-        _agree_on_nothing(state.odometry[k], state.stamp_ns)
+        _reset_slip_evidence(state.odometry[k], state.stamp_ns)
 
 
 @compiled
@@ -93,7 +98,7 @@ def integrate_motion(state: State, dt: float, c: Config) -> None:
 
 
 @inlined
-def use_odometry(
+def update_with_odometry(
     state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
 ) -> None:
     """Gate and update with an increment (see the top of the module), and store its pose.
@@ -107,7 +112,7 @@ def use_odometry(
     follows = before.known and before.frame == measurement.frame and before.coasting == state.coasting
     if state.fault[source] == IS_FAILED:
         update.outcome = _GATED
-        _agree_on_nothing(before, since_ns)
+        _reset_slip_evidence(before, since_ns)
     elif follows and c.odometry_gap[source] >= T:
         z = increment(before, measurement, T, c)
         if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
@@ -140,14 +145,14 @@ def _use(
     source, limit, P = measurement.source, c.gate_limits[3], state.covariance[:]
     before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
     drive, since_ns = mean_speeds_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
-    ahead, turned, open_ = _unseen_errors(state, before, drive, c)
+    ahead, turned, open_ = _mean_error_model(state, before, drive, c)
     h, H = _expected(state, before, drive, source, ahead, turned, c)
     D = np.diag(open_)
     innovation = z - h
     if has_velocity_errors(c) and not state.coasting:
         of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
         own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / drive.T, 1.0)
-        _weigh_slip(state, before, since_ns, innovation[0], drive, H, own, c)
+        _inflate_slip_on_agreement(state, before, since_ns, innovation[0], drive, H, own, c)
         copy_square(P, prior.covariance, c.size)
     predicted = predicted_covariance(P, H) + D
     update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
@@ -163,9 +168,9 @@ def _use(
         prior.covariance[YAW_RATE_ERROR, YAW_RATE_ERROR] += innovation[2] ** 2
         copy_square(prior.covariance, P, c.size)
     else:
-        soften(R, innovation, predicted, limit)
+        inflate_noise_to_gate(R, innovation, predicted, limit)
     scale = c.source_states[source]
-    shared = _shared_with_pose(state, since_ns, drive.T, open_)
+    shared = _pose_noise_covariance(state, since_ns, drive.T, open_)
     correct(state.mean[:], P, Observation(innovation, H, R + D, 1 << scale if scale >= 0 else 0, 0, shared))
     state.mean[YAW] = wrap(state.mean[YAW])
     state.consistent_ns[source] = measurement.stamp_ns
@@ -190,7 +195,7 @@ def _least_nis(
     S, by_tracks = predicted + a.fix_factors[source] * stated, np.zeros(3)
     most = S.copy()
     if has_velocity_errors(c) and not state.coasting:
-        by_tracks[:] = by_track_error(state, drive, c)
+        by_tracks[:] = track_error_variances(state, drive, c)
         lacking = c.adaptation.track_variances[-1] - a.track_variance
         for k in range(3):
             most[k, k] += lacking * by_tracks[k]
@@ -204,7 +209,7 @@ def _least_nis(
 
 
 @compiled
-def _weigh_slip(
+def _inflate_slip_on_agreement(
     state: State,
     before: OdometryRecord,
     since_ns: int,
@@ -237,7 +242,7 @@ def _weigh_slip(
         by, ahead = np.zeros(P.shape[0]), -off * distance
         by[COMMON_SLIP], by[X], by[Y] = off, ahead * math.cos(x[YAW]), ahead * math.sin(x[YAW])
         P += np.outer(by, by)
-        _agree_on_nothing(before, since_ns)
+        _reset_slip_evidence(before, since_ns)
 
 
 @compiled
@@ -268,7 +273,7 @@ def _expected(
 
 
 @compiled
-def _unseen_errors(
+def _mean_error_model(
     state: State, before: OdometryRecord, drive: MeanSpeeds, c: Config
 ) -> tuple[float, float, FloatArray]:
     """Factors ``ahead`` and ``turned`` of ``_expected``, and D (3,).
@@ -284,14 +289,14 @@ def _unseen_errors(
     variances = speed.error_variances(state.mean[:], state.covariance[:], state, c)
     persistence = speed.persistence(T, state.motion.motion, c)
     growth = speed.error_growth(T, state.motion.motion, c)
-    ahead, D[0] = _split(before.errors[0], variances[0], persistence, growth)
-    turned, D[2] = _split(before.errors[1], variances[1], persistence, growth)
+    ahead, D[0] = _regress_mean_on_end(before.errors[0], variances[0], persistence, growth)
+    turned, D[2] = _regress_mean_on_end(before.errors[1], variances[1], persistence, growth)
     D[1] = state.adaptation.track_variance * _sideways(drive, c)
     return ahead, turned, D
 
 
 @compiled
-def _split(
+def _regress_mean_on_end(
     first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Regression of the mean of an error over T on its value at the end: factor and residual variance.
@@ -312,7 +317,7 @@ def _sideways(drive: MeanSpeeds, c: Config) -> float:
 
 
 @compiled
-def by_track_error(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
+def track_error_variances(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
     """(3,) part of the diagonal of S by the tracks, for a track error of 1."""
     share = speed.persistence(drive.T, state.motion.motion, c)[1]
     of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
@@ -322,7 +327,7 @@ def by_track_error(state: State, drive: MeanSpeeds, c: Config) -> FloatArray:
 
 
 @compiled
-def _shared_with_pose(state: State, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
+def _pose_noise_covariance(state: State, since_ns: int, T: float, open_: FloatArray) -> FloatArray:
     """C: errors of variance ``open_`` (3,) have moved the pose by T times themselves; (0, n) after a fix.
 
     The yaw rate has no covariance, since a gyro may have observed its error. The covariance with the position

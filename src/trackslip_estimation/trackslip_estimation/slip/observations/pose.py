@@ -28,7 +28,7 @@ from trackslip_estimation.slip.correlated_errors import quality_of
 from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above, stamp_shift, unknown_arm
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
-from trackslip_estimation.slip.models.shear import starts
+from trackslip_estimation.slip.models.shear import is_shear_building_up
 from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.source_offsets import (
     has_correlated_errors,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def shows_heading(measurement: MeasurementRecord, c: Config) -> bool:
+def is_heading_used(measurement: MeasurementRecord, c: Config) -> bool:
     """Whether the heading of a pose is used; above its ceiling it may be wrong by whole quarter turns."""
     ceiling = c.heading_ceiling[measurement.source]
     return bool(c.use_heading[measurement.source] == 1 and measurement.noise[YAW, YAW] <= ceiling * ceiling)
@@ -61,7 +61,7 @@ def raise_to_floors(R: FloatArray, rows: int, source: int, c: Config) -> None:
 @compiled
 def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> FloatArray:
     """(m, m) covariance stated for a pose, with the displacement of its sensor by tilt and swing."""
-    source, rows = measurement.source, 3 if shows_heading(measurement, c) else 2
+    source, rows = measurement.source, 3 if is_heading_used(measurement, c) else 2
     R = measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
     for i in range(YAW):
@@ -107,13 +107,13 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
             nu[axis] -= x[own + axis]
     if m > YAW:
         nu[YAW] = wrap(nu[YAW])
-    take_new(state, source, R, c)
+    remove_correlated_noise(state, source, R, c)
     considered = 1 << GYRO_BIAS if is_unobserved_receiver(state, source, c) else 0
     return Observation(nu, H, R, considered | delay_considered(state, c), 0, H[:0])
 
 
 @compiled
-def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
+def remove_correlated_noise(state: State, source: int, R: FloatArray, c: Config) -> None:
     """Reduce R of a fix to the part that is not time-correlated; in place."""
     stddev = position_stddev(R)
     if not has_correlated_errors(state, source, stddev, c):
@@ -126,4 +126,4 @@ def take_new(state: State, source: int, R: FloatArray, c: Config) -> None:
 @compiled
 def delay_considered(state: State, c: Config) -> int:
     """Bit of δ while tracks start or reverse: the shear of the soil has the effect of a delay then."""
-    return 1 << FIX_DELAY if has_velocity_errors(c) and starts(state, c) else 0
+    return 1 << FIX_DELAY if has_velocity_errors(c) and is_shear_building_up(state, c) else 0

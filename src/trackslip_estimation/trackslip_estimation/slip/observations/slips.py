@@ -26,7 +26,12 @@ from trackslip_estimation.kalman.linear_algebra import (
     weighted_square,
     wrap,
 )
-from trackslip_estimation.kalman.update import Observation, correct, observe_alone, predicted_covariance
+from trackslip_estimation.kalman.update import (
+    Observation,
+    correct,
+    independent_observation,
+    predicted_covariance,
+)
 from trackslip_estimation.slip.gate import limit_of
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
@@ -64,7 +69,7 @@ def observe_slips(state: State, measurement: MeasurementRecord, c: Config) -> Ob
         R += np.outer(by_left, by_left) + np.outer(by_right, by_right)
     J = twist_jacobian(x, left, right, c)
     H = slips_jacobian(x, twist(x, left, right, c), J, (left, right), c)[:2].copy()
-    return observe_alone(measurement.value[:2] - _slips(x, left, right, c), H, R)
+    return independent_observation(measurement.value[:2] - _slips(x, left, right, c), H, R)
 
 
 @compiled
@@ -74,7 +79,9 @@ def _slips(x: FloatArray, left: float, right: float, c: Config) -> FloatArray:
 
 
 @inlined
-def use_slips(state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior) -> None:
+def update_with_slips(
+    state: State, measurement: MeasurementRecord, c: Config, update: Update, prior: Prior
+) -> None:
     """Gate and update with slips (see the top of the module); arguments as in ``update``."""
     x, P, limit = state.mean[: c.size], state.covariance[:], c.gate_limits[2]
     o = observe_slips(state, measurement, c)

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
-from trackslip_estimation.kalman.update import Observation, observe_alone
+from trackslip_estimation.kalman.update import Observation, independent_observation
 from trackslip_estimation.slip.models.model import SWING
 from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
@@ -33,4 +33,4 @@ def observe_swing(state: State, measurement: MeasurementRecord, c: Config) -> Ob
         H[0, own] = 1.0
         nu -= state.mean[own]
     R = max(measurement.noise[0, 0], LEAST_VARIANCE)
-    return observe_alone(np.array((wrap(nu),)), H, np.array(((R,),)))
+    return independent_observation(np.array((wrap(nu),)), H, np.array(((R,),)))

@@ -25,7 +25,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.update import Observation, observe_alone
+from trackslip_estimation.kalman.update import Observation, independent_observation
 from trackslip_estimation.slip.levers import sensor_place, swung_place
 from trackslip_estimation.slip.models import slope
 from trackslip_estimation.slip.models.dispatch import (
@@ -92,7 +92,7 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
         for axis in range(m):
             H[axis, c.offsets[source] + axis] = 1.0
             nu[axis] -= x[c.offsets[source] + axis]
-    return observe_alone(nu, H, R)
+    return independent_observation(nu, H, R)
 
 
 @compiled

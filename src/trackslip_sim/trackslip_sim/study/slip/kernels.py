@@ -30,10 +30,10 @@ from trackslip_estimation.kalman.linear_algebra import (
     wrap,
 )
 from trackslip_estimation.kalman.propagate import propagate_covariance
-from trackslip_estimation.kalman.update import correct, observe_alone
+from trackslip_estimation.kalman.update import correct, independent_observation
 from trackslip_estimation.slip.models.dispatch import COUPLED, body_jacobian, body_twist, linearize, slips
 from trackslip_estimation.slip.models.model import POSE, SWING, YAW
-from trackslip_estimation.slip.models.swing import shear
+from trackslip_estimation.slip.models.swing import propagate_swing_covariance
 from trackslip_estimation.slip.outputs import fill_outputs
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS, STATE
 from trackslip_estimation.slip.update import observe
@@ -91,14 +91,14 @@ def bound(
         measurement, drive = rows.measurements[k], rows.drives[k]
         _, F, Q = linearize(before, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
         if c.swings:
-            shear(P, F)
+            propagate_swing_covariance(P, F)
         propagate_covariance(P, F, Q, COUPLED)
         before, stamp_ns = states[k].copy(), measurement.stamp_ns
         if measurement.kind != SPROCKETS:
             room[0] = drive
             room[0].mean[:], room[0].covariance[:] = before, P
             o = observe(room[0], measurement, c)
-            correct(before.copy(), P, observe_alone(o.innovation, o.jacobian, o.noise))
+            correct(before.copy(), P, independent_observation(o.innovation, o.jacobian, o.noise))
         bounds[k] = P
     return bounds
 

@@ -191,7 +191,7 @@ class SlipStudy(Study[Cell, Row]):
             "scenario": repr(load_scenario(self._p.scenario)),
         }
 
-    def sole_fix_source(self, piece: Cell) -> Mapping[str, Any]:
+    def depends_on(self, piece: Cell) -> Mapping[str, Any]:
         terrain = repr(load_terrain(piece.terrain)) if piece.terrain else ""
         return {**self._common, "soil": repr(load_soils().get(piece.soil)), "ground": terrain}
 

@@ -136,7 +136,7 @@ class SoilStudy(Study[Trial, Result]):
             "soils": repr(load_soils()),
         }
 
-    def sole_fix_source(self, piece: Trial) -> Mapping[str, Any]:
+    def depends_on(self, piece: Trial) -> Mapping[str, Any]:
         terrain = repr(load_terrain(piece.terrain)) if piece.terrain else ""
         return {**self._common, "scenario": self._scenarios[piece.scenario], "terrain": terrain}
 

@@ -15,9 +15,9 @@ from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.single_state import replace_state
 from trackslip_estimation.slip.events import (
     ANY_HEADING,
+    BECAME_JUMP,
     BIASED,
     FAILED,
-    FOLDED,
     HEADING_OFF,
     HEADING_WANDERS,
     HEADINGS,
@@ -40,7 +40,7 @@ from trackslip_estimation.slip.events import (
     WANDERS,
     Event,
 )
-from trackslip_estimation.slip.late_stamps import begin_delay, open_delay
+from trackslip_estimation.slip.late_stamps import inflate_delay, reset_delay
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import (
@@ -88,7 +88,7 @@ _SLOPE_STDDEV = 2.0  # of k while the machine slides
 _PLACE = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
 _FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # fault of the source after each event
-_FAULTS[[RECOVERED, FOLDED]] = IS_HEALTHY
+_FAULTS[[RECOVERED, BECAME_JUMP]] = IS_HEALTHY
 _FAULTS[OFFSET], _FAULTS[WANDERS] = IS_OFFSET, IS_WANDERING
 _FAULTS[REPEATS], _FAULTS[STAYS], _FAULTS[SCATTERS] = IS_REPEATING, IS_STAYING, IS_SCATTERING
 _FAULTS[HEADING_OFF], _FAULTS[HEADING_WANDERS] = IS_HEADING_OFF, IS_HEADING_WANDERING
@@ -102,36 +102,36 @@ def sector(part: int) -> tuple[float, float]:
 
 
 @compiled
-def open_states(state: State, e: EventRecord, c: Config) -> int:
+def apply_event(state: State, e: EventRecord, c: Config) -> int:
     """Reset or inflate the states that an event changes; return the reset states as bits."""
     P, source, was = state.covariance[:], e.source, state.fault[e.source]
-    _assume(state, e)
+    _set_source_fault(state, e)
     if e.event == OFFSET:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
         return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
-    if e.event in (RECOVERED, FOLDED):
+    if e.event in (RECOVERED, BECAME_JUMP):
         return _end_fault(state, e, was, c)
     if e.event == MOVED:
-        return _move(state, e, c)
+        return _reset_position(state, e, c)
     if e.event == TURNED:
-        return _turn(state, e, c)
+        return _reset_heading(state, e, c)
     if e.event == SWUNG:
-        return _swing(state, e, c)
+        return _reset_swing(state, e, c)
     if e.event in (SLIPPED, SLID):
         P[COMMON_SLIP, COMMON_SLIP] += c.events.slip_stddev**2
         P[DOWNHILL, DOWNHILL] += _SLOPE_STDDEV**2 if e.event == SLID else 0.0
     elif e.event == BIASED:
-        _open_bias(P, max(e.value, c.events.bias_unseen), c)
+        _inflate_gyro_bias(P, max(e.value, c.events.bias_unseen), c)
     elif e.event == WANDERS:
         begin_wander(state.offsets[number_of(source, c)].wander, P, c)
     elif e.event == LATE:
-        open_delay(state, source, c)
+        inflate_delay(state, source, c)
     elif e.event == SKIDDED:
         P[X, X] += e.value**2
         P[Y, Y] += e.value**2
     elif e.event == FAILED:
-        return _open_failure(state, e, was, c)
+        return _inflate_failed_state(state, e, was, c)
     if e.event in (SLIPPED, BIASED) and e.value > 0.0:
         return _move_offset_to_position(state, source, c)
     return 0
@@ -145,7 +145,7 @@ def _replace(state: State, k: int, mean: float, variance: float, c: Config) -> i
 
 
 @compiled
-def _assume(state: State, e: EventRecord) -> None:
+def _set_source_fault(state: State, e: EventRecord) -> None:
     """Set the fault, noise or sole fix that an event assumes of its source."""
     source, fault = e.source, _FAULTS[e.event]
     if e.event == OUTLIER:
@@ -163,7 +163,7 @@ def _assume(state: State, e: EventRecord) -> None:
 
 
 @compiled
-def _move(state: State, e: EventRecord, c: Config) -> int:
+def _reset_position(state: State, e: EventRecord, c: Config) -> int:
     """Reset the position, and a heading that depends on the same sole fix."""
     x = state.mean
     reset_states = _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
@@ -189,21 +189,21 @@ def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
     """End a fault of a source; FOLDED moves its offset into the measured state, except a swing angle."""
     x, P, source, own = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
     if is_heading_off(was):
-        if e.event == FOLDED and c.of_swing[source] == 1:  # the offset stays
+        if e.event == BECAME_JUMP and c.of_swing[source] == 1:  # the offset stays
             return 0
-        if e.event == FOLDED:
+        if e.event == BECAME_JUMP:
             to_sensor_heading(x, P, source, 1.0, c)
         reset_states = _replace(state, own, 0.0, c.prior_variance[own], c)
-        return reset_states | (1 << YAW) if e.event == FOLDED else reset_states
-    if was == IS_WANDERING and e.event == FOLDED:
+        return reset_states | (1 << YAW) if e.event == BECAME_JUMP else reset_states
+    if was == IS_WANDERING and e.event == BECAME_JUMP:
         wander = state.offsets[number_of(source, c)].wander
         reset_states = _replace(state, X, x[X] + wander.east, wander.variance, c)
         return reset_states | _replace(state, Y, x[Y] + wander.north, wander.variance, c)
     if c.offsets[source] >= 0:
-        if e.event == FOLDED:
+        if e.event == BECAME_JUMP:
             to_measured_position(x, P, source, 1.0, c)
         reset_states = _end_offset(state, source, c)
-        return reset_states | _PLACE if e.event == FOLDED else reset_states
+        return reset_states | _PLACE if e.event == BECAME_JUMP else reset_states
     if source == TRACKS and was == IS_MISCOUNTING:
         return _replace(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
     return 0
@@ -230,7 +230,7 @@ def _move_offset_to_position(state: State, source: int, c: Config) -> int:
 
 
 @compiled
-def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
+def _inflate_gyro_bias(P: FloatArray, unseen: float, c: Config) -> None:
     """Inflate P for a change of the first gyro's bias, and of the heading over ``unseen`` s; in place."""
     variance = c.events.bias_stddev**2
     P[GYRO_BIAS, GYRO_BIAS] += variance
@@ -240,7 +240,7 @@ def _open_bias(P: FloatArray, unseen: float, c: Config) -> None:
 
 
 @compiled
-def _open_failure(state: State, e: EventRecord, was: int, c: Config) -> int:
+def _inflate_failed_state(state: State, e: EventRecord, was: int, c: Config) -> int:
     """Inflate or reset the state that failed sprockets, gyros or an odometry affect."""
     opened = c.events.slip_stddev**2
     if e.source == GYROS:
@@ -255,7 +255,7 @@ def _open_failure(state: State, e: EventRecord, was: int, c: Config) -> int:
 
 
 @compiled
-def _turn(state: State, e: EventRecord, c: Config) -> int:
+def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     """Reset the heading, about the sensor of the latest position, and the states learned through it."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     is_measured = e.part == MEASURED
@@ -271,13 +271,13 @@ def _turn(state: State, e: EventRecord, c: Config) -> int:
     if has_velocity_errors(c):
         for k in _LEARNED_BY_HEADING:
             reset_states |= _replace(state, k, c.prior_mean[k], c.prior_variance[k], c)
-        begin_delay(state, c)
+        reset_delay(state, c)
     to_sensor(x, P, level, about, -1.0, c)
     return reset_states
 
 
 @compiled
-def _swing(state: State, e: EventRecord, c: Config) -> int:
+def _reset_swing(state: State, e: EventRecord, c: Config) -> int:
     """Reset the swing angle to that of the event, and the swing rate to 0 ± that of the fastest swing."""
     x = state.mean
     turn, variance = sector(max(e.part, 0))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> float:
+def log_odds_of_hidden_change(window: Window, p: int, k: int, event: int, c: Config) -> float:
     """ln of the odds that slip or bias changed earlier, against an offset of the coarse receiver alone.
 
     −∞ where fixes of this source, or this branch, cannot hide such a change.
@@ -60,7 +60,7 @@ def log_odds_of_lag(window: Window, p: int, k: int, event: int, c: Config) -> fl
 
 
 @compiled
-def is_behind(window: Window, p: int, k: int, c: Config) -> bool:
+def has_hidden_change(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether an earlier change of slip or bias is likely enough for a child."""
-    slipped, biased = log_odds_of_lag(window, p, k, SLIPPED, c), log_odds_of_lag(window, p, k, BIASED, c)
-    return bool(max(slipped, biased) > -c.bank.spawns)
+    odds = max(log_odds_of_hidden_change(window, p, k, event, c) for event in (SLIPPED, BIASED))
+    return bool(odds > -c.bank.spawns)
