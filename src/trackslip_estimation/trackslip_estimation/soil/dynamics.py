@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sub-model 2: coefficients of resistance from thrusts and motion, (3.14), (3.24) as errata 3 has them.
+"""Sub-model 2: resistance coefficients from thrusts and motion, (3.14), (3.24) corrected by erratum 3.
 
     x        v_x, φ̇, μ_r, μ_l                                        m/s, rad/s, 1, 1
     v_y      lateral speed at C, from the slip estimator              m/s
     F_j      thrust of a track                                        N
     s_j      expected sign of a track's ground speed                  1
-    s        sense of the turn: 1 left, −1 right, 0 straight on       1
+    s        sense of the turn: 1 left, −1 right, 0 straight       1
     m, I_z, W, B, l   of ``Vehicle``
 
     N_j, G   load on a track, weight along the tracks: ``ground_load``; ½ W and 0 on level ground   N
@@ -14,9 +14,9 @@
     m (v̇_x − v_y φ̇) = F_L + F_R + G − μ_r (N_L s_L + N_R s_R)
     I_z φ̈ = ½ B [F_R − F_L − μ_r (N_R s_R − N_L s_L)] − s μ_l (N_L + N_R) l/3
 
-The second line holds in turns. In straight motion φ̇ follows what is measured, and μ_l, the mobilised value,
-is held. What is not known of F, I_z and the signs is noise of the accelerations; it lasts, so that its
-density is its variance times the time for which it does. With given signs all is linear: a Kalman filter.
+The second equation holds in turns. In straight motion φ̇ is set to its measurement, and the mobilised μ_l is
+held. Errors of F, I_z and the signs are process noise of the accelerations. They are time-correlated: the
+noise density is their variance times their correlation time. For given signs the Kalman filter is linear.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 SPEED, RATE, MU_R, MU_L = range(4)
 _SIZE, _SEEN = 4, 2
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
-_ROUNDING = 1e-12  # (m/s)², (rad/s)²: nothing is measured better
+_ROUNDING = 1e-12  # (m/s)², (rad/s)²: keeps variances positive
 
 
 class Dynamics(Record):
-    """x and its covariance."""
+    """State x and its covariance."""
 
     mean: Annotated[FloatArray, _SIZE]
     covariance: Annotated[FloatArray, (_SIZE, _SIZE)]
@@ -59,27 +59,39 @@ DYNAMICS = dtype_of(Dynamics)
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicsParameters(Parameters):
-    """Noise and start of the filter."""
+    """Initial state and noise of the filter."""
 
-    mu_r: float = parameter("μ_r at the start", ge=0.0)
-    mu_r_stddev: float = parameter("its standard deviation, and the largest", gt=0.0)
-    mu_l: float = parameter("mobilised μ_l at the start", ge=0.0)
-    mu_l_stddev: float = parameter("its standard deviation, and the largest", gt=0.0)
+    mu_r: float = parameter("initial μ_r", ge=0.0)
+    mu_r_stddev: float = parameter("initial and largest standard deviation of μ_r", gt=0.0)
+    mu_l: float = parameter("initial mobilised μ_l", ge=0.0)
+    mu_l_stddev: float = parameter("initial and largest standard deviation of μ_l", gt=0.0)
     mu_r_walk: float = parameter("random walk of μ_r while driving", unit="1/√s", gt=0.0)
     mu_l_walk: float = parameter("random walk of μ_l in turns", unit="1/√s", gt=0.0)
-    unseen_walk: float = parameter("of both, driving without known thrusts", unit="1/√s", gt=0.0)
-    yaw_inertia_stddev: float = parameter("of I_z, relative", ge=0.0, lt=1.0)
-    acceleration_stddev: float = parameter("what the model leaves out of v̇_x", unit="m/s²", gt=0.0)
-    yaw_acceleration_stddev: float = parameter("the same of φ̈", unit="rad/s²", gt=0.0)
-    error_time: float = parameter("for which errors of thrusts and model last", unit="s", gt=0.0)
-    twist_error_time: float = parameter("for which errors of the estimated twist last", unit="s", gt=0.0)
-    fading_speed: float = parameter("ground speed about which its sign is open", unit="m/s", gt=0.0)
-    certain_sign: float = parameter("expected sign of a track's speed that is certain", gt=0.0, lt=1.0)
-    longest_step: float = parameter("between two samples, over which forces are known", unit="s", gt=0.0)
+    unseen_walk: float = parameter(
+        "random walk of μ_r and μ_l, driving without known thrusts", unit="1/√s", gt=0.0
+    )
+    yaw_inertia_stddev: float = parameter("relative standard deviation of I_z", ge=0.0, lt=1.0)
+    acceleration_stddev: float = parameter(
+        "standard deviation of the model error of v̇_x", unit="m/s²", gt=0.0
+    )
+    yaw_acceleration_stddev: float = parameter(
+        "standard deviation of the model error of φ̈", unit="rad/s²", gt=0.0
+    )
+    error_time: float = parameter("correlation time of the errors of thrusts and model", unit="s", gt=0.0)
+    twist_error_time: float = parameter(
+        "correlation time of the errors of the estimated twist", unit="s", gt=0.0
+    )
+    fading_speed: float = parameter("ground speed below which its sign is uncertain", unit="m/s", gt=0.0)
+    certain_sign: float = parameter(
+        "absolute expected sign from which the sign of a track's speed is certain", gt=0.0, lt=1.0
+    )
+    longest_step: float = parameter(
+        "longest time between two samples over which forces are known", unit="s", gt=0.0
+    )
 
 
 def new_dynamics(p: DynamicsParameters) -> Table[Dynamics]:
-    """(1,) at the start."""
+    """Return the initial state (1,)."""
     dynamics = make_table(Dynamics, DYNAMICS, 1)
     dynamics["mean"] = (0.0, 0.0, p.mu_r, p.mu_l)
     dynamics["covariance"] = np.diag((1.0, 1.0, p.mu_r_stddev**2, p.mu_l_stddev**2))
@@ -88,7 +100,7 @@ def new_dynamics(p: DynamicsParameters) -> Table[Dynamics]:
 
 @compiled
 def expected_signs(twist: FloatArray, covariance: FloatArray, p: SoilConfig) -> tuple[float, float]:
-    """s_j of left and right for a twist (3,) and its covariance (3, 3); its variance is 1 − s_j²."""
+    """Return s_j, left and right, for a twist (3,) of covariance (3, 3); its variance is 1 − s_j²."""
     half = 0.5 * p.vehicle.tread
     common = covariance[0, 0] + half**2 * covariance[2, 2] + p.dynamics.fading_speed**2
     both = 2.0 * half * covariance[0, 2]
@@ -98,13 +110,13 @@ def expected_signs(twist: FloatArray, covariance: FloatArray, p: SoilConfig) -> 
 
 @compiled
 def _expected_sign(speed: float, variance: float) -> float:
-    """E[sign v] of a Gaussian v."""
+    """Return E[sign v] of a Gaussian v."""
     return math.erf(speed / math.sqrt(2.0 * max(variance, _ROUNDING)))
 
 
 @compiled
 def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundLoad, p: SoilConfig) -> None:
-    """``sample.dt`` s on, to where the slip estimator says ``sample.twist``."""
+    """Propagate by ``sample.dt`` s, then update with ``sample.twist`` of the slip estimator."""
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
     moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
     is_modelled = thrust.is_known and moves and 0.0 < dt <= p.dynamics.longest_step
@@ -137,7 +149,7 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
 
 @compiled
 def _is_held(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
-    """Whether the ground may hold the machine on a slope: by how much, no track that stands on it tells."""
+    """Whether static friction may hold a track on a slope: its size is unknown while the sign of v_j is."""
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
     steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
     return bool(steep and min(abs(left), abs(right)) < p.dynamics.certain_sign)
@@ -147,7 +159,7 @@ def _is_held(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
 def _predict(
     dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundLoad, sense: float, p: SoilConfig
 ) -> None:
-    """Both lines of the model over dt."""
+    """Propagate mean and covariance over dt with both equations of the model."""
     n, vehicle, dt = p.dynamics, p.vehicle, sample.dt
     half_tread, lever = 0.5 * vehicle.tread, vehicle.contact_length / 3.0
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
@@ -164,7 +176,7 @@ def _predict(
     after = apply(F, before)
     for i in range(_SIZE):
         after[i] += push[i]
-    # A sign that is not certain leaves the resistance open.
+    # An uncertain sign adds variance to the resistance.
     open_left, open_right = 1.0 - left**2, 1.0 - right**2
     L = thrust.variance[0] + (before[MU_R] * N_left) ** 2 * open_left
     R = thrust.variance[1] + (before[MU_R] * N_right) ** 2 * open_right
@@ -183,7 +195,7 @@ def _predict(
 
 @compiled
 def _correct(dynamics: Dynamics, measured: FloatArray, noise: FloatArray) -> None:
-    """v_x and φ̇ (2,) as measured, with covariance (2, 2)."""
+    """Update with measured v_x and φ̇ (2,) of covariance (2, 2)."""
     mean, covariance = dynamics.mean.copy(), dynamics.covariance.copy()
     S00, S01 = covariance[0, 0] + noise[0, 0], covariance[0, 1] + noise[0, 1]
     S10, S11 = covariance[1, 0] + noise[1, 0], covariance[1, 1] + noise[1, 1]
@@ -201,7 +213,7 @@ def _correct(dynamics: Dynamics, measured: FloatArray, noise: FloatArray) -> Non
 
 @compiled
 def _set(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
-    """Mean, and covariance as the sum of two."""
+    """Set the mean, and the covariance to ``covariance`` + ``more``."""
     for i in range(_SIZE):
         dynamics.mean[i] = mean[i]
         for j in range(_SIZE):
@@ -210,7 +222,7 @@ def _set(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: Flo
 
 @compiled
 def _follow(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatArray) -> None:
-    """No model of the states from ``first`` to φ̇: they are what is measured, and tell nothing else."""
+    """Set the states from ``first`` to φ̇ to their measurements, uncorrelated with the other states."""
     for i in range(first, _SEEN):
         dynamics.mean[i] = measured[i]
         for j in range(_SIZE):
@@ -220,7 +232,7 @@ def _follow(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatAr
 
 @compiled
 def _bound(dynamics: Dynamics, n: DynamicsParameters) -> None:
-    """Resistance never pushes, and nobody knows less than at the start."""
+    """Bound μ_r and μ_l below by 0, and their standard deviations above by the initial ones."""
     for k, largest in ((MU_R, n.mu_r_stddev), (MU_L, n.mu_l_stddev)):
         dynamics.mean[k] = max(dynamics.mean[k], 0.0)
         if dynamics.covariance[k, k] > largest**2:

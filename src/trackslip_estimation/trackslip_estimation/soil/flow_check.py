@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What spool and sprocket speed say of the volumetric efficiency; a hint for diagnostics, no more. Compiled.
+"""Volumetric efficiency from spool positions and sprocket speeds, for diagnostics only. Compiled.
 
 Q      flow through an opened valve, spool position times pump flow   m³/s
 ω_1    sprocket speed of the whole pump flow, without leakage         rad/s
@@ -17,12 +17,12 @@ from trackslip_common.parameters import Parameters, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class FlowParameters(Parameters):
-    """When a flow is seen, and for how long it counts."""
+    """Conditions and memory of the estimate of η_V."""
 
     open_spool: float = parameter(
-        "spool position from which on a valve's edges do not matter", gt=0.0, lt=1.0
+        "spool position from which the metering edges of a valve are negligible", gt=0.0, lt=1.0
     )
-    memory: float = parameter("of driving after which a flow counts for 1/e", unit="s", gt=0.0)
+    memory: float = parameter("driving time after which the weight of a flow falls to 1/e", unit="s", gt=0.0)
 
 
 @compiled
@@ -34,9 +34,10 @@ def volumetric_efficiency(
     dt: float,
     p: FlowParameters,
 ) -> float:
-    """η_V over the last seconds of steady driving; nan before the first of them.
+    """Return η_V as an exponential average over driving with open valves; nan before the first such sample.
 
-    After ``dt`` s more with these spools (2,) and sprocket speeds (2,). ``full_flow_speed``: ω_1.
+    ``before``: η_V before this sample of ``dt`` s with ``spools`` (2,) and sprocket ``speeds`` (2,), rad/s.
+    ``full_flow_speed``: ω_1.
     """
     if not (abs(spools[0]) >= p.open_spool and abs(spools[1]) >= p.open_spool):
         return before

@@ -1,25 +1,25 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the weight does: it pulls along a slope, and loads the tracks unevenly there and as it swings.
+"""Effects of the weight: pull along a slope, and uneven track loads by slope and swing.
 
 Compiled.
 
     θ, ϕ         pitch (nose down > 0), roll (left side up > 0)                 rad
     σ, s         angle of the upper structure, its standard deviation           rad
-    x_0, y_0, h  centre of gravity in base_link, the upper structure forward    m
-    g            how far it goes back as that turns by π/2, m_u c/m             m
+    x_0, y_0, h  centre of gravity in base_link, upper structure facing forward m
+    g            its shift backwards at a swing of π/2, m_u c/m                   m
     x_g, y_g     x_0 + g (E[cos σ] - 1), y_0 + g E[sin σ]                       m
     G            m g sin θ, the weight along the tracks, forward                N
     N_j          m g cos θ cos ϕ (½ ± y_N/B): + left, y_N = y_g - h tan ϕ       N
     x_N          x_g + h tan θ/cos ϕ: centre of pressure                        m
-    γ            share of F_max that is friction on level ground                1
-    g_j          F_max of a track over that on level ground: 1 + γ (2 N_j/W - 1)   1
-    strength at x ahead of C over its mean: 1 + x γ 12 x_N/l², not below 0
+    γ            share of friction in F_max on level ground                     1
+    g_j          ratio of a track's F_max to that on level ground: 1 + γ (2 N_j/W - 1)   1
+    ratio of the soil strength at x ahead of C to its mean: 1 + x γ 12 x_N/l², not below 0
 
 σ is Gaussian: E[cos σ] = k cos σ̂, E[sin σ] = k sin σ̂ with k = e^(-s²/2), and their variances are
-½ (1 - k²) (1 ∓ k² cos 2σ̂). So one that is not known at all, s = ∞, puts x_g and y_g at the swing axis.
-γ = W tan ϕ_s/(A c + W tan ϕ_s); only the sum of both is known, so γ is not: its spread is in that of g_j.
-What acceleration adds to N_j and x_N is left out, for it comes and goes.
+½ (1 - k²) (1 ∓ k² cos 2σ̂). For an unknown swing angle, s = ∞, x_g and y_g lie at the swing axis.
+γ = W tan ϕ_s/(A c + W tan ϕ_s). Only the sum A c + W tan ϕ_s is observable: the variance of g_j includes that
+of γ. Load transfer by acceleration is transient and neglected in N_j and x_N.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int
 
 
 class Centre(Record):
-    """Of gravity, the upper structure forward."""
+    """Centre of gravity in base_link, with the upper structure facing forward."""
 
     x: float  # x_0, m
     y: float
@@ -54,27 +54,27 @@ class Centre(Record):
 
 
 class GroundLoad(Record):
-    """What the weight does at a sample."""
+    """Effects of the weight at one sample."""
 
     pull: float  # G, N
-    pull_variance: float  # N², of errors of the tilt, which last
+    pull_variance: float  # N², of the tilt error, which is time-correlated
     normal: Annotated[FloatArray, 2]  # N_j, N
     strength: Annotated[FloatArray, 2]  # g_j
     strength_variance: Annotated[FloatArray, 2]
-    swing_variance: float  # what of it the swing is not known to
+    swing_variance: float  # part of strength_variance due to the swing angle
     lean: float  # γ 12 x_N/l², 1/m
-    lean_stddev: float  # of what the swing is not known to
-    stretch: float  # way along the ground over the horizontal one, 1/cos θ
-    stretch_stddev: float  # of it, relative
+    lean_stddev: float  # 1/m, due to the swing angle
+    stretch: float  # distance along the ground over the horizontal one, 1/cos θ
+    stretch_stddev: float  # relative
 
 
 class Burden(Record):
-    """What the bucket may hold."""
+    """State for detecting that the load of the bucket may have changed."""
 
     has_bucket: int
-    stood: float  # s since the tracks stand
-    has_driven: int  # before that
-    may_differ: int  # the machine may weigh more or less than it did at first
+    stood: float  # s at standstill
+    has_driven: int  # whether the machine has driven since the start
+    may_differ: int  # whether the mass may differ from the initial one
 
 
 CENTRE, GROUND_LOAD, BURDEN = dtype_of(Centre), dtype_of(GroundLoad), dtype_of(Burden)
@@ -82,24 +82,28 @@ CENTRE, GROUND_LOAD, BURDEN = dtype_of(Centre), dtype_of(GroundLoad), dtype_of(B
 
 @dataclass(frozen=True, kw_only=True)
 class LoadParameters(Parameters):
-    """What is assumed of soil and machine on slopes."""
+    """Assumptions about soil and machine on slopes."""
 
-    friction_share: float = parameter("share of F_max that is friction γ", ge=0.0, le=1.0)
-    friction_share_stddev: float = parameter("its standard deviation", ge=0.0, le=1.0)
+    friction_share: float = parameter("share of friction in F_max, γ", ge=0.0, le=1.0)
+    friction_share_stddev: float = parameter("standard deviation of γ", ge=0.0, le=1.0)
     level_share: float = parameter(
-        "pull over weight up to which pressures at rest are offsets", gt=0.0, le=1.0
+        "ratio of pull to weight up to which pressures at standstill are offsets", gt=0.0, le=1.0
     )
     bucket_share: float = parameter(
-        "standard deviation of what a bucket may have taken up at a stand, of the weight", ge=0.0, lt=1.0
+        "standard deviation of the bucket load taken up at a standstill, as share of the weight",
+        ge=0.0,
+        lt=1.0,
     )
-    filling_time: float = parameter("of a stand in which it may", unit="s", ge=0.0)
+    filling_time: float = parameter(
+        "standstill after which the bucket load may have changed", unit="s", ge=0.0
+    )
     least_strength: float = parameter(
-        "F_max at the least over that on level ground, of a track that hardly touches it", gt=0.0, lt=1.0
+        "least ratio of F_max to that on level ground, of a track that hardly touches it", gt=0.0, lt=1.0
     )
 
 
 class SwungCentre(NamedTuple):
-    """Where the centre of gravity is as the upper structure has swung."""
+    """Expected centre of gravity at the present swing angle, with its variances."""
 
     x: float  # x_g, m
     y: float  # y_g, m
@@ -108,7 +112,7 @@ class SwungCentre(NamedTuple):
 
 
 def centre_of(vehicle: VehicleParameters) -> Table[Centre]:
-    """(1,); where it is not given, on the ground below C, give or take half the tread."""
+    """Return the centre of gravity (1,); by default at C on the ground, height stddev half the tread."""
     whole, centre = vehicle.whole(), make_table(Centre, CENTRE, 1)
     centre["balance"] = vehicle.swing_balance
     given = whole.centre_of_gravity
@@ -120,7 +124,7 @@ def centre_of(vehicle: VehicleParameters) -> Table[Centre]:
 
 
 def burden_of(vehicle: Vehicle) -> Table[Burden]:
-    """(1,) at the start."""
+    """Return the initial state (1,)."""
     burden = make_table(Burden, BURDEN, 1)
     burden["has_bucket"] = vehicle.bucket is not None
     return burden
@@ -128,7 +132,7 @@ def burden_of(vehicle: Vehicle) -> Table[Burden]:
 
 @compiled
 def follow_burden(burden: Burden, sample: Sample, p: LoadParameters) -> None:
-    """Whether a bucket may have been filled by now: only while the tracks stand."""
+    """Update the burden: the bucket load may change only at a standstill of ``filling_time`` or longer."""
     if sample.motion == _STRAIGHT or sample.motion == _TURNING:
         burden.has_driven = 1
     burden.stood = burden.stood + sample.dt if sample.motion == _STANDING else 0.0
@@ -138,13 +142,13 @@ def follow_burden(burden: Burden, sample: Sample, p: LoadParameters) -> None:
 
 @compiled
 def burden_variance(burden: Burden, needed: float, p: LoadParameters) -> float:
-    """Of the thrust that the weight ``needed``, N²: resistance and the pull of a slope grow with it alike."""
+    """Return the variance, N², of ``needed``, a thrust proportional to the weight, by the bucket load."""
     return float((p.bucket_share * needed) ** 2 if burden.may_differ == 1 else 0.0)
 
 
 @compiled
 def _swung(centre: Centre, sample: Sample) -> SwungCentre:
-    """Of a sample."""
+    """Return the centre of gravity at the swing angle of a sample."""
     g, k = centre.balance, math.exp(-0.5 * sample.swing_variance)
     cos, sin = k * math.cos(sample.swing), k * math.sin(sample.swing)
     half, twofold = 0.5 * g * g * (1.0 - k * k), cos * cos - sin * sin

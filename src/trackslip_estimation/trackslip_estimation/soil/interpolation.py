@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pressures at the stamp of each machine state, linear between the readings before and after it, compiled.
+"""Pressures at the stamp of each machine state, interpolated linearly between two readings, compiled.
 
-A state waits until a reading at or after its stamp is there, or until states are ``patience`` newer. So
-samples depend on the stamps alone, live as in a replay, as long as no reading is later than ``patience``.
+A state waits for a reading at or after its stamp, or for a state that is newer by ``patience``. Samples thus
+depend on the stamps alone, live and in replay, as long as no reading is later than ``patience``.
 """
 
 from collections.abc import Iterator
@@ -42,12 +42,12 @@ from trackslip_estimation.soil.records import (
     fault_of,
 )
 
-_CAPACITY = 4096  # readings, and states that wait for them: 40 s at 100 Hz
+_CAPACITY = 4096  # readings, and waiting states: 40 s at 100 Hz
 _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 
 class Queue(Record):
-    """A ring of inputs."""
+    """Ring buffer of inputs."""
 
     clock: Clock
     newest_ns: int
@@ -56,12 +56,12 @@ class Queue(Record):
 
 
 class Sample(InputValues):
-    """A state of the machine; pressures and spools are those at its stamp, between two readings."""
+    """Machine state with pressures and spools interpolated to its stamp."""
 
-    has_pressures: int  # whether there are two
-    reading_ns: int  # stamp of the newer of the two, and its pressures as they came
-    reading: Annotated[FloatArray, 2]
-    dt: float  # s since the sample before
+    has_pressures: int  # whether readings before and after the stamp exist
+    reading_ns: int  # stamp of the newer reading
+    reading: Annotated[FloatArray, 2]  # its pressures, Pa, not interpolated
+    dt: float  # s since the previous sample
     tracks: Annotated[FloatArray, 2]  # track speeds r ω, m/s; nan where the slip is 1
 
 
@@ -70,33 +70,33 @@ QUEUE, SAMPLE = dtype_of(Queue), dtype_of(Sample)
 
 @dataclass(frozen=True, kw_only=True)
 class InterpolationParameters(Parameters):
-    """How long a state waits for its pressures, and which stamps are in line."""
+    """Waiting time of states for pressures, and limits of the stamps."""
 
     patience: float = parameter(
-        "how much later than the machine state pressures may come", unit="s", gt=0.0, le=10.0
+        "longest delay of pressures behind the machine state", unit="s", gt=0.0, le=10.0
     )
     longest_gap: float = parameter("longest time between two readings to interpolate over", unit="s", gt=0.0)
-    max_gap: float = parameter("stamps further ahead must be confirmed", unit="s", gt=0.0, le=600.0)
-    jump_confirmations: int = parameter("stamps in a row that confirm a jump of the clock", ge=2)
+    max_gap: float = parameter("stamps further ahead than this must be confirmed", unit="s", gt=0.0, le=600.0)
+    jump_confirmations: int = parameter("consecutive stamps that confirm a jump of the clock", ge=2)
 
 
 class Interpolator(NamedTuple):
-    """Inputs in, in any order; samples out, in the order of their stamps. Of bounded size."""
+    """Queues of both sources, of bounded size; returns samples in the order of their stamps."""
 
-    queues: Table[Queue]  # (2,) by source
-    rows: Table[SoilInputRecord]  # (2, n) of the queues
-    rejected: IntArray  # (2, r) inputs by source and Rejection
+    queues: Table[Queue]  # (2,), by source
+    rows: Table[SoilInputRecord]  # (2, n), inputs of the queues
+    rejected: IntArray  # (2, r), number of inputs by source and Rejection
     limits: Table[ClockLimits]  # (1,)
 
     def counts(self) -> Iterator[tuple[str, Rejection, int]]:
-        """Source, reason, and number of the rejected inputs."""
+        """Yield source, reason and number of the rejected inputs."""
         for source, counts in zip(SOURCES, self.rejected.tolist(), strict=True):
             for rejection, count in zip(Rejection, counts, strict=True):
                 yield source, rejection, count
 
 
 def new_interpolator(p: InterpolationParameters) -> Interpolator:
-    """With nothing in it."""
+    """Return an empty interpolator."""
     queues = make_table(Queue, QUEUE, len(SOURCES))
     queues["newest_ns"] = NEVER_NS
     rows = make_table(SoilInputRecord, SOIL_INPUT, len(SOURCES), _CAPACITY)
@@ -107,7 +107,7 @@ def new_interpolator(p: InterpolationParameters) -> Interpolator:
 
 @compiled
 def add(interpolator: Interpolator, given: SoilInputRecord) -> int:
-    """Queue an input; ACCEPTED, or why it is rejected. After RESTARTED the time is another."""
+    """Queue an input; return ACCEPTED or why not (RESTARTED: the clock of the states went back)."""
     source, rejection = given.source, fault_of(given)
     if rejection == ACCEPTED:
         rejection = _append(
@@ -122,7 +122,7 @@ def add(interpolator: Interpolator, given: SoilInputRecord) -> int:
 
 @compiled
 def is_ready(interpolator: Interpolator, p: InterpolationParameters) -> bool:
-    """Whether the oldest state has its pressures, or is to have none."""
+    """Whether the oldest state can be popped: pressures present, ``patience`` over, or queue full."""
     states, readings = interpolator.queues[IS_MACHINE_STATE], interpolator.queues[IS_HYDRAULICS]
     if states.count == 0:
         return False
@@ -143,7 +143,7 @@ def pop_oldest(interpolator: Interpolator, p: InterpolationParameters, sample: S
 
 @compiled
 def _append(queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, given: SoilInputRecord) -> int:
-    """Behind those before it; RESTARTED where the clock of its source went back."""
+    """Append an input to its queue; RESTARTED where the clock of its source went back."""
     status = check_sample(queue.clock, limits, given.stamp_ns, queue.newest_ns, False)
     if status == _BACK:
         queue.count, queue.clock.running = 0, False
@@ -163,7 +163,7 @@ def _append(queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, giv
 def _interpolate(
     queue: Queue, readings: Table[SoilInputRecord], p: InterpolationParameters, sample: Sample
 ) -> bool:
-    """Set the pressures at the stamp; False where a reading before or after it is missing or far."""
+    """Set pressures and spools at the stamp; False if a reading before or after is missing or too far."""
     while queue.count > 1 and readings[_place(queue, 1)].stamp_ns <= sample.stamp_ns:
         _drop_first(queue)
     if queue.count == 0 or readings[queue.first].stamp_ns > sample.stamp_ns:
@@ -184,7 +184,7 @@ def _interpolate(
 
 @compiled
 def _place(queue: Queue, k: int) -> int:
-    """Of the k-th in a queue."""
+    """Return the index in the ring of the k-th input of a queue."""
     return int((queue.first + k) % _CAPACITY)
 
 

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds pressures that cannot be true, by name: dropped, stuck, swapped, in another unit, beyond relief.
+"""Detects implausible pressures: dropped, stuck, swapped, in another unit, beyond relief.
 
-Evidence for each fault is gathered over time: for it a sample counts up, against it one counts down. From
-the first doubt on no pressure is used; a fault is named once the doubt has lasted, and until it is gone.
+Evidence for each fault is a time: a sample for it adds its duration, a sample against it subtracts it.
+Pressures are unused from the first sample for a fault (a stuck one: after ``grace_time``). The fault is
+reported once its evidence reaches ``naming_time``, and until it falls to 0.
 """
 
 import math
@@ -24,14 +25,14 @@ _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
 class Unused(Enum):
-    """Why pressures are not used before a fault is named."""
+    """Why pressures are not used although no fault is reported."""
 
     BRIEF = "pressures in doubt for a moment"
     AT_REST = "pressures at rest that are no offsets: digging, a slope, or oil shut in"
 
 
 class PressureFault(Enum):
-    """What is wrong, as diagnostics say it."""
+    """Faults of the pressures, with their texts in diagnostics."""
 
     DROPPED = "hydraulics silent"
     LEFT_STUCK = "left pressure stuck"
@@ -45,7 +46,7 @@ class PressureFault(Enum):
     SWAPPED = "left and right pressure swapped"
 
 
-# Of compiled code: the place of each in ``PressureFault``
+# For compiled code: index of each in ``PressureFault``
 (
     DROPPED,
     _LEFT_STUCK,
@@ -61,13 +62,13 @@ class PressureFault(Enum):
 NO_FAULT = -1
 _NO_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
-_FOR, _AGAINST, _OPEN = 1, 0, -1  # what a sample says of a fault
+_FOR, _AGAINST, _OPEN = 1, 0, -1  # evidence of a sample for a fault
 
 
 class Watch(Record):
-    """What is remembered of the pressures."""
+    """Evidence for faults, and the newest reading."""
 
-    seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against it
+    seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against
     is_named: Annotated[IntArray, len(PressureFault)]
     has_reading: int
     reading_ns: int  # of the newest reading
@@ -76,27 +77,31 @@ class Watch(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class WatchParameters(Parameters):
-    """When pressures are uncertain."""
+    """Limits of plausible pressures."""
 
-    naming_time: float = parameter("for which evidence must last to be named a fault", unit="s", gt=0.0)
-    grace_time: float = parameter("for which two equal readings are chance", unit="s", ge=0.0)
-    relief_margin: float = parameter("over the relief pressure, as share of it", ge=0.0)
-    least_pressure: float = parameter("sum of both that driving needs at the least", unit="Pa", gt=0.0)
-    typical_pressure: float = parameter("over a travel motor of a machine that drives", unit="Pa", gt=0.0)
-    least_speed: float = parameter("track speed that counts as driving", unit="m/s", gt=0.0)
+    naming_time: float = parameter(
+        "duration of the evidence after which a fault is reported", unit="s", gt=0.0
+    )
+    grace_time: float = parameter("time for which equal readings may be chance", unit="s", ge=0.0)
+    relief_margin: float = parameter("margin over the relief pressure, as share of it", ge=0.0)
+    least_pressure: float = parameter("least sum of both pressures while driving", unit="Pa", gt=0.0)
+    typical_pressure: float = parameter(
+        "typical pressure over a travel motor while driving", unit="Pa", gt=0.0
+    )
+    least_speed: float = parameter("track speed above which a track drives", unit="m/s", gt=0.0)
     telling_difference: float = parameter(
-        "between both in a turn, beyond which it shows which is which", unit="Pa", gt=0.0
+        "pressure difference in a turn from which swapped sides are detectable", unit="Pa", gt=0.0
     )
 
 
 def named_faults(watch: Watch) -> tuple[PressureFault, ...]:
-    """Those that stand."""
+    """Return the faults that are reported at present."""
     return tuple(fault for fault, named in zip(PressureFault, watch["is_named"], strict=True) if named)
 
 
 @compiled
 def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: float) -> int:
-    """Place of the fault for which the pressures of a sample are not to be used; NO_FAULT where they are."""
+    """Return the index of the fault that makes the pressures of a sample unusable, or NO_FAULT."""
     found, likely_unit = NO_FAULT, _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
         if fault == DROPPED:
@@ -125,7 +130,7 @@ def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: 
 
 @compiled
 def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameters) -> bool:
-    """Add one sample's evidence; whether there is doubt now."""
+    """Add the evidence of one sample; return whether the fault makes its pressures unusable."""
     if evidence != _OPEN:
         seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
         watch.seconds[fault] = min(max(seconds, 0.0), p.naming_time)
@@ -137,12 +142,12 @@ def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameter
 
 @compiled
 def _stuck(watch: Watch, fault: int, sample: Sample, p: WatchParameters) -> int:
-    """A pressure that drives or brakes a track is never still; that of a standing one may be."""
+    """Return the evidence for a stuck transducer: equal readings while a track moves."""
     if not watch.has_reading or sample.reading_ns == watch.reading_ns:
         return _OPEN
     side = fault - _LEFT_STUCK
     if sample.reading[side] != watch.reading[side]:
-        watch.seconds[fault] = 0.0  # nothing speaks for it any more
+        watch.seconds[fault] = 0.0  # a changed reading refutes the fault
         return _OPEN
     moves = abs(sample.tracks[0]) > p.least_speed or abs(sample.tracks[1]) > p.least_speed
     return _FOR if moves else _OPEN
@@ -150,10 +155,10 @@ def _stuck(watch: Watch, fault: int, sample: Sample, p: WatchParameters) -> int:
 
 @compiled
 def _likely_unit(sample: Sample, p: WatchParameters) -> int:
-    """Driving against rolling resistance needs pressure: what reads less is in a larger unit.
+    """Return the fault of the unit in which the mean pressure is nearest to the typical one.
 
-    The fault of the unit in which the reading is nearest to what is typical; _NO_UNIT of none, _OPEN where
-    the machine does not drive.
+    Driving against rolling resistance needs ``least_pressure``; a lower number is in a larger unit, or too
+    low in any. _NO_UNIT: the pressure suffices; _OPEN: the machine does not drive.
     """
     left, right = abs(sample.tracks[0]), abs(sample.tracks[1])
     drives = sample.motion == _STRAIGHT or sample.motion == _TURNING
@@ -173,15 +178,16 @@ def _likely_unit(sample: Sample, p: WatchParameters) -> int:
 
 @compiled
 def _distance(reading: float, unit: int, p: WatchParameters) -> float:
-    """From what is typical, in the logarithm."""
+    """Return |ln| of the ratio of a reading in a unit to the typical pressure."""
     return abs(math.log(reading * _UNITS[unit] / p.typical_pressure))
 
 
 @compiled
 def _crossed(sample: Sample, p: WatchParameters) -> int:
-    """The faster track of a turn slips more and pulls more, forwards and in reverse.
+    """Return the evidence for swapped sides: the faster track of a turn has the larger pressure.
 
-    As a turn begins or ends, speeds are next to equal, and pressures are those of the change.
+    It slips more, forwards and in reverse. Nearly equal speeds at the start or end of a turn are no evidence:
+    the pressures are transient.
     """
     difference, faster = sample.pressures[1] - sample.pressures[0], sample.tracks[1] - sample.tracks[0]
     turns = sample.motion == _TURNING and abs(faster) > p.least_speed

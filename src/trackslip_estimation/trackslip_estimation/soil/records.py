@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the soil estimator takes in and gives out, and why it rejects an input.
+"""Inputs and outputs of the soil estimator, and the reasons to reject an input.
 
-One at a time they are dataclasses; many at once, and inside compiled code, numpy records with the same names.
+Single ones are dataclasses; arrays, and compiled code, use numpy records with the same field names.
 """
 
 import math
@@ -19,14 +19,14 @@ from trackslip_common.record_types import Record, Table, dtype_of, make_table
 from trackslip_common.topics import MACHINE_STATE
 from trackslip_estimation.slip.motion import Motion
 
-# Sources: the topics they come on
+# Sources, named by topic
 HYDRAULICS = "hydraulics"
 SOURCES = (HYDRAULICS, MACHINE_STATE)
-IS_HYDRAULICS, IS_MACHINE_STATE = range(2)  # places in it
+IS_HYDRAULICS, IS_MACHINE_STATE = range(2)  # indices in ``SOURCES``
 
 
 class InputValues(Record):
-    """Of hydraulics, and of the machine's state."""
+    """Values of hydraulics and of the machine state."""
 
     stamp_ns: int
     pressures: Annotated[FloatArray, 2]  # hydraulics: left, right, Pa
@@ -35,18 +35,18 @@ class InputValues(Record):
     twist_covariance: Annotated[FloatArray, (3, 3)]
     pose: Annotated[FloatArray, 3]  # x m, y m, heading rad
     pose_covariance: Annotated[FloatArray, (3, 3)]
-    tilt: Annotated[FloatArray, 2]  # roll, pitch (nose down > 0), rad; 0 where the ground counts as level
+    tilt: Annotated[FloatArray, 2]  # roll, pitch (nose down > 0), rad; 0 (level ground) if unknown
     tilt_variance: Annotated[FloatArray, 2]
     slips: Annotated[FloatArray, 3]  # left, right, slip angle rad
     motion: int
     swing: float  # angle of the upper structure, rad
-    swing_variance: float  # rad², infinite where it is not known
+    swing_variance: float  # rad², infinite if unknown
 
 
 class WithSource(Record):
-    """What comes from one of several."""
+    """Source of an input."""
 
-    source: int  # place in ``SOURCES``
+    source: int  # index in ``SOURCES``
 
 
 class SoilInputRecord(InputValues, WithSource):
@@ -60,17 +60,17 @@ _OF_STATE = (
 )
 
 _ROUNDING = 1e-9
-_LARGEST = 1e12  # of any unit: beyond it is no number to reckon with
-# Physical limits, beyond which an input is no measurement of a tracked vehicle
-_FASTEST = 20.0  # m/s; the fastest ones drive 22
+_LARGEST = 1e12  # in any unit; larger numbers are INVALID
+# Physical limits of a tracked vehicle; larger values are OUT_OF_RANGE
+_FASTEST = 20.0  # m/s; the fastest vehicles drive 22
 _FASTEST_TURN = 10.0  # rad/s
-_FARTHEST = 1e8  # m, rad; the Earth is 4e7 m round
-_STEEPEST = 1.5  # rad: beyond it nothing stands on its tracks
+_FARTHEST = 1e8  # m, rad; the Earth's circumference is 4e7 m
+_STEEPEST = 1.5  # rad; beyond it a machine has tipped over
 _LARGEST_ANGLE = 1e3  # rad, of the swing
-_LARGEST_SWING_VARIANCE = 1e6  # rad², where nobody knows it
-_LARGEST_PRESSURE = 1e9  # Pa; what a transducer shows at a broken wire is for ``pressure_watch``
-_LARGEST_SPOOL = 2.0  # of −1 … 1
-_LARGEST_SLIP = 1e9  # of a track that hardly turns while the machine slides
+_LARGEST_SWING_VARIANCE = 1e6  # rad², of an unknown angle
+_LARGEST_PRESSURE = 1e9  # Pa; readings of a broken wire are left to ``pressure_watch``
+_LARGEST_SPOOL = 2.0  # nominal range −1 … 1
+_LARGEST_SLIP = 1e9  # reached by a track that hardly turns while the machine slides
 _LARGEST_TWIST_VARIANCE = 1e4  # (m/s)², (rad/s)²
 _LARGEST_POSE_VARIANCE = 1e10  # m², rad²
 _LARGEST_TILT_VARIANCE = 10.0  # rad²
@@ -95,19 +95,19 @@ class Hydraulics:
 
 
 class PoseWithCovariance(NamedTuple):
-    """Pose of C."""
+    """Pose of C with its covariance."""
 
     mean: FloatArray  # (3,) x m, y m, heading rad, site frame
     covariance: FloatArray  # (3, 3)
 
     def variance_along(self) -> float:
-        """Of the position along the heading, m²."""
+        """Return the variance of the position along the heading, m²."""
         heading = float(self.mean[2])
         ahead = np.array((math.cos(heading), math.sin(heading)))
         return max(float(ahead @ self.covariance[:2, :2] @ ahead), 0.0)
 
     def distance_to(self, other: "PoseWithCovariance") -> float:
-        """Distance from here along the heading halfway, m."""
+        """Return the distance from this pose to another along the mean of both headings, m."""
         (x, y, yaw), (x_there, y_there, yaw_there) = self.mean.tolist(), other.mean.tolist()
         halfway = yaw + 0.5 * math.remainder(yaw_there - yaw, 2.0 * math.pi)
         return float((x_there - x) * math.cos(halfway) + (y_there - y) * math.sin(halfway))
@@ -115,18 +115,18 @@ class PoseWithCovariance(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MachineState:
-    """State of the machine at C at one instant, as the slip estimator has it."""
+    """State of the machine at C at one instant, from the slip estimator."""
 
     stamp_ns: int
     twist: FloatArray  # (3,) v_x m/s, v_y m/s, yaw rate rad/s
     twist_covariance: FloatArray  # (3, 3)
     pose: PoseWithCovariance
-    slips: FloatArray  # (3,) left, right, slip angle rad; how certain they are follows from the twist
+    slips: FloatArray  # (3,) left, right, slip angle rad; uncertainty: see the twist
     motion: Motion
     tilt: tuple[float, float] = (0.0, 0.0)  # roll, pitch (nose down > 0), rad
     tilt_variance: tuple[float, float] = (0.0, 0.0)
     swing: float = 0.0  # angle of the upper structure against the undercarriage, counter-clockwise, rad
-    swing_variance: float = math.inf  # rad², infinite where it is not known
+    swing_variance: float = math.inf  # rad², infinite if unknown
     source: str = MACHINE_STATE
 
     def write_to(self, record: SoilInputRecord) -> None:
@@ -141,7 +141,7 @@ SoilInput: TypeAlias = Hydraulics | MachineState
 
 
 def inputs_of(estimates: NDArray[np.void]) -> Table[SoilInputRecord]:
-    """(n,) inputs of (n,) of ``slip.records.ESTIMATE``, as the live estimator has them from messages."""
+    """Return inputs (n,) from (n,) of ``slip.records.ESTIMATE``, equal to those from live messages."""
     found = make_table(SoilInputRecord, SOIL_INPUT, len(estimates))
     found["source"] = IS_MACHINE_STATE
     for name in ("stamp_ns", "twist", "twist_covariance", "pose", "pose_covariance", "slips", "motion"):
@@ -158,7 +158,7 @@ def inputs_of(estimates: NDArray[np.void]) -> Table[SoilInputRecord]:
 
 @compiled
 def copy_input(source: SoilInputRecord, to: SoilInputRecord) -> None:
-    """One input into another; assigned as a whole it would take the compiler seconds."""
+    """Copy an input field by field: assignment of whole records takes seconds to compile."""
     to.source = source.source
     for k in range(2):
         to.pressures[k], to.spools[k] = source.pressures[k], source.spools[k]
@@ -167,7 +167,7 @@ def copy_input(source: SoilInputRecord, to: SoilInputRecord) -> None:
 
 @compiled
 def copy_state(source: InputValues, to: InputValues) -> None:
-    """All but the hydraulics."""
+    """Copy all values but the hydraulics."""
     to.stamp_ns, to.motion = source.stamp_ns, source.motion
     to.swing, to.swing_variance = source.swing, source.swing_variance
     for k in range(2):
@@ -180,7 +180,7 @@ def copy_state(source: InputValues, to: InputValues) -> None:
 
 
 class Rejection(Enum):
-    """Why an input was not used."""
+    """Why an input is not used."""
 
     INVALID = "holds nan or infinity"
     DUPLICATE = "same stamp as one before"
@@ -191,16 +191,18 @@ class Rejection(Enum):
     DIVERGED = "the estimate was not finite: all restarts"
 
 
-# Of compiled code: the place of each in ``Rejection``
+# For compiled code: index of each in ``Rejection``
 INVALID, DUPLICATE, TOO_LATE, AHEAD, RESTARTED, OUT_OF_RANGE, DIVERGED = range(7)
 ACCEPTED = -1
 
 
 @compiled
 def fault_of(given: SoilInputRecord) -> int:
-    """INVALID or OUT_OF_RANGE, where an input is one of both; else ACCEPTED."""
+    """Return INVALID or OUT_OF_RANGE for an input that is either, else ACCEPTED."""
     if given.source == IS_HYDRAULICS:
-        has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # not measured: never closed
+        has_none = math.isnan(given.spools[0]) and math.isnan(
+            given.spools[1]
+        )  # not measured: valves never count as closed
         of_spools = ACCEPTED if has_none else _of_numbers(given.spools, _LARGEST_SPOOL)
         return _worse(_of_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
     C, P = given.twist_covariance, given.pose_covariance
@@ -227,7 +229,7 @@ def fault_of(given: SoilInputRecord) -> int:
 
 @compiled
 def _is_covariance(C: FloatArray) -> bool:
-    """Whether that of v_x and yaw rate can be one."""
+    """Whether the covariance of v_x and yaw rate is symmetric and positive semidefinite."""
     product = C[0, 0] * C[2, 2]
     same = abs(C[0, 2] - C[2, 0]) <= _ROUNDING * math.sqrt(product)
     return bool(same and C[0, 2] ** 2 <= product * (1.0 + _ROUNDING))
@@ -235,7 +237,7 @@ def _is_covariance(C: FloatArray) -> bool:
 
 @compiled
 def _worse(one: int, other: int) -> int:
-    """INVALID before OUT_OF_RANGE before ACCEPTED."""
+    """Return the worse result: INVALID before OUT_OF_RANGE before ACCEPTED."""
     if one == INVALID or other == INVALID:
         return INVALID
     return max(one, other)
@@ -274,7 +276,7 @@ class TrackForces:
 
 
 class ForcesRecord(Record):
-    """As ``TrackForces``."""
+    """Record of ``TrackForces``."""
 
     stamp_ns: int
     thrust: Annotated[FloatArray, 2]
@@ -282,7 +284,7 @@ class ForcesRecord(Record):
     resistance: Annotated[FloatArray, 2]
     resistance_variance: Annotated[FloatArray, 2]
     reserve: Annotated[FloatArray, 2]
-    trouble: Annotated[IntArray, 2]  # place in ``stall.Trouble``; not published
+    trouble: Annotated[IntArray, 2]  # value of ``stall.Trouble``; not published
 
 
 FORCES = dtype_of(ForcesRecord)

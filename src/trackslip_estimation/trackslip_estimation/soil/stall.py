@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds tracks in trouble, compiled.
+"""Detects stalled and stuck tracks, compiled.
 
-Stalled is commanded but not turning at high pressure; stuck is spinning at the limit of the soil while the
-machine hardly moves. A track at slip i slides by i/(1 − i) of the machine's way: where a turn asks more of
-the soil than it bears, the machine goes straight on at the pace of its inner track, and the outer one slides
-by once to twice that way. So it spins from twice on, i > 2/3; one that is dragged (i < 0) never does.
+A stalled track is commanded and under high pressure, but does not turn. A stuck track spins at the limit of
+the soil while the machine hardly moves. A track at slip i slides by i/(1 − i) of the machine's distance. In a
+turn that exceeds the strength of the soil, the machine goes straight on at the speed of its inner track, and
+the outer one slides by once to twice that distance. A track therefore spins from twice the distance on,
+i > 2/3; a dragged track (i < 0) never spins.
 
-Evidence counts up for as long as it lasts, down where it is gone: a noisy moment neither ends a trouble nor
-makes one.
+Evidence counts up while the condition holds and down while it does not: a single noisy sample neither starts
+nor ends a detection.
 
 p, s, u    differential pressure, spool position, track speed      Pa, 1, m/s
 stalled    |s| ≥ s_min, p sign(s) ≥ p_min, |u| < u_min             for ``time``
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Trouble(IntEnum):
-    """Of a track."""
+    """Condition of a track."""
 
     NONE = 0
     STUCK = 1
@@ -41,22 +42,24 @@ _NONE, _STUCK, _STALLED = map(int, Trouble)
 
 @dataclass(frozen=True, kw_only=True)
 class StallParameters(Parameters):
-    """When a track is stalled."""
+    """Conditions of a stalled track."""
 
-    least_spool: float = parameter("position of a valve's spool that commands its track", gt=0.0, lt=1.0)
-    least_pressure: float = parameter("as share of the relief pressure, with which a track is pushed", gt=0.0)
-    least_speed: float = parameter("of a track that turns", unit="m/s", gt=0.0)
-    time: float = parameter("for which it must last", unit="s", gt=0.0)
+    least_spool: float = parameter("least spool position that commands a track", gt=0.0, lt=1.0)
+    least_pressure: float = parameter(
+        "least pressure of a stalled track, as share of the relief pressure", gt=0.0
+    )
+    least_speed: float = parameter("least speed of a track that turns", unit="m/s", gt=0.0)
+    time: float = parameter("duration of the condition after which a track is stalled", unit="s", gt=0.0)
 
 
 @compiled
 def stall_time(before: float, sample: Sample, side: int, p: StallParameters, relief_pressure: float) -> float:
-    """Seconds for which a track has been stalled, less those against it, after one more sample.
+    """Return the evidence, s, that a track is stalled, after one more sample; 0 if it is not commanded.
 
     ``side``: 0 left, 1 right; ``relief_pressure``: Pa.
     """
     spool = sample.spools[side] if sample.has_pressures else 0.0
-    if not abs(spool) >= p.least_spool:  # not commanded, or not known
+    if not abs(spool) >= p.least_spool:  # not commanded, or unknown
         return 0.0
     pushed = sample.pressures[side] * (1.0 if spool > 0.0 else -1.0) >= p.least_pressure * relief_pressure
     return evidence_time(before, pushed and abs(sample.tracks[side]) < p.least_speed, sample.dt, p.time)
@@ -64,13 +67,13 @@ def stall_time(before: float, sample: Sample, side: int, p: StallParameters, rel
 
 @compiled
 def evidence_time(before: float, seen: bool, dt: float, needed: float) -> float:
-    """Up by ``dt`` where it is seen, down where not; between 0 and twice what is needed."""
+    """Return the evidence, s: raised by ``dt`` if seen, else lowered; between 0 and twice ``needed``."""
     return min(max(before + (dt if seen else -dt), 0.0), 2.0 * needed)
 
 
 @compiled
 def trouble_of(stalled: float, spinning: float, p: SoilConfig) -> int:
-    """Place in ``Trouble``, of seconds for each."""
+    """Return the value of ``Trouble`` for the evidence of stalling and of spinning, s."""
     if stalled >= p.stall.time:
         return _STALLED
     return _STUCK if spinning >= p.stuck_time else _NONE

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the soil estimator does with every sample, compiled: interpolate, measure thrusts, filter, average.
+"""Compiled loop of the soil estimator over all samples: interpolate, measure thrusts, filter, average.
 
-What is done but a few times a second, the strength posterior and the state of the soil, is not: for it the
-loop stops, with the sample open, and goes on when it is called again.
+The strength posterior and the soil state, needed a few times a second, are not compiled. For them the loop
+stops with the sample open, and continues at the next call.
 """
 
 import math
@@ -58,42 +58,42 @@ from trackslip_estimation.soil.thrust import (
 from trackslip_estimation.soil.tracks import frame_speeds, track_speed
 
 _STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
-_ROOM = 256  # forces that are kept until they are fetched
-_BRIEF = len(PressureFault)  # a doubt that has not lasted; it names nothing
+_ROOM = 256  # forces kept until they are fetched
+_BRIEF = len(PressureFault)  # index of ``Unused.BRIEF`` in ``State.faults``
 _AT_REST = _BRIEF + 1
 
 # Why the loop stopped
-# No input left; no more room; the clock went back; the sample in hand is open; the state is not finite
+# No input left; no room for forces; the clock went back; the sample is open; the state is not finite
 PROCESSED, FULL, RESTART, OPEN, DIVERGED = range(5)
 
 
 class Known(Record):
-    """All that is remembered from one sample to the next, but for the posterior."""
+    """State kept from one sample to the next, except the posterior."""
 
     has_begun: int
     newest_ns: int  # stamp of the newest sample
     motor: Motor
     offsets: Offsets
-    thrust: ThrustRecord  # seen, or as it was last seen
+    thrust: ThrustRecord  # measured, or held since
     watch: Watch
     centre: Centre
     load: GroundLoad
     burden: Burden
     dynamics: Dynamics
     mu: Annotated[FloatArray, 2]  # μ_r, mobilised μ_l
-    mu_variance: Annotated[FloatArray, 2]  # the error of the efficiency included
+    mu_variance: Annotated[FloatArray, 2]  # with the error of the efficiency
     volumetric_efficiency: float
     average: Average
     seeder: Seeder
     effective_samples: float  # of the strength posterior
-    spinning: Annotated[FloatArray, 2]  # s for which each track has spun at the limit of the soil
-    stalled: Annotated[FloatArray, 2]  # s for which it was commanded, and did not turn
-    forces: int  # how many are there to be published
-    # Of the sample in hand
+    spinning: Annotated[FloatArray, 2]  # s of evidence that each track spins at the limit of the soil
+    stalled: Annotated[FloatArray, 2]  # s of evidence that each track is commanded and does not turn
+    forces: int  # number of forces to publish
+    # Of the current sample
     sample: Sample
-    is_open: int  # it waits for what is not done here …
-    gathered: int  # … with the average, see ``strength_average``
-    soil_due: int  # … with the state of the soil
+    is_open: int  # whether it waits for work that is not compiled:
+    gathered: int  # with the average, see ``strength_average``;
+    soil_due: int  # with the soil state
     forces_due: int
     seed_due: int
 
@@ -102,33 +102,33 @@ KNOWN = dtype_of(Known)
 
 
 class State(NamedTuple):
-    """All that the loop works on; it never grows."""
+    """Data of the loop, of constant size."""
 
     known: Table[Known]  # (1,)
     faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and Unused
     interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
-    limit_probabilities: FloatArray  # (l,) of the newest state
-    forces: Table[ForcesRecord]  # (n,) room for what is published
+    limit_probabilities: FloatArray  # (l,) of the newest soil state
+    forces: Table[ForcesRecord]  # (n,) buffer of forces to publish
 
 
 class Stop(NamedTuple):
-    """Where the loop stopped."""
+    """Result of one call of the loop."""
 
     reason: int
-    processed: int  # inputs
-    forces: int  # that are there to be published
+    processed: int  # number of inputs
+    forces: int  # number to publish
 
 
 def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
-    """At the start."""
+    """Return the initial data of the loop."""
     faults = np.zeros(_BRIEF + len(Unused), np.int64)
     forces = make_table(ForcesRecord, FORCES, _ROOM)
     return State(initial(p), faults, new_interpolator(p.moments), limits, np.zeros_like(limits), forces)
 
 
 def initial(p: SoilEstimatorParameters) -> Table[Known]:
-    """(1,) before the first sample."""
+    """Return the state (1,) before the first sample."""
     known, motor = make_table(Known, KNOWN, 1), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
@@ -139,7 +139,7 @@ def initial(p: SoilEstimatorParameters) -> Table[Known]:
 
 @compiled
 def advance(state: State, inputs: Table[SoilInputRecord], first: int, config: Table[SoilConfig]) -> Stop:
-    """Take inputs (n,) from ``first`` on until something else is to be done, or none is left."""
+    """Process inputs (n,) from index ``first`` on until none is left or the caller must act."""
     p, known, interpolator = config[0], state.known[0], state.interpolator
     known.forces = 0
     while True:
@@ -167,7 +167,7 @@ def advance(state: State, inputs: Table[SoilInputRecord], first: int, config: Ta
 
 @compiled
 def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
-    """Use one sample."""
+    """Process the current sample."""
     sample = known.sample
     before_ns = known.newest_ns if known.has_begun else sample.stamp_ns
     known.has_begun, known.newest_ns = True, sample.stamp_ns
@@ -199,7 +199,7 @@ def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
     normal = known.load.normal[0] + known.load.normal[1]
     of_pull = known.load.pull_variance + (p.thrust.efficiency_stddev * known.load.pull) ** 2
     of_pull += burden_variance(known.burden, known.mu[0] * normal - known.load.pull, p.load)
-    known.mu_variance[0] += of_pull / max(normal, 1.0) ** 2  # they last, so that no filter averages them
+    known.mu_variance[0] += of_pull / max(normal, 1.0) ** 2  # time-correlated, so not averaged by the filter
     known.gathered = gather(known.average, sample, known.thrust, known.load, p.strength)
     known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
     known.soil_due = _passes(before_ns, sample.stamp_ns, p.soil_period)
@@ -208,7 +208,7 @@ def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
 
 @compiled
 def _is_sound(known: Known) -> bool:
-    """The last guard: whether all that the next sample depends on is finite."""
+    """Whether the estimates that the next sample depends on are finite."""
     total = known.thrust.force.sum() + known.thrust.variance.sum() + known.offsets.mean.sum()
     total += known.offsets.variance.sum() + known.mu.sum() + known.mu_variance.sum()
     total += known.dynamics.mean.sum() + known.dynamics.covariance.sum()
@@ -217,7 +217,7 @@ def _is_sound(known: Known) -> bool:
 
 @compiled
 def _measure(known: Known, sample: Sample, p: SoilConfig) -> None:
-    """Thrusts from pressures that can be true; on straights they show the flow, too."""
+    """Measure the thrusts from plausible pressures and, in straight motion, η_V."""
     speeds = np.empty(2)  # of the sprockets, rad/s
     for k in range(2):
         speeds[k] = sample.tracks[k] / p.vehicle.rolling_radius
@@ -230,14 +230,14 @@ def _measure(known: Known, sample: Sample, p: SoilConfig) -> None:
 
 @compiled
 def _passes(before_ns: int, now_ns: int, period: float) -> bool:
-    """Whether a multiple of the period lies in (before, now]; always at the first sample."""
+    """Whether a multiple of the period lies in (before, now]; always true at the first sample."""
     period_ns = round(period * 1e9)
     return before_ns == now_ns or before_ns // period_ns != now_ns // period_ns
 
 
 @compiled
 def _publish_forces(state: State, p: SoilConfig) -> None:
-    """Those of the sample in hand."""
+    """Append the forces of the current sample; update the evidence of spinning."""
     known = state.known[0]
     sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
     known.forces += 1
@@ -260,7 +260,7 @@ def _publish_forces(state: State, p: SoilConfig) -> None:
 
 @compiled
 def _reserve(state: State, force: float, variance: float, p: SoilConfig) -> Reserve:
-    """Of a track, with F_max as in the newest state; unknown before it has shown."""
+    """Return the reserve of a track with F_max of the newest soil state; nan before one effective sample."""
     if state.known[0].effective_samples < 1.0:
         return Reserve(math.nan, 0.0)
     return thrust_reserve(force, variance, state.limits, state.limit_probabilities, 1.0 - p.low_reserve)

@@ -7,10 +7,10 @@
     F_d, F_b   thrust of ΔP − b, motor driving and motor driven               N
     π          probability that the motor drives: ΔP − b and ω have one sign  1
     F          π F_d + (1 − π) F_b                                            N
-    σ²         what noise and offset make of F, and π (1 − π) (F_d − F_b)²    N²
+    σ²         variance of F by noise and offset, plus π (1 − π) (F_d − F_b)²  N²
 
-Arrays (2,) are left, right. The error of the efficiency is apart: it scales all thrusts alike and does not
-average.
+Arrays (2,) are left, right. σ² excludes the error of the efficiency: it scales all thrusts alike and does not
+average out.
 """
 
 import math
@@ -26,26 +26,26 @@ from trackslip_estimation.terramechanics.hydraulics import speed_of_flow, thrust
 
 
 class Offsets(Record):
-    """Of the transducers."""
+    """Offsets of the pressure transducers."""
 
     mean: Annotated[FloatArray, 2]  # Pa
     variance: Annotated[FloatArray, 2]  # Pa²
-    stood: float  # s for which the machine has stood with closed spools
+    stood: float  # s at standstill with closed spools
 
 
 class ThrustRecord(Record):
-    """Of both tracks."""
+    """Thrusts of both tracks."""
 
-    is_known: int  # from pressures of this moment; else held
+    is_known: int  # 1 from present pressures, 0 held
     force: Annotated[FloatArray, 2]  # N
     variance: Annotated[FloatArray, 2]  # N², without the error of the efficiency
 
 
 class Motor(Record):
-    """Of each track."""
+    """Constants of the travel motor of each track."""
 
     driving: float  # N of thrust per Pa, while the motor drives
-    driven: float  # the same, while the track drives the motor
+    driven: float  # N of thrust per Pa, while the track drives the motor
     largest_thrust: float  # N, at the pressure of the relief valve
     full_flow_speed: float  # rad/s of the sprocket at the whole flow, without leakage
 
@@ -55,28 +55,40 @@ OFFSETS, THRUST, MOTOR = dtype_of(Offsets), dtype_of(ThrustRecord), dtype_of(Mot
 
 @dataclass(frozen=True, kw_only=True)
 class ThrustParameters(Parameters):
-    """How far pressures and what is made of them can be trusted."""
+    """Errors of pressures, offsets and thrusts."""
 
     pressure_stddev: float = parameter("noise of a pressure", unit="Pa", gt=0.0)
-    speed_stddev: float = parameter("of a sprocket speed, about which its sign is open", unit="rad/s", gt=0.0)
-    efficiency_stddev: float = parameter("of η_m, relative: an error of all thrusts", ge=0.0, lt=1.0)
-    offset_stddev: float = parameter("offset of a transducer, before it is learned", unit="Pa", gt=0.0)
-    offset_limit: float = parameter("beyond it a standing pressure is trapped, no offset", unit="Pa", gt=0.0)
-    offset_residue: float = parameter("what standing cannot tell from an offset", unit="Pa", gt=0.0)
-    persist_time: float = parameter(
-        "at rest, after which a pressure far from the offset that is known is another one", unit="s", gt=0.0
+    speed_stddev: float = parameter(
+        "standard deviation of a sprocket speed; sets how certain its sign is", unit="rad/s", gt=0.0
     )
-    far_offset: float = parameter("standard deviations from the offset that is known, which are far", gt=0.0)
+    efficiency_stddev: float = parameter(
+        "relative standard deviation of η_m, common to all thrusts", ge=0.0, lt=1.0
+    )
+    offset_stddev: float = parameter(
+        "initial standard deviation of the offset of a transducer", unit="Pa", gt=0.0
+    )
+    offset_limit: float = parameter(
+        "largest offset; a larger pressure at standstill is trapped oil", unit="Pa", gt=0.0
+    )
+    offset_residue: float = parameter(
+        "residual error of an offset that standstill does not reveal", unit="Pa", gt=0.0
+    )
+    persist_time: float = parameter(
+        "standstill after which a pressure far from the known offset becomes the new offset", unit="s", gt=0.0
+    )
+    far_offset: float = parameter("standard deviations from the known offset that count as far", gt=0.0)
     offset_drift: float = parameter("random walk of an offset", unit="Pa/√s", ge=0.0)
-    settling_time: float = parameter("standing with closed spools, before offsets show", unit="s", ge=0.0)
+    settling_time: float = parameter(
+        "standstill with closed spools before offsets are estimated", unit="s", ge=0.0
+    )
     closed_spool: float = parameter("spool position below which a valve is closed", gt=0.0, lt=1.0)
     unseen_walk: float = parameter(
-        "random walk of a thrust while its pressure is not known", unit="N/√s", gt=0.0
+        "random walk of a thrust while its pressure is unknown", unit="N/√s", gt=0.0
     )
 
 
 def motor_of(vehicle: Vehicle) -> Table[Motor]:
-    """(1,) of a vehicle."""
+    """Return the motor constants (1,) of a vehicle."""
     driving, driven = (float(thrust_of_pressure(1.0, sign, vehicle)) for sign in (1.0, -1.0))
     largest = float(thrust_of_pressure(vehicle.relief_pressure, 1.0, vehicle))
     full_flow = float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle)) / vehicle.volumetric_efficiency
@@ -87,14 +99,14 @@ def motor_of(vehicle: Vehicle) -> Table[Motor]:
 
 
 def new_offsets(p: ThrustParameters) -> Table[Offsets]:
-    """(1,) before the machine has stood."""
+    """Return the offsets (1,) before the first standstill."""
     offsets = make_table(Offsets, OFFSETS, 1)
     offsets["variance"] = p.offset_stddev**2
     return offsets
 
 
 def unknown_thrust(motor: Motor) -> Table[ThrustRecord]:
-    """(1,) before the first pressure."""
+    """Return the thrust (1,) before the first pressure."""
     thrust = make_table(ThrustRecord, THRUST, 1)
     thrust["variance"] = motor["largest_thrust"] ** 2
     return thrust
@@ -104,10 +116,10 @@ def unknown_thrust(motor: Motor) -> Table[ThrustRecord]:
 def update_offsets(
     offsets: Offsets, pressures: FloatArray, is_standing: bool, dt: float, p: ThrustParameters
 ) -> bool:
-    """``dt`` s later: a random walk that is seen while the machine stands with closed spools.
+    """Propagate the offsets, random walks, by ``dt`` s; update them at standstill with closed spools.
 
-    Returns whether a pressure was refused that should show an offset: one that is too large for any, or far
-    from what is known of it, is oil that something presses on.
+    Return whether a pressure was rejected. One that is too large, or far from the known offset, is oil under
+    load. A far one inflates the variance of the offset, so that it is accepted if it persists.
     """
     offsets.stood = offsets.stood + dt if is_standing else 0.0
     refused = False
@@ -138,10 +150,10 @@ def measure_thrust(
     p: ThrustParameters,
     motor: Motor,
 ) -> None:
-    """Set F and σ² from pressures (2,), Pa, at sprocket speeds (2,), rad/s; a speed may be nan."""
+    """Set F and σ² from pressures (2,), Pa, and sprocket speeds (2,), rad/s; a speed may be nan."""
     thrust.is_known = True
     for k in range(2):
-        # A slope or a little trapped oil looks like an offset, however long it is looked at.
+        # At standstill a slope or a little trapped oil is indistinguishable from an offset.
         variance = offsets.variance[k] + p.offset_residue**2 + p.pressure_stddev**2
         pressure = pressures[k] - offsets.mean[k]
         forward = 0.5 if math.isnan(speeds[k]) else _below(speeds[k] / p.speed_stddev)
@@ -155,7 +167,7 @@ def measure_thrust(
 
 @compiled
 def hold_thrust(thrust: ThrustRecord, dt: float, p: ThrustParameters, motor: Motor) -> None:
-    """``dt`` s later without pressures: the same, less certain, up to what relief allows."""
+    """Hold the thrusts for ``dt`` s; inflate their variances up to that of the relief pressure."""
     thrust.is_known = False
     for k in range(2):
         thrust.variance[k] = min(thrust.variance[k] + p.unseen_walk**2 * dt, motor.largest_thrust**2)
@@ -163,5 +175,5 @@ def hold_thrust(thrust: ThrustRecord, dt: float, p: ThrustParameters, motor: Mot
 
 @compiled
 def _below(z: float) -> float:
-    """Probability that a standard normal variable lies below z."""
+    """Return the probability that a standard normal variable lies below z."""
     return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
