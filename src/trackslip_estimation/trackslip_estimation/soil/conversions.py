@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between messages and the records of the soil estimator. Knows both sides; holds no logic."""
+"""Conversions between messages and the records of the soil estimator, without logic."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ from trackslip_estimation.soil.records import (
 )
 from trackslip_estimation.soil.soil_estimator import SoilOutput, SoilState
 
-# Fields of TrackForces, left and right, and those of the record
+# Fields of the message, each left and right, and of the record
 _PAIRS = (
     ("thrust", "thrust"),
     ("resistance", "resistance"),
@@ -36,12 +36,12 @@ FORCES, SOIL, SEED = "track_forces", "soil", "slip_seed"  # topics of the output
 
 
 def hydraulics(message: Any) -> Hydraulics:
-    """From trackslip_msgs/TrackHydraulics."""
+    """Return the record of a trackslip_msgs/TrackHydraulics."""
     return Hydraulics(*read(HydraulicsFields, message))
 
 
 def machine_state(message: Any) -> MachineState:
-    """From trackslip_msgs/MachineState; a state of motion that is none of its constants is unknown."""
+    """Return the record of a trackslip_msgs/MachineState; undefined states of motion become UNKNOWN."""
     m = read(MachineStateFields, message)
     pose = PoseWithCovariance(np.array((m.x, m.y, m.heading)), m.pose_covariance)
     leans, swings = m.attitude_covariance[0, 0] != ABSENT, m.swing_covariance[0, 0] != ABSENT
@@ -60,7 +60,7 @@ def machine_state(message: Any) -> MachineState:
 
 
 def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
-    """The message for an output: trackslip_msgs/TrackForces, SoilEstimate or TrackSlip."""
+    """Return the message for an output: trackslip_msgs/TrackForces, SoilEstimate or TrackSlip."""
     if isinstance(output, TrackForces):
         return track_forces(make, output, base_frame)
     if isinstance(output, SlipSeed):
@@ -69,25 +69,25 @@ def message_of(make: Make, output: SoilOutput, base_frame: str) -> Any:
 
 
 def track_forces(make: Make, forces: TrackForces, base_frame: str) -> Any:
-    """trackslip_msgs/TrackForces."""
+    """Return a trackslip_msgs/TrackForces."""
     fields = {f"{side}_{name}": getattr(forces, of)[k] for name, of in _PAIRS for k, side in _SIDES}
     return make("trackslip_msgs/msg/TrackForces", header=header(make, forces.stamp_ns, base_frame), **fields)
 
 
 def force_columns(forces: NDArray[np.void]) -> dict[str, NDArray[np.float64]]:
-    """The fields of trackslip_msgs/TrackForces but its header, of (n,) of ``FORCES``."""
+    """Return the fields of trackslip_msgs/TrackForces but its header, from (n,) of ``FORCES``."""
     return {f"{side}_{name}": forces[of][:, k] for name, of in _PAIRS for k, side in _SIDES}
 
 
 def topic_of(output: SoilOutput) -> str:
-    """Where it is published."""
+    """Return the topic of an output."""
     if isinstance(output, TrackForces):
         return FORCES
     return SEED if isinstance(output, SlipSeed) else SOIL
 
 
 def slip_seed(make: Make, seed: SlipSeed, base_frame: str) -> Any:
-    """trackslip_msgs/TrackSlip, its slip angle not known."""
+    """Return a trackslip_msgs/TrackSlip with an unobserved slip angle."""
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = seed.covariance
     left, right = (float(slip) for slip in seed.slips)
@@ -103,7 +103,7 @@ def slip_seed(make: Make, seed: SlipSeed, base_frame: str) -> Any:
 
 
 def soil_estimate(make: Make, state: SoilState, base_frame: str) -> Any:
-    """trackslip_msgs/SoilEstimate."""
+    """Return a trackslip_msgs/SoilEstimate."""
     found = state.strength
     (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
     return make(

@@ -1,18 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil sheared under the tracks: (3.3) carried through turns and changes of slip, compiled.
+"""Shear displacement of the soil under the tracks: (3.3) extended to turns and changing slip, compiled.
 
     u        track speed r ω                                                        m/s
     v_x, v_y, φ̇   velocity of C and yaw rate: the twist                              m/s, rad/s
-    x_e, ξ   an element's place ahead of C; its distance from the leading edge      m
+    x_e, ξ   position of an element ahead of C; its distance from the leading edge m
     s        sliding velocity (v_x − φ̇ y_e − u, v_y + φ̇ x_e)                        m/s
     j        shear displacement, carried along the contact: dj = s dt, dt = dξ/|u|  m
     K        shear deformation modulus                                              m
-    w        strength of an element over the mean, 1 + x_e lean ≥ 0: ``ground_load``  1
+    w        ratio of an element's strength to the mean, 1 + x_e lean ≥ 0: ``ground_load``  1
     q        F/F_max = mean over the contact of w (1 − e^(−|j|/K)) (−s_x/|s|)       1
 
-In steady straight motion |j| = |i| ξ, and q is that of (3.3). In a turn the track slides sideways too, which
-takes part of the strength from the thrust; and for a track's length after any change the soil remembers.
+In steady straight motion |j| = |i| ξ, and q is that of (3.3). In a turn the track also slides sideways, which
+uses part of the strength. After a change of motion, j depends on the motion before for one contact length.
 Arrays over tracks are left, right; element 0 is the foremost.
 """
 
@@ -25,21 +25,21 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 
-FARTHEST = 0.5  # m, at which all strength is mobilised: a reversal need not undo more
-STILL = 1e-9  # m, m/s, below which nothing slides
-_ALL = 40.0  # |j|/K, at which 1 − e^(−|j|/K) is 1 to the last bit
+FARTHEST = 0.5  # m, bound of |j|: all strength is mobilised, and a reversal need not undo more
+STILL = 1e-9  # m, m/s, least divisor: slower sliding is none
+_ALL = 40.0  # |j|/K at which 1 − e^(−|j|/K) rounds to 1
 _HALVINGS = 6
 
 
 class Contact(NamedTuple):
-    """Where the tracks touch the ground."""
+    """Geometry of the track contact."""
 
-    x_e: FloatArray  # (n,) of the elements' centres, from the front, m
+    x_e: FloatArray  # (n,) of the element centres, foremost first, m
     half_tread: float  # m
 
 
 class Rolling(NamedTuple):
-    """How the machine moves."""
+    """Motion of the machine."""
 
     twist: FloatArray  # (3,)
     tracks: FloatArray  # (2,) u
@@ -47,34 +47,34 @@ class Rolling(NamedTuple):
 
 
 class Path(NamedTuple):
-    """Where the soil under each element was ``dt`` ago; (2, n) each."""
+    """Positions ``dt`` ago of the soil under each element; arrays (2, n)."""
 
-    place: NDArray[np.int64]  # in front of it, the element
-    following: NDArray[np.int64]  # behind it, the next one
-    part: FloatArray  # of the way from the one to the other
-    scale: FloatArray  # of j there: down to 0 at the leading edge
-    time: FloatArray  # for which the soil was under the track, s
-    middle: FloatArray  # x of the middle of its way, m
+    place: NDArray[np.int64]  # index of the element centre in front of it
+    following: NDArray[np.int64]  # index of the element centre behind it
+    part: FloatArray  # share of the distance from the former to the latter
+    scale: FloatArray  # factor of j there: falls to 0 at the leading edge
+    time: FloatArray  # time the soil has been under the track since, s
+    middle: FloatArray  # x of the middle of its travel, m
 
 
 class RollingError(NamedTuple):
-    """By how much a ``Rolling`` is off, and was so while the tracks rolled over the soil."""
+    """Error of a ``Rolling``, constant while the tracks rolled over the soil."""
 
-    along: FloatArray  # (2,) of each track's s_x, m/s
-    across: FloatArray  # (2,) of v_y and φ̇ in s_y
+    along: FloatArray  # (2,) error of s_x of each track, m/s
+    across: FloatArray  # (2,) errors of v_y and φ̇ in s_y, m/s, rad/s
     lean: float  # 1/m
 
 
 def element_places(length: float, elements: int) -> FloatArray:
-    """x_e of the elements' centres (n,), from the front, m."""
+    """Return x_e of the element centres (n,), foremost first, m."""
     return length * (0.5 - (np.arange(elements) + 0.5) / elements)
 
 
 @compiled
 def mobilised(ratio: float) -> float:
-    """1 − e^(−ratio) for a ratio ≥ 0, to 1e-14; of plain arithmetic, so that loops over it are vectorised.
+    """Return 1 − e^(−ratio) for a ratio ≥ 0, to 1e-14, in plain arithmetic so that loops are vectorised.
 
-    e^−y − 1 of y = ratio/64 by its series, then doubled six times: e^(−2y) − 1 = m (2 + m).
+    The series of m = e^−y − 1 at y = ratio/64 is doubled six times: e^(−2y) − 1 = m (2 + m).
     """
     y = min(ratio, _ALL) * 0.5**_HALVINGS
     m = 1.0 - y / 7.0 * (1.0 - y / 8.0 * (1.0 - y / 9.0 * (1.0 - y / 10.0 * (1.0 - y / 11.0))))
@@ -87,15 +87,15 @@ def mobilised(ratio: float) -> float:
 
 @compiled
 def sliding_along(rolling: Rolling, k: int, half_tread: float) -> float:
-    """s_x of track k."""
+    """Return s_x of track k, m/s."""
     return float(rolling.twist[0] - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k])
 
 
 @compiled
 def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
-    """Follow each element's soil back to where it was, between two centres.
+    """Return where the soil under each element was ``dt`` ago, between two element centres.
 
-    Or to the leading edge, where it was not yet sheared.
+    Soil that was not yet under the track is traced to the leading edge, where it is not sheared.
     """
     n = len(x_e)
     dx = x_e[0] - x_e[1]
@@ -129,14 +129,14 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
 
 @compiled
 def carried(j: FloatArray, path: Path, k: int, e: int, axis: int) -> float:
-    """What j (2, n, 2) was where the soil under an element was, m."""
+    """Return a component of j (2, n, 2) at the former position of the soil under element e of track k, m."""
     before, behind = j[k, path.place[k, e], axis], j[k, path.following[k, e], axis]
     return float(path.scale[k, e] * ((1.0 - path.part[k, e]) * before + path.part[k, e] * behind))
 
 
 @compiled
 def carry(j: FloatArray, rolling: Rolling, contact: Contact, dt: float) -> FloatArray:
-    """J (2, n, 2) after dt > 0 of steady motion, of any length."""
+    """Return j (2, n, 2) after steady motion for any dt > 0."""
     n, twist = len(contact.x_e), rolling.twist
     path = path_of(rolling.tracks, contact.x_e, dt)
     after = np.empty_like(j)
@@ -155,7 +155,7 @@ def carry(j: FloatArray, rolling: Rolling, contact: Contact, dt: float) -> Float
 def shares(
     j: FloatArray, rolling: Rolling, error: RollingError, contact: Contact, moduli: FloatArray, q: FloatArray
 ) -> None:
-    """Fill q (2, moduli) for a rolling that is off by ``error``."""
+    """Fill q (2, moduli) for ``rolling`` with ``error`` added."""
     x_e, twist = contact.x_e, rolling.twist
     n = len(x_e)
     dx = x_e[0] - x_e[1]

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The slips that thrust and soil tell of straight motion by (3.3), or nearly (3.12): once after each turn.
+"""Slips of straight motion from thrust and soil by the inverse of (3.3), nearly (3.12); once after each turn.
 
-A yaw rate cannot reveal equal slips on both tracks; these can. They rest on K and F_max, which rest on slips:
-an estimator that takes them hears itself again. Hence one after a turn, never a stream; with all of what is
-not known of K in their covariance; and from the soil as it was known when the turn ended, before the slips
-that are to be put right had their say.
+Equal slips of both tracks are not observable from the yaw rate; a seed makes them observable. K and F_max are
+themselves estimated from slips, so that a seed is correlated with the slip estimate. Therefore only one seed
+follows each turn. Its covariance includes the whole uncertainty of K. Its soil strength is that at the end of
+the turn, not influenced by the slips to be corrected.
 
     i, F     slip and thrust of a track, positive in the direction of travel      1, N
     K, F_max of the soil, as published last in the turn, with 5 and 95 % points   m, N
-    σ        of ln K and of ln F_max: their 5 and 95 % points are 3.29 σ apart
-    C        covariance of both slips: K, F_max and (3.3) are wrong for both alike, thrusts each for itself
+    σ        stddev of ln K and of ln F_max: their 5 and 95 % points are 3.29 σ apart
+    C        covariance of both slips; errors of K, F_max and (3.3) are common, of thrusts independent
 """
 
 from __future__ import annotations
@@ -41,46 +41,49 @@ _INTERVAL = 2.0 * 1.6449  # standard deviations from 5 to 95 %
 
 @dataclass(frozen=True, kw_only=True)
 class SeedParameters(Parameters):
-    """When slips have settled after a turn, and how far (3.3) is trusted then."""
+    """When slips have settled after a turn, and the errors of a seed."""
 
-    settling_time: float = parameter("straight on for so long", unit="s", gt=0.0)
+    settling_time: float = parameter("time of straight motion before a seed", unit="s", gt=0.0)
     settling_lengths: float = parameter(
-        "and so many contact lengths on: where a turn has sheared the soil, tracks hardly slip", ge=0.0
+        "contact lengths of straight motion before a seed; tracks hardly slip on soil sheared by a turn",
+        ge=0.0,
     )
-    share_stddev: float = parameter("what (3.3) leaves out of a slip, relative", gt=0.0)
-    thrust_stddev: float = parameter("what pressures leave out of a thrust", unit="N", gt=0.0)
+    share_stddev: float = parameter("relative standard deviation of a slip by (3.3)", gt=0.0)
+    thrust_stddev: float = parameter(
+        "standard deviation added to that of a thrust from pressures", unit="N", gt=0.0
+    )
 
 
 class Thrust(NamedTuple):
-    """Of both tracks; (2,) each."""
+    """Thrusts of both tracks; arrays (2,)."""
 
     force: FloatArray  # N
     variance: FloatArray  # N²
 
 
 class StrengthRecord(Record):
-    """As ``StrengthSummary``."""
+    """Record of ``StrengthSummary``."""
 
     shear_modulus: float  # m
     shear_modulus_interval: Annotated[FloatArray, 2]
     thrust_limit: float  # N
     thrust_limit_interval: Annotated[FloatArray, 2]
     effective_samples: float
-    largest_thrust: float  # N, with which the soil still gives a slip; 0 where it is not identifiable
+    largest_thrust: float  # N, up to which a seed is computed; 0 if not identifiable
 
 
 class Seeder(Record):
-    """What is remembered for the next seed."""
+    """State for the next seed."""
 
-    is_due: int  # there was a turn, and no seed since
-    time: float  # s: straight on
-    distance: float  # m: straight on
-    newest: StrengthRecord  # of the newest state
+    is_due: int  # whether a turn has had no seed yet
+    time: float  # s, of straight motion
+    distance: float  # m, of straight motion
+    newest: StrengthRecord  # of the newest soil state
     in_turn: StrengthRecord  # when straight motion began
 
 
 def set_strength(seeder: Seeder, found: StrengthSummary) -> None:
-    """The strength of the newest state, for the next seed."""
+    """Set the strength of the newest soil state."""
     newest = seeder["newest"]
     for name in ("shear_modulus", "thrust_limit"):
         newest[name], newest[f"{name}_interval"] = getattr(found, name), getattr(found, f"{name}_interval")
@@ -92,7 +95,7 @@ def set_strength(seeder: Seeder, found: StrengthSummary) -> None:
 def seed_of(
     seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SeedParameters, length: float
 ) -> SlipSeed:
-    """The seed that is due at a sample with its thrust; ``length``: of the contact, m."""
+    """Return the seed due at a sample with its thrust; ``length``: contact length, m."""
     soil = seeder["in_turn"]
     strength = StrengthSummary(
         float(soil["shear_modulus"]),
@@ -109,7 +112,7 @@ def seed_of(
 
 @compiled
 def is_seed_due(seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SoilConfig) -> bool:
-    """After one more sample with its thrust: whether there was a turn, and slips have settled since."""
+    """Add a sample with its thrust; return whether a seed is due: slips have settled after a turn."""
     if sample.motion != _STRAIGHT:
         seeder.is_due = seeder.is_due or sample.motion == _TURNING
         seeder.time = seeder.distance = 0.0
@@ -143,10 +146,10 @@ def _copy_strength(to: StrengthRecord, source: StrengthRecord) -> None:
 def slips_of(
     thrust: Thrust, direction: FloatArray, soil: StrengthSummary, p: SeedParameters, length: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(2,) i and (2, 2) C; ``direction`` of travel of each track, 1 or −1.
+    """Return i (2,) and C (2, 2); ``direction``: of travel of each track, 1 or −1.
 
     Raises:
-        InputError: the soil cannot give such a thrust.
+        InputError: a thrust reaches F_max within one standard deviation of either.
     """
     force, stddev = thrust.force * direction, np.sqrt(thrust.variance + p.thrust_stddev**2)
     limit, modulus = soil.thrust_limit, soil.shear_modulus

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator: slips and pressures in; forces, resistances and the strength of the soil out.
+"""Soil estimator: forces, resistance coefficients and soil strength from machine states and pressures.
 
-Live node and replay run this same class. It knows no clock: time is in the stamps. It takes from the slip
-estimator and gives nothing back but a seed after a turn, which nobody hears unless a user wants it.
+Live node and replay run this same class. Time is that of the stamps; no clock is read. The slip estimator
+uses nothing of it, unless a user lists the slip seed, one after each turn, as a source.
 """
 
 import math
@@ -39,7 +39,7 @@ from trackslip_estimation.soil.strength_summary import StrengthSummary
 
 @dataclass(frozen=True, eq=False)
 class SoilState:
-    """What is known of the soil."""
+    """Estimate of the soil."""
 
     stamp_ns: int
     mu_r: float
@@ -54,20 +54,20 @@ SoilOutput: TypeAlias = TrackForces | SoilState | SlipSeed
 
 
 class SoilOutputs(NamedTuple):
-    """What is to be published after some inputs."""
+    """Outputs to publish after some inputs."""
 
     forces: NDArray[np.void]  # (n,) of ``FORCES``
     states: Sequence[SoilState] = ()
     seeds: Sequence[SlipSeed] = ()
 
     def in_order(self) -> list[SoilOutput]:
-        """All, by their stamps."""
+        """Return all outputs, sorted by stamp."""
         found: list[SoilOutput] = [*self.states, *map(_forces_of, self.forces), *self.seeds]
         return sorted(found, key=attrgetter("stamp_ns"))
 
 
 class SoilEstimator:
-    """Thrusts, sub-model 2 and the strength posterior, sample by sample.
+    """Estimates thrusts, resistance coefficients (sub-model 2) and the strength posterior, sample by sample.
 
     Raises:
         InputError: the vehicle has no mass or no hydraulics.
@@ -83,13 +83,13 @@ class SoilEstimator:
         self.use(p)
 
     def use(self, p: SoilEstimatorParameters) -> None:
-        """Other values of what may change while it runs."""
+        """Set new values of the parameters that may change while the estimator runs."""
         self.parameters = p
         self._config = make_config(p)
 
     @property
     def tally(self) -> Tally:
-        """What was not used, by source and reason."""
+        """Numbers of unused inputs and pressures, by source and reason."""
         tally = Tally()
         faults = zip((*PressureFault, *Unused), self._state.faults.tolist(), strict=True)
         found = [(HYDRAULICS, fault, count) for fault, count in faults]
@@ -100,17 +100,17 @@ class SoilEstimator:
 
     @property
     def faults(self) -> tuple[PressureFault, ...]:
-        """What is wrong with the pressures."""
+        """Faults of the pressures that are reported at present."""
         return named_faults(self._known["watch"])
 
     @property
     def strength(self) -> StrengthSummary:
-        """K and F_max now, and whether they are identifiable."""
+        """Present K and F_max, and whether they are identifiable."""
         return self._posterior.summary()
 
     @property
     def volumetric_efficiency(self) -> float | None:
-        """η_V as spools and speeds have it; a hint."""
+        """η_V from spools and speeds, for diagnostics; None while unknown."""
         efficiency = float(self._known["volumetric_efficiency"])
         return None if math.isnan(efficiency) else efficiency
 
@@ -122,7 +122,7 @@ class SoilEstimator:
 
     @property
     def stalled(self) -> tuple[bool, bool]:
-        """Whether the left and the right track are commanded, pushed, and do not turn."""
+        """Whether the left and the right track are commanded and under pressure, but do not turn."""
         left, right = self._known["stalled"] >= self.parameters.stall.time
         return bool(left), bool(right)
 
@@ -131,12 +131,12 @@ class SoilEstimator:
         return self._state.known[0]
 
     def advance(self, given: SoilInput) -> list[SoilOutput]:
-        """Use one input; what is to be published after it, in the order of the stamps."""
+        """Process one input; return its outputs in the order of the stamps."""
         given.write_to(self._one[0])
         return [output for outputs in self.advance_all(self._one) for output in outputs.in_order()]
 
     def advance_all(self, inputs: NDArray[np.void]) -> Iterator[SoilOutputs]:
-        """Use (n,) of ``SOIL_INPUT`` in their order; what is to be published, in parts of bounded size."""
+        """Process (n,) of ``SOIL_INPUT`` in their order; yield the outputs in parts of bounded size."""
         given, reason, processed = cast("Table[SoilInputRecord]", inputs), step.OPEN, 0
         while reason != step.PROCESSED:
             reason, processed, count = step.advance(self._state, given, processed, self._config)
@@ -148,13 +148,13 @@ class SoilEstimator:
                 self._restart()
 
     def _restart(self) -> None:
-        """Forget all that was learned; the transducers are still the same, but who knows for how long."""
+        """Reset all estimates, those of the transducers' offsets included."""
         self._state.known[:] = step.initial(self.parameters)
         self._posterior.reset()
         self.restarts += 1
 
     def _finish(self, known: step.Known) -> Iterator[SoilOutputs]:
-        """What the compiled step leaves open: the posterior, the state of the soil, and a seed."""
+        """Do what is not compiled: update the posterior; yield a seed and the soil state if due."""
         posterior, gathered = self._posterior, known["gathered"]
         if gathered == COMPLETE:
             posterior.update(known["average"])

@@ -30,7 +30,7 @@ DEFAULT_FILES = ("soil_estimator.yaml",)
 
 @dataclass(frozen=True, kw_only=True)
 class SoilNumbers(Parameters):
-    """Those that are numbers."""
+    """The numeric parameters."""
 
     moments: InterpolationParameters
     thrust: ThrustParameters
@@ -42,17 +42,20 @@ class SoilNumbers(Parameters):
     classes: ClassesParameters
     seed: SeedParameters
     flow: FlowParameters
-    forces_period: float = parameter("between two messages on track_forces", unit="s", gt=0.0, le=10.0)
-    soil_period: float = parameter("between two messages on soil", unit="s", gt=0.0, le=60.0)
+    forces_period: float = parameter("period of the messages on track_forces", unit="s", gt=0.0, le=10.0)
+    soil_period: float = parameter("period of the messages on soil", unit="s", gt=0.0, le=60.0)
     low_reserve: float = parameter(
         "share of F_max that a track should keep in reserve", ge=0.0, lt=1.0, read_only=False
     )
-    high_slip: float = parameter("slip of a track that digs in", gt=0.0, le=1.0, read_only=False)
+    high_slip: float = parameter("slip above which a track digs in", gt=0.0, le=1.0, read_only=False)
     stuck_probability: float = parameter(
-        "of having less reserve, from which on a track has none", gt=0.0, lt=1.0, read_only=False
+        "probability of a reserve below low_reserve above which a track has none",
+        gt=0.0,
+        lt=1.0,
+        read_only=False,
     )
     stuck_time: float = parameter(
-        "without reserve and at high slip for so long, a track is getting stuck",
+        "time without reserve at high slip after which a track is getting stuck",
         unit="s",
         gt=0.0,
         read_only=False,
@@ -64,15 +67,15 @@ class SoilEstimatorParameters(SoilNumbers, WithVehicle):
     """All parameters of the soil estimator."""
 
     base_frame: str = parameter("frame of the machine, at the track-contact centre")
-    frame_prefix: str = parameter("before base_frame, such as 'one/' where there are several")
+    frame_prefix: str = parameter("prefix of base_frame, such as 'one/' if there are several machines")
 
     @property
     def frame(self) -> str:
-        """Of the messages."""
+        """Frame of the messages."""
         return self.frame_prefix + self.base_frame
 
     def changed(self, values: Mapping[str, Any]) -> "SoilEstimatorParameters":
-        """These parameters with other values; dotted names.
+        """Return these parameters with other values, by dotted names.
 
         Raises:
             InputError: a name is unknown or a value refused.
@@ -81,17 +84,17 @@ class SoilEstimatorParameters(SoilNumbers, WithVehicle):
 
 
 class OfVehicle(Record):
-    """What belongs to a machine."""
+    """Parameters of the vehicle."""
 
     vehicle: Vehicle
 
 
 class SoilConfig(SoilNumbers, OfVehicle):
-    """The parameters as compiled code takes them."""
+    """Record of the parameters for compiled code."""
 
 
 def make_config(p: SoilEstimatorParameters) -> Table[SoilConfig]:
-    """(1,) of the parameters.
+    """Return the record (1,) of the parameters.
 
     Raises:
         InputError: the vehicle has no mass or no hydraulics.
@@ -100,7 +103,7 @@ def make_config(p: SoilEstimatorParameters) -> Table[SoilConfig]:
 
 
 def load_soil_parameters(*layers: Mapping[str, Any]) -> SoilEstimatorParameters:
-    """The defaults of ``config/`` with layers of dotted names over them, the last one on top.
+    """Return the defaults of ``config/``, overridden by layers of dotted names; the last layer has priority.
 
     Raises:
         InputError: a name is unknown or a value refused.

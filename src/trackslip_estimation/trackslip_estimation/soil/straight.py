@@ -1,20 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much distance a straight segment costs on each soil, against what the machine was seen to lose.
+"""Slip distance of a straight segment: measured, and expected on each soil hypothesis.
 
     K, F_max   of a hypothesis: a few of them, spread over the grid of the posterior   m, N
     U, ΣF      mean track speed; thrust of both tracks                                 m/s, N
-    v_x        speed of C with which a hypothesis pulls ΣF: F_max (q_L + q_R) = ΣF     m/s
-    j, q       the soil sheared under the tracks, F/F_max: ``shear_field``             m, 1
+    v_x        speed of C at which a hypothesis gives ΣF: F_max (q_L + q_R) = ΣF       m/s
+    j, q       shear displacement under the tracks, F/F_max: ``shear_field``           m, 1
     λ          slip distance: ∫(U − v_x) dt                                            m
 
-The slips of a straight are small, and an estimate of them is late: the soil under the tracks is first that of
-the turn before, which pulls without any slip, and fresh a contact length later. What is known well at each
-moment is the thrust, and over a straight the distance: from one good position to another the tracks rolled
-farther than the machine came. So each hypothesis drives the straight with the slips that it needs for the
-measured thrusts, and is evaluated by λ alone, which grows almost in proportion to K.
+Slips of straight motion are small, and their estimates lag: the soil sheared in the turn before gives thrust
+without slip, until it is fresh one contact length later. The thrust is measured well at each instant, and λ
+over the whole straight: the track distance exceeds the distance between two good positions. Each hypothesis
+therefore travels the straight with the slips that the measured thrusts require. The likelihood uses λ alone,
+which is almost proportional to K.
 
-Small slips pull F i l/(2 K) (1 - l lean/6): what the lean of the load errs by, λ errs by l/6 times as much.
+A small slip gives the thrust F_max i l/(2 K) (1 - l lean/6): an error of the lean of the load changes λ by
+l/6 times that error, relatively.
 """
 
 import math
@@ -36,29 +37,29 @@ from trackslip_estimation.soil.shear_field import (
 )
 
 _MODULI, _LIMITS = 12, 9  # hypotheses: λ is nearly linear in K and in 1/F_max between them
-_MOST_SLIP = 0.4  # a soil that is asked for more than it has lets the tracks spin; no farther than this
-_CLOSE_PULL, _CLOSE_SLIP = 1e-3, 1e-5  # of q_L + q_R; of a slip
-_TRIALS = 40  # about ten are needed
+_MOST_SLIP = 0.4  # bound of the slip, for thrusts beyond the strength of a hypothesis
+_CLOSE_PULL, _CLOSE_SLIP = 1e-3, 1e-5  # tolerances of q_L + q_R and of a slip
+_TRIALS = 40  # iterations; about ten are needed
 
 
 class Soils(NamedTuple):
-    """Of hypotheses: each K with each F_max."""
+    """Soil hypotheses: each K with each F_max."""
 
     moduli: FloatArray  # (m,) m
     limits: FloatArray  # (l,) N
 
 
 class SlipDistance(NamedTuple):
-    """What a straight cost."""
+    """Slip distance of a straight."""
 
     measured: float  # λ, m
     expected: FloatArray  # (moduli, limits) λ on each soil of the grid, m
-    variance: float  # of the measured, as far as the positions go, m²
-    of_lean: float  # standard deviation of λ by what the lean of the load is not known to, m
+    variance: float  # of the measured λ, by the positions, m²
+    of_lean: float  # standard deviation of λ by the error of the load's lean, m
 
 
 class Hypotheses:
-    """Soils that are driven on, and how the others lie between them."""
+    """Soil hypotheses, and the interpolation from them to the whole grid."""
 
     def __init__(self, contact: Contact, moduli: FloatArray, limits: FloatArray) -> None:
         self.contact = contact
@@ -69,15 +70,15 @@ class Hypotheses:
         self._by_limit = _between(-1.0 / self.soils.limits, -1.0 / limits)
 
     def on_grid(self, values: FloatArray) -> FloatArray:
-        """(moduli, limits) of the whole grid, from those driven on."""
+        """Return values (moduli, limits) on the whole grid, interpolated from those of the hypotheses."""
         return np.asarray(self._by_modulus @ values @ self._by_limit.T)
 
 
 class StraightSegment:
-    """A straight that the machine is on, as each hypothesis drives it."""
+    """The straight in progress, as travelled on each hypothesis."""
 
     def __init__(self, hypotheses: Hypotheses, displacement: FloatArray, start: PoseWithCovariance) -> None:
-        """Begun at ``start`` with ``displacement`` (2, n, 2), j under the tracks."""
+        """Begin at ``start`` with ``displacement`` (2, n, 2), j under the tracks, m."""
         self._hypotheses, self._start, self._end = hypotheses, start, start
         shape = tuple(map(len, hypotheses.soils))
         self._j = np.tile(displacement, (*shape, 1, 1, 1))
@@ -86,13 +87,13 @@ class StraightSegment:
 
     @property
     def track_distance(self) -> float:
-        """Distance of the tracks, m."""
+        """Track distance, m."""
         return abs(self._track_distance)
 
     def add(self, dt: float, rolling: Rolling, thrust: float, lean_stddev: float = 0.0) -> None:
-        """``dt`` s on, with ``thrust`` of both tracks together. Of the twist, v_x is each hypothesis' own.
+        """Add ``dt`` s with the total ``thrust`` of both tracks; each hypothesis has its own v_x.
 
-        ``lean_stddev``: what the rolling's lean errs by, 1/m.
+        ``lean_stddev``: standard deviation of the rolling's lean, 1/m.
         """
         s, distance = self._hypotheses, float(rolling.tracks.mean()) * dt
         self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
@@ -100,9 +101,9 @@ class StraightSegment:
         self._leaning += abs(distance) * lean_stddev
 
     def set_end(self, pose: PoseWithCovariance, stretch: float = 1.0, stretch_stddev: float = 0.0) -> None:
-        """Be there, as is better known by now: a machine that stands is seen again and again.
+        """Move the end to ``pose``, at standstill repeatedly as the pose becomes more accurate.
 
-        ``stretch``: way along the ground over the horizontal one; ``stretch_stddev``: its relative error.
+        ``stretch``: distance along the ground over the horizontal one; ``stretch_stddev``: relative error.
         """
         distance = stretch * self._end.distance_to(pose)
         self._travelled += distance
@@ -110,7 +111,7 @@ class StraightSegment:
         self._end = pose
 
     def slip_distance(self) -> SlipDistance:
-        """λ until now."""
+        """Return λ up to now."""
         forward = math.copysign(1.0, self._track_distance)
         expected = self._hypotheses.on_grid(forward * self._expected)
         variance = self._start.variance_along() + self._end.variance_along() + self._distance_stddev**2
@@ -122,21 +123,21 @@ class StraightSegment:
 
 
 class _Pulling(NamedTuple):
-    """What one hypothesis' pull over a step rests on, whatever its slip; (2, n) over tracks and elements."""
+    """Terms of a hypothesis' thrust over a step that do not depend on its slip; (2, n): tracks, elements."""
 
     before: FloatArray  # j_x carried along, m
     across: FloatArray  # j_y at the end of the step, m
     time: FloatArray  # for which the soil was under the track, s
     s_y: FloatArray  # m/s
     strength: FloatArray  # (n,) w
-    shares: FloatArray  # room for the elements' shares of q
+    shares: FloatArray  # buffer for the elements' shares of q
 
 
 @compiled
 def drive(
     j: FloatArray, rolling: Rolling, thrust: float, soils: Soils, contact: Contact, dt: float
 ) -> FloatArray:
-    """Mean slips (moduli, limits) of the hypotheses, whose j (moduli, limits, 2, n, 2) are carried on."""
+    """Return the mean slips (moduli, limits) of the hypotheses; update their j (moduli, limits, 2, n, 2)."""
     n, half_tread = len(contact.x_e), contact.half_tread
     path = path_of(rolling.tracks, contact.x_e, dt)
     shape = (2, n)
@@ -165,14 +166,14 @@ def drive(
 
 @compiled
 def _sliding_along(slip: float, rolling: Rolling, half_tread: float, k: int) -> float:
-    """s_x of track k where C goes with a mean slip."""
+    """Return s_x of track k at a mean slip of both tracks, m/s."""
     U = 0.5 * (rolling.tracks[0] + rolling.tracks[1])
     return float(U * (1.0 - slip) - rolling.twist[2] * half_tread * (1.0 - 2.0 * k) - rolling.tracks[k])
 
 
 @compiled
 def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float) -> float:
-    """q_L + q_R in the sense of travel after the step with a mean slip."""
+    """Return q_L + q_R in the direction of travel after the step with a mean slip."""
     n, per_modulus = pulling.time.shape[1], 1.0 / modulus
     total = 0.0
     for k in range(2):
@@ -185,7 +186,7 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
             sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), STILL)
             shares[e] = np.divide(
                 pulling.strength[e] * mobilised(slid * per_modulus), sliding
-            )  # no look for 0
+            )  # no check for 0
         for e in range(n):
             total -= s_x * shares[e]
     return float(math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1]) * total / n)
@@ -195,10 +196,10 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
 def _needed_slip(
     requested: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float
 ) -> float:
-    """Mean slip that pulls ``requested``.
+    """Return the mean slip, within ±_MOST_SLIP, at which ``_pull`` is ``requested``.
 
-    More slip pulls more, so false position (Illinois) closes in on it, or on the step of the pull at slip 0
-    where the soil is sheared already.
+    Thrust rises with slip, so false position (Illinois) converges to it, or to the step of the thrust at
+    slip 0 where the soil is sheared already.
     """
     low, high = -_MOST_SLIP, _MOST_SLIP
     f_low = _pull(low, pulling, rolling, half_tread, modulus) - requested
@@ -235,5 +236,5 @@ def _leave(j: FloatArray, slip: float, pulling: _Pulling, rolling: Rolling, half
 
 
 def _between(nodes: FloatArray, places: FloatArray) -> FloatArray:
-    """(places, nodes) weights of linear interpolation; both rise, the places lie within the nodes."""
+    """Return weights (places, nodes) of linear interpolation; both ascend, places lie within the nodes."""
     return np.stack([np.interp(places, nodes, unit) for unit in np.eye(len(nodes))], axis=1)

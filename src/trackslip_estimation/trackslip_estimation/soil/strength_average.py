@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Averages of the samples that the strength posterior uses, compiled."""
+"""Averages of samples for the strength posterior, compiled."""
 
 import math
 from typing import Annotated
@@ -13,42 +13,41 @@ from trackslip_estimation.soil.interpolation import Sample
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.thrust import ThrustRecord
 
-_LARGEST = 1e6  # m/s, and what else there is but thrusts: beyond it is no measurement
+_LARGEST = 1e6  # in any unit, thrusts apart: larger numbers are no measurement
 _LARGEST_THRUST = 1e9  # N
-_ROUNDING = 1e-12  # (m/s)², (rad/s)²: by which a covariance may miss being one
+_ROUNDING = 1e-12  # (m/s)², (rad/s)²: eigenvalues of a covariance down to minus this are accepted
 
 
 class Average(Record):
-    """Of samples; while it is not complete, sums over time."""
+    """Average of samples; sums over time until it is complete."""
 
-    dt: float  # s, of all samples in it
+    dt: float  # s, total of its samples
     tracks: Annotated[FloatArray, 2]  # m/s
     twist: Annotated[FloatArray, 3]
     twist_covariance: Annotated[FloatArray, (3, 3)]
-    force: Annotated[FloatArray, 2]  # N, as it would be on level ground; nan where it is not known
+    force: Annotated[FloatArray, 2]  # N, reduced to level ground; nan if unknown
     variance: Annotated[FloatArray, 2]  # N²
-    swing_variance: Annotated[FloatArray, 2]  # what of it is by the swing, and lasts until that is known
-    lean: float  # see ``ground_load``, as the next three
+    swing_variance: Annotated[FloatArray, 2]  # part by the swing angle, time-correlated
+    lean: float  # as in ``ground_load``, like the next three
     lean_stddev: float
     stretch: float
     stretch_stddev: float
-    motion: int  # of the last sample in it, as its pose
+    motion: int  # of its last sample, like the pose
     pose: Annotated[FloatArray, 3]
     pose_covariance: Annotated[FloatArray, (3, 3)]
 
 
-GATHERING, COMPLETE, BROKEN, LOST = range(4)  # what became of a sample; see ``gather``
+GATHERING, COMPLETE, BROKEN, LOST = range(4)  # results of ``gather``
 
 
 @compiled
 def gather(
     average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad, p: StrengthParameters
 ) -> int:
-    """Add a sample with its thrust and load to an average.
+    """Add a sample with its thrust and load to an average; return the result.
 
-    COMPLETE where the average is one now: it must be cleared before the next sample. BROKEN where the sample
-    is not usable, LOST where what the tracks did since the one before is not known either; the average then
-    is clear.
+    COMPLETE: the average is complete and must be cleared before the next sample. BROKEN: the sample is not
+    usable. LOST: the motion of the tracks since the previous sample is unknown, too; the average is cleared.
     """
     if not _is_usable(sample, p):
         is_lost = not 0.0 < sample.dt <= p.longest_gap
@@ -64,7 +63,7 @@ def gather(
 
 @compiled
 def _is_usable(sample: Sample, p: StrengthParameters) -> bool:
-    """Whether a sample is in time, finite, and its covariance can be one."""
+    """Whether a sample is in time and finite, with a positive semidefinite covariance."""
     if not 0.0 < sample.dt <= p.longest_gap:
         return False
     for k in range(2):
@@ -90,7 +89,7 @@ def _is_usable(sample: Sample, p: StrengthParameters) -> bool:
 
 @compiled
 def clear(average: Average) -> None:
-    """An average of nothing."""
+    """Set the sums of an average to 0."""
     average.dt = average.lean = average.lean_stddev = average.stretch = average.stretch_stddev = 0.0
     for k in range(2):
         average.tracks[k] = average.force[k] = average.variance[k] = average.swing_variance[k] = 0.0
@@ -102,7 +101,7 @@ def clear(average: Average) -> None:
 
 @compiled
 def _add(average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad) -> None:
-    """One more sample, with its thrust over what a track bears more than on level ground."""
+    """Add a sample, with its thrust divided by the ratio g_j of strength to that on level ground."""
     dt = sample.dt
     average.dt += dt
     average.lean += dt * load.lean
@@ -124,7 +123,7 @@ def _add(average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoa
 
 @compiled
 def _complete(average: Average, sample: Sample) -> None:
-    """From sums to means."""
+    """Divide the sums by the time, and set pose and motion from the last sample."""
     dt = average.dt
     average.motion = sample.motion
     average.lean /= dt

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cells over (ln K, ln F_max) on which the strength of the soil is looked for.
+"""Grid of cells over (ln K, ln F_max) for the strength of the soil.
 
-Errors that never average are spread over the cells as a distribution is looked at: one of the thrust's scale
-is one of F_max, and one of slip, b, shifts each shear displacement by up to b l, and K with it.
+Constant errors do not average out; a distribution is convolved with them when it is read. A scale error of
+the thrust is one of F_max. A slip bias b shifts each shear displacement by up to b l, and K by as much.
 """
 
 import math
@@ -16,7 +16,7 @@ from trackslip_estimation.soil.strength_parameters import StrengthParameters
 
 
 class StrengthGrid:
-    """Cells of even width in ln K and ln F_max."""
+    """Cells of equal width in ln K and ln F_max."""
 
     def __init__(self, p: StrengthParameters, vehicle: Vehicle) -> None:
         self.parameters = p
@@ -24,35 +24,35 @@ class StrengthGrid:
         lowest, highest = p.lowest_limit * vehicle.weight, p.highest_limit * vehicle.weight
         self.limit_edges = _edges(lowest, highest, p.limit_cells)
         self.log_moduli, self.log_limits = _centres(self.modulus_edges), _centres(self.limit_edges)
-        self.moduli, self.limits = np.exp(self.log_moduli), np.exp(self.log_limits)  # m, N; both rise
+        self.moduli, self.limits = np.exp(self.log_moduli), np.exp(self.log_limits)  # m, N; ascending
         correlated = p.slip_bias_stddev * vehicle.contact_length / self.moduli
         self._spread_moduli = _spread(self.log_moduli, correlated)
         self._spread_limits = _spread(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of the cells: moduli, limits."""
+        """Numbers of moduli and limits."""
         return len(self.moduli), len(self.limits)
 
     def of_moduli(self, cells: FloatArray) -> FloatArray:
-        """(moduli,) probability of each K, for those (moduli, limits) of the cells."""
+        """Return the probability of each K (moduli,), for cell probabilities (moduli, limits)."""
         return np.asarray(cells.sum(axis=1) @ self._spread_moduli)
 
     def of_limits(self, cells: FloatArray) -> FloatArray:
-        """(limits,) probability of each F_max."""
+        """Return the probability of each F_max (limits,)."""
         return np.asarray(cells.sum(axis=0) @ self._spread_limits)
 
     def spread(self, cells: FloatArray) -> FloatArray:
-        """(moduli, limits) with the errors that never average."""
+        """Return the cell probabilities (moduli, limits) convolved with the constant errors."""
         return np.asarray(self._spread_moduli.T @ cells @ self._spread_limits)
 
     def expectation_of(self, along_moduli: FloatArray, along_limits: FloatArray) -> FloatArray:
-        """(moduli, limits) for each cell the mean of the factors' product over where ``spread`` takes it."""
+        """Return for each cell (moduli, limits) the mean of the factors' product, spread as by ``spread``."""
         return np.outer(self._spread_moduli @ along_moduli, self._spread_limits @ along_limits)
 
 
 def _edges(lowest: float, highest: float, cells: int) -> FloatArray:
-    """Of cells of even width in the logarithm (cells + 1,)."""
+    """Return the edges (cells + 1,) of cells of equal width in the logarithm."""
     return np.linspace(math.log(lowest), math.log(highest), cells + 1)
 
 
@@ -61,7 +61,7 @@ def _centres(edges: FloatArray) -> FloatArray:
 
 
 def _spread(centres: FloatArray, stddevs: FloatArray) -> FloatArray:
-    """(n, n) matrix whose rows spread each cell like a Gaussian of its own width; they sum to 1."""
+    """Return (n, n): row k is a Gaussian about cell k with its standard deviation, of sum 1."""
     width = centres[1] - centres[0]
     steps = (centres[None, :] - centres[:, None]) / np.maximum(stddevs, 1e-3 * width)[:, None]
     weights = np.exp(-0.5 * steps**2)

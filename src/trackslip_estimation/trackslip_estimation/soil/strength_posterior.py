@@ -1,21 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shear modulus and strength of the soil, from slip and thrust, as a distribution over a grid.
+"""Posterior of shear modulus and strength of the soil over a grid, from slip and thrust.
 
     K        shear deformation modulus                                     m
     F_max    maximal tractive effort of one track                          N
     u        track speed r ω                                               m/s
-    τ        time after which the errors of slip are new ones              s
+    τ        correlation time of slip errors in turns                      s
     w        weight of a sample of duration dt: dt/τ in turns; a straight is one sample
-    n        effective samples: how many independent ones are remembered
+    n        effective samples: number of independent ones remembered
 
-    p ← (1 − h) p + h p₀        the soil may have changed on the way: h = 1 − e^(−distance/mean distance on
-                                one soil)
-    p ← p L^w                   L: of slips and thrusts in turns (``turn_likelihood``), of the distance that
-                                a straight has cost (``straight``)
+    p ← (1 − h) p + h p₀        the soil may have changed: h = 1 − e^(−distance/mean distance on one soil)
+    p ← p L^w                   L: likelihood of slips and thrusts in turns (``turn_likelihood``), of the slip
+                                distance of a straight (``straight``)
 
-p₀ is flat in ln K and ln F_max. Where the ground stays, p sharpens for good; where it changes, the little
-that flows back from p₀ grows to all of p within a few independent samples.
+p₀ is flat in ln K and ln F_max. On constant ground p narrows. After a change of the soil, the share of p that
+came from p₀ dominates within a few independent samples.
 """
 
 import math
@@ -36,14 +35,14 @@ from trackslip_estimation.soil.strength_parameters import StrengthParameters
 from trackslip_estimation.soil.strength_summary import StrengthSummary, summarize
 from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
 
-_LEAST = 1e-300  # of a probability that is divided by
+_LEAST = 1e-300  # least probability as a divisor
 
 
 class SampleOutcome(Enum):
-    """What became of an average."""
+    """Use of an average."""
 
-    GATHERED = "gathered"  # with the next ones, for a straight
-    USED = "used"  # or it completed one, which was used
+    GATHERED = "gathered"  # not evaluated, or kept for a straight
+    USED = "used"  # evaluated, or it completed a straight that was
     STANDING = "standing"
 
 
@@ -55,31 +54,31 @@ class StrengthPosterior:
         self.grid = StrengthGrid(p, vehicle)
         self._contact = Contact(element_places(vehicle.contact_length, p.elements), 0.5 * vehicle.tread)
         self._hypotheses = Hypotheses(self._contact, self.grid.moduli, self.grid.limits)
-        self._nothing = np.ones(self.grid.shape)  # the likelihood where nothing was seen
+        self._nothing = np.ones(self.grid.shape)  # likelihood without a measurement
         self.reset()
 
     def reset(self) -> None:
-        """Know nothing."""
+        """Reset to the prior."""
         shape = self.grid.shape
         self.cells = np.full(shape, 1.0 / math.prod(shape))
         """(moduli, limits) probability of each, before errors that never average; sums to 1"""
-        self._age = np.zeros(shape)  # effective samples since the soil became that of the cell
+        self._age = np.zeros(shape)  # effective samples since the soil changed to that of the cell
         self.effective_samples = 0.0
         self.leave_ground()
 
     def leave_ground(self) -> None:
-        """Where the tracks are now, nothing is known of what they did to the soil."""
+        """Reset the shear displacement and the segment: the motion of the tracks is unknown."""
         self._displacement = np.zeros((2, self.parameters.elements, 2))
         self._pose: PoseWithCovariance | None = None  # at the end of the last average
-        self._halted = False  # since the straight
+        self._halted = False  # whether the last average was at standstill
         self.break_segment()
 
     def break_segment(self) -> None:
-        """What comes next does not go on from what was."""
+        """Discard the straight in progress."""
         self._segment: StraightSegment | None = None
 
     def update(self, now: Average) -> SampleOutcome:
-        """Use one average of slips and thrusts."""
+        """Update with one average of slips and thrusts."""
         rolling, dt = Rolling(now["twist"], now["tracks"], float(now["lean"])), float(now["dt"])
         distance = abs(float(rolling.tracks.mean())) * dt
         change = -math.expm1(-distance / self.parameters.change_distance)
@@ -107,7 +106,7 @@ class StrengthPosterior:
         return self._evaluate_turn(now, rolling) if now["motion"] == Motion.TURNING else outcome
 
     def _evaluate_turn(self, now: Average, rolling: Rolling) -> SampleOutcome:
-        """What slips and thrusts of a turn say of each soil."""
+        """Update with the slips and thrusts of a turn."""
         p, tracks, shared = self.parameters, rolling.tracks, self._shared()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)
         known = int(np.isfinite(force).sum())
@@ -127,13 +126,13 @@ class StrengthPosterior:
         return SampleOutcome.USED
 
     def _evaluate_segment(self) -> SampleOutcome:
-        """What the straight that has ended says of each soil."""
+        """Update with the slip distance of the straight that has ended."""
         p, segment, self._segment = self.parameters, self._segment, None
         if segment is None or segment.track_distance < p.shortest_straight:
             return SampleOutcome.GATHERED
         lost = segment.slip_distance()
         if abs(lost.measured) > p.most_straight_slip * segment.track_distance:
-            return SampleOutcome.GATHERED  # tracks that spin are at the limit of the soil: not K's doing
+            return SampleOutcome.GATHERED  # spinning tracks are at the limit of the soil: independent of K
         bias = p.slip_bias_stddev * segment.track_distance
         correlated = bias**2 + lost.of_lean**2
         variance = lost.variance + p.distance_stddev**2 + self._shared() * correlated
@@ -141,7 +140,7 @@ class StrengthPosterior:
         return SampleOutcome.USED
 
     def _root_of(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
-        """Upper triangular factor of the twist's covariance, with what it does not know of."""
+        """Return the upper triangular root of the twist's covariance, with least variances and slip bias."""
         p = self.parameters
         own = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
         slip = p.slip_bias_stddev * float(np.abs(tracks).mean())
@@ -150,25 +149,25 @@ class StrengthPosterior:
         return np.ascontiguousarray(np.linalg.cholesky(whole[::-1, ::-1])[::-1, ::-1])
 
     def _shared(self) -> float:
-        """How many samples share an error that lasts: it enters each of them as often.
+        """Return the number of samples that share a time-correlated error: the factor of its variance.
 
-        Together they then are worth hardly more than one sample with this error alone. No more than
-        ``correlated_samples``, lest after a long drive another soil be taken for such an error.
+        Together these samples then carry hardly more information than one sample with this error alone. The
+        bound ``correlated_samples`` keeps a change of soil after a long drive from passing for such an error.
         """
         return 1.0 + min(self.effective_samples, self.parameters.correlated_samples)
 
     def _learn(self, squares: FloatArray, known: int, weight: float) -> None:
-        """Student-t likelihood of ``squares`` (moduli, limits), of so many known numbers."""
+        """Update by the Student-t likelihood of ``squares`` (moduli, limits), of ``known`` measurements."""
         degrees = self.parameters.degrees_of_freedom
         log = -0.5 * (degrees + known) * np.log1p(squares / degrees)
         self._bayes_update(np.exp(weight * (log - log.max())), weight, 0.0)
 
     def _bayes_update(self, likelihood: FloatArray, weight: float, change: float) -> None:
-        """Both lines of the recursion, and for how long the soil of each cell has been there."""
+        """Apply both equations of the recursion; update the ages of the cells and n."""
         self.effective_samples = float(_bayes_update(self.cells, self._age, likelihood, weight, change))
 
     def summary(self) -> StrengthSummary:
-        """Medians, intervals, and whether they say something."""
+        """Return medians, intervals, and whether they are identifiable."""
         return summarize(self.grid, self.cells, self.effective_samples)
 
 
@@ -176,7 +175,7 @@ class StrengthPosterior:
 def _bayes_update(
     cells: FloatArray, age: FloatArray, likelihood: FloatArray, weight: float, change: float
 ) -> float:
-    """p and the age of each cell (moduli, limits), in place; their mean age, which is n."""
+    """Update p and the age of each cell (moduli, limits) in place; return their mean age, n."""
     replaced, total, aged = change / cells.size, 0.0, 0.0
     for a in range(cells.shape[0]):
         for b in range(cells.shape[1]):

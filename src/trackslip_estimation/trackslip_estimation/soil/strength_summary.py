@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a distribution over (ln K, ln F_max) comes to: medians, intervals, and whether they say something."""
+"""Summary of a distribution over (ln K, ln F_max): medians, intervals, and whether they are identifiable."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _SHARES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True)
 class StrengthSummary:
-    """The posterior in numbers: medians, and the interval from 5 to 95 %."""
+    """Medians of the posterior, and the intervals from 5 to 95 %."""
 
     shear_modulus: float  # m
     shear_modulus_interval: tuple[float, float]
@@ -23,11 +23,11 @@ class StrengthSummary:
     thrust_limit_interval: tuple[float, float]
     effective_samples: float
     identifiable: bool
-    reason: str  # why not; empty where it is
+    reason: str  # why not; empty if identifiable
 
 
 def summarize(grid: StrengthGrid, cells: FloatArray, effective_samples: float) -> StrengthSummary:
-    """Of probabilities (moduli, limits) of the cells."""
+    """Return the summary of cell probabilities (moduli, limits)."""
     k_low, modulus, k_high = np.exp(_quantiles(grid.of_moduli(cells), grid.modulus_edges)).tolist()
     f_low, limit, f_high = np.exp(_quantiles(grid.of_limits(cells), grid.limit_edges)).tolist()
     moduli, limits = (k_low, k_high), (f_low, f_high)
@@ -38,7 +38,7 @@ def summarize(grid: StrengthGrid, cells: FloatArray, effective_samples: float) -
 def _reason(
     p: StrengthParameters, moduli: tuple[float, float], limits: tuple[float, float], effective_samples: float
 ) -> str:
-    """Why the posterior does not identify the soil; empty where it does."""
+    """Return why the posterior does not identify the soil; empty if it does."""
     (k_low, k_high), (f_low, f_high) = moduli, limits
     if effective_samples < 1.0:
         return "too little driving yet"
@@ -52,5 +52,5 @@ def _reason(
 
 
 def _quantiles(mass: FloatArray, edges: FloatArray) -> FloatArray:
-    """Where the cumulated mass (n,), spread evenly within each cell, passes each of _SHARES."""
+    """Return where the cumulative mass (n,), uniform within each cell, reaches each of _SHARES."""
     return np.interp(_SHARES, np.concatenate(((0.0,), np.cumsum(mass))) / mass.sum(), edges)

@@ -1,18 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well each (K, F_max) explains one pair of thrusts, with errors in slip and thrust, compiled.
+"""Squared distance of a pair of thrusts from each (K, F_max), with errors in slip and thrust, compiled.
 
     q        F/F_max of each track, see ``shear_field``                              1
     U        upper triangular, U Uᵀ the twist's covariance: errors (v_x, v_y, φ̇) = U z
-    z        error of v_x alone, the first of them, in its standard deviations       1
-    J        change of q for one standard deviation of either of the others, or of the load's lean   1
-    R        what thrust and model leave open, and F_max² J Jᵀ                       N²
-    d²       least z² + (F − F_max q(z))ᵀ R⁻¹ (F − F_max q(z)) over z
+    z        first component of z: error of v_x alone, in its standard deviations 1
+    J        change of q for one standard deviation of each other error, and of the load's lean   1
+    R        covariance of thrust and model errors, plus F_max² J Jᵀ              N²
+    d²       minimum over z of z² + (F − F_max q(z))ᵀ R⁻¹ (F − F_max q(z))
 
-A slip error is as good an excuse for a thrust as an error of the thrust: d is the distance from what was
-measured to the curve q(z), not along one axis, so that weak slips bias nothing. The curve bends within the
-errors of slip, so it is walked along, as straight pieces between a few z. Errors of φ̇ shift the tracks along
-their curves in opposite ways.
+Both slip and thrust have errors: d is the distance from the measurement to the curve q(z), not along one
+axis, so that small slips cause no bias. The curve is nonlinear within the errors of slip, and is replaced by
+straight pieces between a few z. Errors of φ̇ shift the tracks along their curves in opposite directions.
 """
 
 import math
@@ -24,24 +23,24 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, shares
 
-_DEPENDENT = 1e-9  # least share of a determinant: below it rounding decides
+_DEPENDENT = 1e-9  # least share of a determinant, against rounding
 _NODES = np.linspace(-4.0, 4.0, 17)  # z
 
 
 class Turn(NamedTuple):
-    """What was seen for a moment of a turn."""
+    """One averaged sample of a turn."""
 
-    j: FloatArray  # (2, n, 2) under the tracks, m
+    j: FloatArray  # (2, n, 2) shear displacement under the tracks, m
     rolling: Rolling
     spread: FloatArray  # (3, 3) U
-    force: FloatArray  # (2,) N, nan where it is not known: this leaves its track out
+    force: FloatArray  # (2,) N, nan if unknown: its track is left out
     variance: FloatArray  # (2,) N²
-    share_stddev: float  # of F_max, what the model leaves open
+    share_stddev: float  # model error, as share of F_max
     lean_stddev: float  # 1/m, of the rolling's lean
 
 
 class Curves(NamedTuple):
-    """q along z and its slopes, for each K."""
+    """q along z, and its derivatives, for each K."""
 
     q: FloatArray  # (nodes, 2, moduli)
     J: FloatArray  # (3, nodes − 1, 2, moduli), between the nodes
@@ -49,7 +48,7 @@ class Curves(NamedTuple):
 
 @compiled
 def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
-    """For each K what the tracks would pull, with errors of the twist."""
+    """Return q of both tracks for each K over errors of v_x, and its changes by the other errors."""
     j, rolling, spread = turn.j, turn.rolling, turn.spread
     nodes, count, half_tread = len(_NODES), len(moduli), contact.half_tread
     q, J = np.empty((nodes, 2, count)), np.empty((3, nodes - 1, 2, count))
@@ -77,10 +76,10 @@ def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
 
 @compiled
 def squared_distances(curves: Curves, turn: Turn, limits: FloatArray) -> FloatArray:
-    """d² (moduli, limits) of the thrusts that are known; the curves of the others are lost.
+    """Return d² (moduli, limits) of the known thrusts; curves of unknown ones are set to 0 in place.
 
     For each piece of the curve the loop over F_max is plain arithmetic, so that it is vectorised (``/`` would
-    look for zeros). All is over F_max², and times the determinant of R until the end.
+    check for zeros). Terms are divided by F_max², and multiplied by the determinant of R until the end.
     """
     q, J = curves.q, curves.J
     count, own = q.shape[2], turn.share_stddev**2
