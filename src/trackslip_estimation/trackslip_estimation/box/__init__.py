@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the laser box on the cab is, from scans of a laser that stands on the site."""
+"""Pose of the box on the cab, from scans of a stationary laser on the site."""

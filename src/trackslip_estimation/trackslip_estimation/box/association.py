@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the things that look like the box it is, after an absence or a restart.
+"""Choice of the box among objects of its shape, after an absence or a restart.
 
-Nothing that looks like the box stands within the clearance of the machine. A recent track therefore
-identifies the box, and so does an odometry that is certain to within the clearance. Else the box is the only
-candidate that the odometry's gate accepts and that was not there before. With several of these, or with none,
-nothing is certain, and none is chosen. Each is followed until one drives, and as far as the odometry does.
+No other object of its shape is within the clearance of the machine. A recent track therefore identifies the
+box, and so does an odometry whose uncertainty is within the clearance. Otherwise the box is the only
+candidate that the odometry's gate accepts and that was not there before. With several such candidates, or
+none, the choice is ambiguous and none is made. Each candidate is followed until one moves with the odometry.
 """
 
 import math
@@ -26,18 +26,18 @@ _NS = 1e-9  # s
 
 @dataclass
 class _Follower:
-    """A candidate from scan to scan: its first and latest place, and the odometry's at the first, m."""
+    """A candidate from scan to scan: its first and latest position, and the odometry at the first, m."""
 
     first: FloatArray
     last: FloatArray
     seen_ns: int
     odometry: FloatArray | None
-    likely_ns: int | None = None  # when the odometry's gate last accepted it, new as it is
+    likely_ns: int | None = None  # when the odometry's gate last accepted it as a new object
 
     def follow(
         self, place: FloatArray, stamp_ns: int, odometry: Odometry | None, p: BoxLocalizerParameters
     ) -> None:
-        """Add a place. A candidate that moves unlike the odometry starts again."""
+        """Add a position; restart from it if the candidate does not move like the odometry."""
         self.last, self.seen_ns = place, stamp_ns
         if odometry is None:
             return
@@ -46,23 +46,23 @@ class _Follower:
             self.first, self.odometry = place, odometry.place
 
     def driven(self, odometry: Odometry | None) -> float | None:
-        """How far the odometry is from where it was first, m."""
+        """Return the distance of the odometry from its first position, m; None without odometry."""
         if odometry is None or self.odometry is None:
             return None
         return _apart(odometry.place, self.odometry)
 
     def moved(self, odometry: Odometry | None) -> float:
-        """How far it is from where it was first, as far as the odometry is, too, if there is one, m."""
+        """Return the distance from the first position, at most that of an odometry, m."""
         moved, driven = _apart(self.last, self.first), self.driven(odometry)
         return moved if driven is None else min(moved, driven)
 
     def is_likely(self, stamp_ns: int, p: BoxLocalizerParameters) -> bool:
-        """Whether it was a moment ago."""
+        """Whether the gate accepted the candidate within the last ``rival_time``."""
         return self.likely_ns is not None and stamp_ns - self.likely_ns <= round(p.rival_time * 1e9)
 
 
 class Association:
-    """Chooses the box among candidates, scan by scan; remembers those that it could not choose between."""
+    """Chooses the box among candidates, scan by scan; keeps ambiguous candidates."""
 
     def __init__(self, p: BoxLocalizerParameters) -> None:
         self._parameters = p
@@ -71,7 +71,7 @@ class Association:
 
     @property
     def places(self) -> list[FloatArray]:
-        """Places (2,) of base_link, m, between which nothing is certain."""
+        """Positions (2,) of base_link, m, by the ambiguous candidates."""
         return [follower.last for follower in self._followers]
 
     def choose(
@@ -81,7 +81,7 @@ class Association:
         odometry: Odometry | None,
         stamp_ns: int,
     ) -> Candidate | None:
-        """The box, if that is certain; at least one candidate."""
+        """Return the box if it is unambiguous; there must be at least one candidate."""
         chosen = self._identified(candidates, expected, odometry, stamp_ns)
         if chosen is None:
             chosen = self._followed(candidates, expected, odometry, stamp_ns)
@@ -96,7 +96,7 @@ class Association:
         odometry: Odometry | None,
         stamp_ns: int,
     ) -> Candidate | None:
-        """The candidate where the track, or the odometry, leaves no room for another thing."""
+        """Return the candidate that the track, or the odometry, identifies to within the clearance."""
         nearest = min(candidates, key=lambda candidate: candidate.distance)
         is_start = math.isinf(expected.elapsed)
         if not is_start and expected.reach <= self._parameters.clearance:
@@ -116,7 +116,7 @@ class Association:
         odometry: Odometry | None,
         stamp_ns: int,
     ) -> Candidate | None:
-        """The only likely candidate, or the only one that drives."""
+        """Return the only likely candidate, or the only one that has moved ``proof_distance``."""
         p = self._parameters
         followers = [self._follower(candidate, odometry, stamp_ns) for candidate in candidates]
         kept_ns = round(p.forgotten_time * 1e9)
@@ -137,7 +137,7 @@ class Association:
         return driving[0] if len(driving) == 1 else None
 
     def _follower(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> _Follower:
-        """The follower of a candidate, with its place added."""
+        """Return the follower of a candidate, with its position added."""
         p = self._parameters
         nearest = min(self._followers, key=lambda f: _apart(f.last, candidate.place), default=None)
         if nearest is not None:
@@ -151,14 +151,14 @@ class Association:
         return follower
 
     def _is_accepted(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> bool:
-        """Whether a candidate is inside the odometry's gate, if there is an odometry."""
+        """Whether a candidate is inside the odometry's gate; true without odometry."""
         if odometry is None:
             return True
         off = candidate.place - odometry.place
         return bool(off @ np.linalg.solve(self._covariance(odometry, stamp_ns), off) <= self._chi2)
 
     def _covariance(self, odometry: Odometry, stamp_ns: int) -> FloatArray:
-        """(2, 2) of a fix less the odometry, m²; with the gate distance, and the motion meanwhile."""
+        """Return the covariance (2, 2) of fix minus odometry, m², with gate distance and motion between."""
         p = self._parameters
         apart = p.top_speed * abs(stamp_ns - odometry.stamp_ns) * _NS
         S: FloatArray = odometry.covariance + (p.gate_distance + apart) ** 2 / self._chi2 * np.eye(2)
@@ -166,5 +166,5 @@ class Association:
 
 
 def _apart(one: FloatArray, other: FloatArray) -> float:
-    """Of two places (2,), m."""
+    """Return the distance of two positions (2,), m."""
     return float(np.hypot(one[0] - other[0], one[1] - other[1]))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a laser that stands still has seen beside the box: an object that was there before is not the box."""
+"""Ranges of a stationary laser beside the box: an object that was there before is not the box."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.box.clusters import Beams
 
 BESIDE = 2  # beams next to the box that may still be on it
-SAME = 0.05  # of the beams' spacing, rad: beams no further apart are the same
+SAME = 0.05  # share of the beam spacing, within which beams are the same
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
     """Last range (N,) of each beam that was not on the box, m; NaN where each was on it.
 
-    free: (N,) how far along each beam no other thing stood, m; NaN where that is unknown. Of a beam that was
-    always on the box that is to its side and the clearance behind it. angle_min, spacing: of the beams in the
-    laser frame, rad; (0,) ranges: nothing is known.
+    free: (N,) distance along each beam without another object, m; NaN if unknown. For a beam that was always
+    on the box it is its range plus the clearance. angle_min, spacing: of the beams in the laser frame, rad;
+    (0,) ranges: empty background.
     """
 
     angle_min: float
@@ -29,11 +29,11 @@ class Background:
 
     @classmethod
     def unknown(cls) -> "Background":
-        """Of a laser that has seen nothing yet."""
+        """Return the empty background."""
         return cls(0.0, 0.0, np.zeros(0), np.zeros(0))
 
     def after(self, ranges: FloatArray, angles: FloatArray, box: Beams, clearance: float) -> "Background":
-        """With one more scan (N,) in which the box is known; m and rad. ``clearance``: about the box, m."""
+        """Return the background after a scan (N,), m and rad, with known box; ``clearance``: about it, m."""
         last, free = (
             known.copy() if self._is_of(angles) else np.full(ranges.shape, np.nan)
             for known in (self.ranges, self.free)
@@ -46,7 +46,7 @@ class Background:
         return Background(float(angles[0]), float(angles[1] - angles[0]), last, free)
 
     def holds(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
-        """(N,) which beams of a scan measure what they did before, within ``margin``, m."""
+        """Return which beams (N,) of a scan measure the same as before, within ``margin``, m."""
         if not self._is_of(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
@@ -54,7 +54,7 @@ class Background:
         return same
 
     def was_free(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
-        """(N,) which beams end more than ``margin``, m, before where they went: what they hit is new."""
+        """Return which beams (N,) end more than ``margin``, m, before their free distance, at new objects."""
         if not self._is_of(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
@@ -62,7 +62,7 @@ class Background:
         return free
 
     def _is_of(self, angles: FloatArray) -> bool:
-        """Whether these are the same beams (N,)."""
+        """Whether the beams (N,) are those of the background."""
         if self.ranges.shape != angles.shape:
             return False
         tolerance = SAME * self.spacing

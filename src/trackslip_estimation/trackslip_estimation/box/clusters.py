@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scan cut into objects, and what is known from each object's ends about its outline.
+"""Segmentation of a scan into objects, and the intervals in which each object's outline ends.
 
     β_i, ρ_i  angle and range of beam i in the laser frame  rad, m
     δ         angle between beams                           rad
-    γ         flattest view of a side kept whole            rad
+    γ         smallest view angle of a side kept whole      rad
     σ         noise of one range                            m
     d         longest extent of the object sought           m
 
 Neighbouring beams on one straight side seen at the angle γ are ρ δ / sin γ apart: a larger step is a gap
-between objects. The outline of an object ends somewhere between its last beam and the first one beside it
-that passes by; where a nearer object hides the end, that interval is as wide as the hiding object.
+between objects. The outline of an object ends between its last beam and the first one beside it that passes
+by; if a nearer object hides the end, that interval is as wide as the hiding object.
 """
 
 import math
@@ -42,7 +42,7 @@ class Beams:
     left: tuple[float, float]
 
     def points(self) -> FloatArray:
-        """(N, 2) in the laser frame, m."""
+        """Return the points (N, 2) in the laser frame, m."""
         return _points(self.ranges, self.angles)
 
     @cached_property
@@ -52,7 +52,7 @@ class Beams:
 
 
 def directions(angles: FloatArray) -> FloatArray:
-    """(3, N): the angles, their cosines and sines."""
+    """Return (3, N): the angles, their cosines and sines."""
     return np.stack((angles, np.cos(angles), np.sin(angles)))
 
 
@@ -61,7 +61,7 @@ def clusters(
 ) -> list[IndexArray]:
     """Beam indices of each object, counter-clockwise.
 
-    A beam without a return (+∞) separates objects; invalid ones (NaN, −∞, 0) neither belong nor separate.
+    A beam without a return (+∞) separates objects; invalid beams (NaN, −∞, 0) are ignored.
     """
     valid = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
     if valid.size == 0:
@@ -77,7 +77,7 @@ def clusters(
 
 
 def cut(indices: IndexArray, gaps: BoolArray) -> list[IndexArray]:
-    """The parts of (N,) indices between which there are ``gaps`` (N − 1,)."""
+    """Return the parts of (N,) indices, split at ``gaps`` (N − 1,)."""
     ends = [0, *(np.flatnonzero(gaps) + 1).tolist(), len(indices)]
     return [indices[begin:end] for begin, end in pairwise(ends)]
 
@@ -85,7 +85,7 @@ def cut(indices: IndexArray, gaps: BoolArray) -> list[IndexArray]:
 def rejoined(
     parts: list[IndexArray], ranges: FloatArray, angles: FloatArray, extent: float
 ) -> list[IndexArray]:
-    """Objects that a nearer one cuts in two: pairs of parts with only nearer parts between them."""
+    """Return objects that a nearer one cuts in two: pairs of parts with only nearer parts between them."""
     joined: list[IndexArray] = []
     farthest = [float(ranges[part].max()) for part in parts]
     for second, part in enumerate(parts):
@@ -102,10 +102,10 @@ def rejoined(
 def beams_on(
     indices: IndexArray, ranges: FloatArray, angles: FloatArray, extent: float, margin: float
 ) -> Beams:
-    """One object's beams with the intervals of its ends.
+    """Return one object's beams with the intervals of its ends.
 
-    A beam passes by when it goes further than any part of an object of this ``extent`` (m) could reach,
-    ``margin`` (m) for noise. Beams that stop before it prove nothing: the object may go on behind.
+    A beam passes by if its range exceeds that of any part of an object of this ``extent`` (m), plus
+    ``margin`` (m) for noise. A shorter beam is no evidence: the object may continue behind it.
     """
     first, last = int(indices[0]), int(indices[-1])
     nearest = float(ranges[indices].min())
@@ -128,7 +128,7 @@ def beams_on(
 
 
 def _apart(one: float, other: float, between: float) -> float:
-    """Of two places, from their ranges and the angle between them."""
+    """Return the distance of two points, from their ranges and the angle between them."""
     return math.sqrt((one - other) ** 2 + one * other * (2.0 * math.sin(0.5 * between)) ** 2)
 
 

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rectangle fitted to the beams on it: pose of its centre in the laser frame, with its covariance.
+"""Fit of a rectangle to the beams on it: pose of its centre in the laser frame, with its covariance.
 
 Symbols and model are those of ``measurement_model``.
 
 The most likely q is found by Gauss–Newton with Huber's weights. Near the view onto one side the outline has
-a cusp (ψ and −ψ look alike) and the second side has no beam or one, so the curvature at the optimum misleads.
-Therefore mean and covariance are those of the posterior itself: the likelihood is summed over a fixed
-set of points spread about the optimum (importance sampling without chance: the same scan gives the same fix).
-There the ends are uniform as they are; for the optimum alone they stand in as Gaussian of the same variance.
+a cusp (ψ and −ψ look alike) and the second side has at most one beam: the curvature at the optimum is wrong.
+Mean and covariance are therefore moments of the posterior, by importance sampling over a fixed set of points
+about the optimum (the same scan gives the same fix). The posterior has the uniform ends of the model; the
+optimum has Gaussian ends of the same variance.
 """
 
 import math
@@ -35,15 +35,15 @@ from trackslip_estimation.box.measurement_model import (
     total_cost,
 )
 
-TRIES = 6  # starts worth fitting from: the cost has kinks at which a fit gets stuck
-FAINT = 1e-6  # information in 1/m² and 1/rad² where the beams give none
+TRIES = 6  # starts of the fit: the cost has kinks at which a descent stops
+FAINT = 1e-6  # information in 1/m² and 1/rad², where the beams give none
 EDGE_SOFTNESS = 0.05  # of the beam spacing: a beam is not infinitely thin
-POINTS = 512  # spread about the optimum
-TAILS = 5.0  # degrees of freedom of the Student distribution the points are spread by
+POINTS = 512  # samples about the optimum
+TAILS = 5.0  # degrees of freedom of the Student distribution of the samples
 COOLING = (16.0, 4.0, 1.0, 1.0)  # temperature of each round
-WIDENING = 1.3  # of the spread found in the round before
-BLUR = 0.2  # of the intervals of the ends: least first spread
-FEWEST_POINTS = 4.0  # effective number below which a round is without effect
+WIDENING = 1.3  # factor of the spread found in the previous round
+BLUR = 0.2  # share of the intervals of the ends: least spread of the first round
+FEWEST_POINTS = 4.0  # effective number of samples below which a round has no effect
 LEAST_LOG, TINY = -1e300, 1e-300  # for weights that are all zero
 
 
@@ -62,7 +62,7 @@ class Optimum:
 
 
 class Descent(NamedTuple):
-    """Where the cost is least."""
+    """Minimum of the cost."""
 
     pose: FloatArray  # (3,)
     information: FloatArray  # (3, 3)
@@ -70,7 +70,7 @@ class Descent(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """What the beams say of the pose of the box in the laser frame."""
+    """Posterior of the pose of the box in the laser frame."""
 
     pose: FloatArray  # (3,) mean
     covariance: FloatArray  # (3, 3)
@@ -78,9 +78,9 @@ class Posterior(NamedTuple):
 
 
 def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
-    """Poses (M, 3) with these headings, moved so that outline and mean range match the beams.
+    """Return poses (M, 3) with these headings, moved so that outline and mean range match the beams.
 
-    Of the outline's ends the one that is hidden, or out of sight, says little and counts little.
+    The ends of the outline are weighted by the inverse squared width of their intervals.
     """
     intervals = np.array((beams.right, beams.left))
     ends, weights = intervals.sum(axis=1) / 2.0, (intervals[:, 1] - intervals[:, 0]) ** -2.0
@@ -97,7 +97,7 @@ def starts(headings: FloatArray, box: Rectangle, beams: Beams) -> FloatArray:
 
 
 def _poses(distance: FloatArray, bearing: FloatArray, headings: FloatArray) -> FloatArray:
-    """(M, 3) from polar places."""
+    """Return poses (M, 3) from polar coordinates."""
     poses = np.empty((len(headings), 3))
     poses[:, 0], poses[:, 1] = distance * np.cos(bearing), distance * np.sin(bearing)
     poses[:, 2] = headings
@@ -105,7 +105,7 @@ def _poses(distance: FloatArray, bearing: FloatArray, headings: FloatArray) -> F
 
 
 def likely_starts(headings: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
-    """The TRIES best fitting of ``starts`` (TRIES, 3), best first."""
+    """Return the TRIES best fitting of ``starts`` (TRIES, 3), best first."""
     poses = starts(headings, box, beams)
     cost = costs(poses, target(box, beams, range_stddev)).sum(axis=1)
     return poses[np.argsort(cost, kind="stable")[:TRIES]]
@@ -114,7 +114,7 @@ def likely_starts(headings: FloatArray, box: Rectangle, beams: Beams, range_stdd
 def most_likely(
     start: FloatArray, box: Rectangle, beams: Beams, range_stddev: float, steps: int = 20
 ) -> Optimum:
-    """At most so many steps of damped Gauss–Newton from a pose (3,) near the box."""
+    """Return the optimum after at most ``steps`` of damped Gauss–Newton from a pose (3,) near the box."""
     least = _descend(start, target(box, beams, range_stddev), steps)
     information = least.information + FAINT * np.eye(3)
     return Optimum(least.pose, information, least.cost, len(beams.ranges) + 2 - 3)
@@ -146,11 +146,10 @@ def _descend(start: FloatArray, beams: Target, steps: int) -> Descent:
 def posterior(
     optimum: Optimum, middle: float, box: Rectangle, beams: Beams, range_stddev: float
 ) -> Posterior:
-    """Of the poses whose heading is within ±π/4 of ``middle``, rad.
+    """Return the posterior of the poses whose heading is within ±π/4 of ``middle``, rad.
 
-    Points spread by the widened first-order covariance are weighed by the likelihood to the power
-    1/temperature; their moments spread the next round's. Cooling lets them find modes that the curvature
-    does not show.
+    Samples of the widened first-order covariance are weighted by the likelihood to the power 1/temperature;
+    their moments spread the samples of the next round. Cooling finds modes that the curvature misses.
     """
     points, log_density = _spread_points()
     pose, covariance = optimum.pose, 4.0 * np.linalg.inv(optimum.information)
@@ -171,7 +170,7 @@ def posterior(
         mean = weight @ poses
         offset = poses - mean
         spread = (weight[:, np.newaxis] * offset).T @ offset
-        with suppress(np.linalg.LinAlgError):  # points on a line: as good as none
+        with suppress(np.linalg.LinAlgError):  # points on a line: without effect
             root = np.linalg.cholesky(spread)
             pose, covariance = mean, spread
     return Posterior(pose, covariance, log_evidence)
@@ -180,7 +179,7 @@ def posterior(
 def seen_through(
     pose: FloatArray, box: Rectangle, ranges: FloatArray, angles: FloatArray, margin: float
 ) -> int:
-    """How many beams of the whole scan pass well inside the outline of a box at ``pose`` (3,) and end behind.
+    """Return how many beams of the scan pass inside the outline of a box at ``pose`` (3,) and end behind.
 
     ``margin``: range beyond the box's side that noise does not explain, m. One beam spacing within the
     outline is left out.
@@ -192,7 +191,7 @@ def seen_through(
 
 
 def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stddev: float) -> FloatArray:
-    """Of the beams at poses (M, 3), up to a constant: ranges with Huber's tails, uniform ends."""
+    """Return the log likelihood at poses (M, 3), up to a constant: ranges with Huber tails, uniform ends."""
     squares, outline = range_costs(poses, target(box, beams, range_stddev))
     intervals = np.array([beams.right, beams.left])
     soft = EDGE_SOFTNESS * beams.spacing
@@ -202,7 +201,7 @@ def _log_likelihood(poses: FloatArray, box: Rectangle, beams: Beams, range_stdde
 
 
 def compile_fit() -> None:
-    """All of it, by the fit of a box in front of the laser; where that was done before it takes a moment."""
+    """Compile the fit by fitting a box in front of the laser; fast if the compiled code is cached."""
     box, stddev, angles = Rectangle(1.0, 1.0), 0.01, np.linspace(-0.1, 0.1, 5)
     (ranges,), _ = ray_cast(np.array([[5.0, 0.0, 0.0]]), box, angles)
     beams = beams_on(np.arange(5), ranges, angles, box.diagonal, 3.0 * stddev)
@@ -212,7 +211,7 @@ def compile_fit() -> None:
 
 @cache
 def _spread_points() -> tuple[FloatArray, FloatArray]:
-    """Points (M, 3) of a Student distribution, widened, and their log density (M,) up to a constant."""
+    """Return points (M, 3) of a widened Student distribution, and their log density (M,) up to a constant."""
     golden = 1.1673039782614187  # root of g⁵ = g + 1: steps of 1/g, … 1/g⁴ fill the unit cube evenly
     uniform = (0.5 + np.outer(np.arange(1, POINTS + 1), golden ** -np.arange(1.0, 5.0))) % 1.0
     radius2 = 2.0 / TAILS * gammaincinv(0.5 * TAILS, uniform[:, 3])

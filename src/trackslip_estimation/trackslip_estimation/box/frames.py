@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the box in the laser frame to base_link in odom, and back."""
+"""Transforms between the box in the laser frame and base_link in odom."""
 
 import numpy as np
 
@@ -19,19 +19,19 @@ class Frames:
         self._odom_from_laser = _rotation(p.laser_yaw)
 
     def laser_from_odom(self, base: FloatArray) -> FloatArray:
-        """Pose (3,) of the box in the laser frame from that of base_link in odom."""
+        """Return the pose (3,) of the box in the laser frame from that of base_link in odom."""
         centre = base[:2] + _rotation(base[2]) @ self._box_in_base
         x, y = self._odom_from_laser.T @ (centre - self._laser_in_odom)
         return np.array([x, y, base[2] - self._laser_yaw])
 
     def odom_from_laser(self, box: FloatArray) -> FloatArray:
-        """Pose (3,) of base_link in odom from that of the box in the laser frame."""
+        """Return the pose (3,) of base_link in odom from that of the box in the laser frame."""
         yaw = box[2] + self._laser_yaw
         x, y = self._laser_in_odom + self._odom_from_laser @ box[:2] - _rotation(yaw) @ self._box_in_base
         return np.array([x, y, yaw])
 
     def covariance_in_odom(self, yaw: float, covariance: FloatArray) -> FloatArray:
-        """(3, 3) of base_link in odom at this ``yaw``, from that of the box in the laser frame."""
+        """Return the covariance (3, 3) of base_link in odom at ``yaw``, from that of the box."""
         jacobian = np.eye(3)
         jacobian[:2, :2] = self._odom_from_laser
         jacobian[:2, 2] = -_rotation(yaw + np.pi / 2.0) @ self._box_in_base
@@ -39,6 +39,6 @@ class Frames:
 
 
 def _rotation(angle: float) -> FloatArray:
-    """(2, 2) matrix that turns by ``angle``, rad."""
+    """Return the rotation matrix (2, 2) of ``angle``, rad."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin], [sin, cos]])

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""base_link in odom from scan to scan: check the scan, find the box near its track, give the fix.
+"""Fixes of base_link in odom from scan to scan: check the scan, find the box near its track, return the fix.
 
 Fixes are computed from scans alone, so that they stay independent of any estimator's errors. The odometry
-decides only which of several things is the box after an absence (``association.py``).
+only decides which of several objects is the box after an absence (``association.py``).
 
-Time is what the stamps state. A stamp far ahead is refused until the next ones confirm it. Stamps that go
-back, once confirmed, start over: before the run's first scan, another run begins, at the initial pose; else
-the clock was set, and the box is where it was. Either is tried where the other fails.
+Time is that of the stamps. A stamp far ahead is rejected until the next ones confirm it. Confirmed stamps
+that go back restart the localizer. If they lie before the run's first scan, another run begins at the initial
+pose; else the clock was set, and the box is at its last position. If one of them fails, the other is tried.
 """
 
 from dataclasses import dataclass
@@ -49,52 +49,52 @@ class BoxFix:
 
 
 class Found(NamedTuple):
-    """The box in a scan."""
+    """Box found in a scan."""
 
     expected: Expectation
     candidate: Candidate
 
 
 class BoxLocalizer:
-    """Follows the box through scans given in order; the odometry only decides which thing is the box."""
+    """Tracks the box through scans in order; the odometry only decides which object is the box."""
 
     def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Kept | None = None) -> None:
-        """``kept`` is what a localizer left that ran before this one."""
+        """``kept``: state of the localizer that ran before this one."""
         self._parameters = parameters
         self._kept = kept
         self._box = box
         self._frames = Frames(parameters, box)
         self.tally = Tally()
         self.restarts = 0
-        self.resumed = False  # whether it went on with the track that was kept
+        self.resumed = False  # whether the kept track was continued
         self.reset()
 
     @property
     def kept(self) -> Kept | None:
-        """Where the box was found last, for the next localizer; None before the first fix."""
+        """State for the next localizer; None before the first fix."""
         if len(self._tracks) != 1 or self._tracks[0] is None:
             return None
         return Kept(self._tracks[0], self._scan_ns, self._search.background, self._laser)
 
     @property
     def places(self) -> list[FloatArray]:
-        """Places (2,) of base_link in odom between which nothing is certain, m; none while it is."""
+        """Positions (2,) of base_link in odom by ambiguous candidates, m; empty if unambiguous."""
         return self._association.places
 
     def reset(self) -> None:
-        """Drop every scan: start again from the initial pose."""
+        """Reset to the initial pose."""
         self._search = BoxSearch(self._parameters, self._box, self.tally)
         self._association = Association(self._parameters)
-        self._tracks: list[Track | None] = [None]  # to look at, in turn; None: the initial pose
+        self._tracks: list[Track | None] = [None]  # searched in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
         self._scan_ns = 0  # of its latest
         self._clock = self._new_clock()
 
     def locate(self, scan: Scan, odometry: Odometry | None = None) -> BoxFix | Rejection:
-        """The fix that one scan gives, or why it gives none.
+        """Return the fix of one scan, or why there is none.
 
-        ``odometry``: of the time of the scan, if there is one; it decides which thing is the box where the
-        localizer's own track cannot, and nothing else.
+        ``odometry``: at the time of the scan, if available; it only decides which object is the box if the
+        localizer's own track does not.
         """
         scan = scan.counter_clockwise()
         refused = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
@@ -108,7 +108,7 @@ class BoxLocalizer:
         return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
 
     def _check_stamp(self, stamp_ns: int) -> Reason | None:
-        """Why a scan is refused for its stamp; starts over where stamps have gone back."""
+        """Return why a scan is rejected for its stamp, or None; restart if stamps have gone back."""
         status = self._clock.later_sample(stamp_ns)
         if status is StampStatus.BACK:
             self._start_over(stamp_ns)
@@ -121,7 +121,7 @@ class BoxLocalizer:
         return None
 
     def _resume(self, stamp_ns: int) -> None:
-        """Go on with what was kept, if scans were looked at until now, with the box in them or not."""
+        """Continue the kept track if its last scan, with or without the box, is recent (``resume_time``)."""
         kept, self._kept = self._kept, None
         if kept is not None and 0 <= stamp_ns - kept.scan_ns <= self._parameters.resume_time * 1e9:
             self._tracks = [kept.track]
@@ -130,9 +130,9 @@ class BoxLocalizer:
                 self._search.background = kept.background
 
     def _start_over(self, stamp_ns: int) -> None:
-        """Stamps have gone back: another run, or the same with the clock set."""
+        """Restart after stamps have gone back: another run, or the same with the clock set."""
         assert self._first_ns is not None
-        before_ns = round(self._parameters.max_gap * 1e9)  # by when the confirmation has come
+        before_ns = round(self._parameters.max_gap * 1e9)  # longest time until the confirmation
         is_another_run = stamp_ns < self._first_ns + before_ns
         last = [track.restamped(stamp_ns, self._parameters) for track in self._tracks if track is not None]
         if is_another_run:
@@ -149,7 +149,7 @@ class BoxLocalizer:
         return p.laser_x, p.laser_y, p.laser_yaw
 
     def _find(self, scan: Scan, odometry: Odometry | None) -> Found | Reason:
-        """The box near its track."""
+        """Return the box near its track, or why there is none: the last check that was reached."""
         reasons = []
         angles = scan.angles()
         for track in self._tracks:
@@ -168,12 +168,12 @@ class BoxLocalizer:
         return max(reasons, key=list(Reason).index)
 
     def _accept(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
-        """Continue the track with a fix, and give it for base_link in odom."""
+        """Update the track with a fix; return the fix of base_link in odom."""
         step = found.beams.spacing * float(found.beams.ranges.mean())
         after = expected.headings.after(
             self._modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
         )
-        if after.probabilities[0] > 1.0 - NEGLIGIBLE:  # sure enough that this is the box, and the rest is not
+        if after.probabilities[0] > 1.0 - NEGLIGIBLE:  # the box is certain, and the rest is background
             self._search.background = self._search.background.after(
                 scan.ranges, scan.angles(), found.beams, self._parameters.clearance
             )
@@ -187,9 +187,9 @@ class BoxLocalizer:
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)
 
     def _modes(self, expected: Expectation, found: Candidate) -> list[Mode]:
-        """The hypotheses: about the heading expected, and one, two and three quarter turns from it.
+        """Return the hypotheses: about the expected heading, and one, two and three quarter turns from it.
 
-        Of a box fitted one way only the others are that fit turned: they are refuted, and need not be good.
+        If the box is fitted one way only, the others are that fit rotated: they are refuted hypotheses.
         """
         box, range_stddev = self._search.box, self._search.range_stddev
         heading = float(self._frames.laser_from_odom(expected.pose)[2])
@@ -207,7 +207,7 @@ class BoxLocalizer:
         return modes
 
     def _continued(self, stamp_ns: int, fix: Mode, headings: Headings) -> Track:
-        """The track with a fix, the first hypothesis."""
+        """Return the track updated with a fix, the first hypothesis."""
         p = self._parameters
         if len(self._tracks) == 1 and (track := self._tracks[0]) is not None:
             return track.updated(stamp_ns, fix, headings, p)

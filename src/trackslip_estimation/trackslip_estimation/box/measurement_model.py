@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the laser would measure of a rectangle, and how far from that its beams are.
+"""Measurement model of the laser for a rectangle, and the residuals of the beams.
 
     q = (x, y, ψ)  centre and heading of the rectangle     m, m, rad
     a, b           half sides along and across the heading m
@@ -9,12 +9,12 @@
     σ              noise of one range, rounding included   m
     s              standard deviation of an end            rad
 
-The measurement model is the ray cast itself: of the sides that face the laser a beam meets the last entered,
-so ρ_i is the larger of the distances to their lines. The ends are measurements beside the ranges: the last
-beam on the box hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
+The ranges are ray cast: of the sides that face the laser a beam hits the one whose line it crosses last, so
+ρ_i is the larger of the distances to their lines. The ends are further measurements: the last beam on the box
+hits and the next one passes, so θ_L is uniform between their angles (s = width/√12).
 
-Sums over beams are rounded as numpy rounds them, so that a fit is the same to the last bit wherever its sums
-are taken.
+Sums over beams are rounded as numpy rounds them, so that a fit is bit-identical wherever its sums are
+computed.
 """
 
 import math
@@ -28,7 +28,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.box.clusters import Beams, directions
 
-HUBER = 2.5  # standard deviations up to which a residual counts in full
+HUBER = 2.5  # standard deviations up to which the cost of a residual is its square
 STEP = 1e-6  # m and rad, of the numerical derivatives
 
 
@@ -51,7 +51,7 @@ class Rectangle:
 
 
 class Target(NamedTuple):
-    """What a rectangle is fitted to: its own size, and the beams on it."""
+    """Input of a fit: the size of the rectangle, and the beams on it."""
 
     half: FloatArray  # (2,) a and b
     directions: FloatArray  # (3, N) of the beams: angles, their cosines and sines
@@ -62,28 +62,28 @@ class Target(NamedTuple):
 
 
 class View(NamedTuple):
-    """What the laser would see of rectangles at M poses."""
+    """Predicted measurements of rectangles at M poses."""
 
     ranges: FloatArray  # (M, N) of each beam, m
     outline: FloatArray  # (M, 2) right and left angle, rad
 
 
 class RangeCosts(NamedTuple):
-    """How far from what the laser would see its ranges are."""
+    """Costs of the ranges of rectangles at M poses."""
 
     costs: FloatArray  # (M, N) of each beam
     outline: FloatArray  # (M, 2) right and left angle, rad
 
 
 class NormalEquations(NamedTuple):
-    """Of the cost, about a pose."""
+    """Normal equations of the cost at a pose."""
 
     information: FloatArray  # (3, 3)
     gradient: FloatArray  # (3,)
 
 
 def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
-    """Of a box's beams."""
+    """Return the input of a fit to a box's beams."""
     (right, right_end), (left, left_end) = beams.right, beams.left
     return Target(
         box.half,
@@ -96,17 +96,16 @@ def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
 
 
 def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> View:
-    """What the laser would see of rectangles at ``poses`` (M, 3), with beams at ``angles`` (N,).
+    """Return the predicted measurements of rectangles at ``poses`` (M, 3), with beams at ``angles`` (N,).
 
-    A beam that passes by gets the range of the corner nearest to it, so that ranges stay continuous in the
-    pose.
+    A beam that misses gets the range of the nearest end of the outline: ranges are continuous in the pose.
     """
     return cast(poses, box.half, directions(angles))
 
 
 @compiled
 def costs(poses: FloatArray, beams: Target) -> FloatArray:
-    """(M, N + 2) of each residual: its square, growing linearly beyond HUBER."""
+    """Return the costs (M, N + 2) of the residuals: squares, growing linearly beyond HUBER."""
     values = _residuals(poses, beams)
     for m in range(values.shape[0]):
         for n in range(values.shape[1]):
@@ -116,7 +115,7 @@ def costs(poses: FloatArray, beams: Target) -> FloatArray:
 
 @compiled
 def range_costs(poses: FloatArray, beams: Target) -> RangeCosts:
-    """The same of the ranges alone, and the outline."""
+    """Return the costs of the ranges alone, and the outline."""
     ranges, outline = cast(poses, beams.half, beams.directions)
     for m in range(ranges.shape[0]):
         for n in range(ranges.shape[1]):
@@ -126,13 +125,13 @@ def range_costs(poses: FloatArray, beams: Target) -> RangeCosts:
 
 @compiled
 def total_cost(pose: FloatArray, beams: Target) -> float:
-    """The sum of all ``costs`` of one pose (3,)."""
+    """Return the sum of all ``costs`` of one pose (3,)."""
     return pairwise_sum(costs(pose.reshape((1, 3)), beams)[0])
 
 
 @compiled
 def normal_equations(pose: FloatArray, beams: Target) -> NormalEquations:
-    """Of the cost at a pose (3,)."""
+    """Return the normal equations of the cost at a pose (3,)."""
     poses = np.empty((7, 3))
     for axis in range(3):
         for m in range(7):
@@ -152,7 +151,7 @@ def normal_equations(pose: FloatArray, beams: Target) -> NormalEquations:
 
 @compiled
 def _residuals(poses: FloatArray, beams: Target) -> FloatArray:
-    """Normalised residuals (M, N + 2): one per beam, then the right and the left end."""
+    """Return the normalised residuals (M, N + 2): one per beam, then the right and the left end."""
     ranges, outline = cast(poses, beams.half, beams.directions)
     count = ranges.shape[1]
     values = np.empty((ranges.shape[0], count + 2))
@@ -201,7 +200,7 @@ def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> View:
 
 @compiled
 def _distance(laser: float, half: float, direction: float) -> float:
-    """Along a beam to the line of the side that faces the laser; −∞ where neither of the two sides does."""
+    """Return the distance along a beam to the side that faces the laser; −∞ if neither of the two does."""
     if abs(laser) <= half or direction == 0.0:
         return -math.inf
     return (math.copysign(half, laser) - laser) / direction
@@ -209,7 +208,7 @@ def _distance(laser: float, half: float, direction: float) -> float:
 
 @compiled
 def pairwise_sum(values: FloatArray) -> float:
-    """As ``numpy.sum`` of (K,): eight sums side by side, and halves of what is longer than 128."""
+    """Return the sum of (K,) as ``numpy.sum`` does: eight parallel sums, and halves beyond 128 values."""
     count = len(values)
     if count > 128:
         half = count // 2 - count // 2 % 8

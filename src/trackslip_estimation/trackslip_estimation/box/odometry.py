@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the odometry has base_link at the time of a scan."""
+"""Odometry of base_link at the time of a scan."""
 
 import math
 from collections import deque
@@ -12,19 +12,19 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
 
-SPACING_NS = 50_000_000  # from one that is kept to the next
-KEPT = 60  # 3 s; a scan comes later than it was taken, by its way through the serial line
-MOST_APART_NS = 1_000_000_000  # between a scan and the odometry that stands for it
+SPACING_NS = 50_000_000  # least time between two that are kept
+KEPT = 60  # 3 s, for scans delayed by the serial line
+MOST_APART_NS = 1_000_000_000  # longest time between a scan and its odometry
 
 
 class OdometryReason(Enum):
-    """Why an odometry is not used."""
+    """Why an odometry is rejected."""
 
     MALFORMED = "malformed"
 
 
 class Odometry(NamedTuple):
-    """Place (2,) of base_link in map, m; its covariance (2, 2), m²."""
+    """Position (2,) of base_link in map, m; its covariance (2, 2), m²."""
 
     stamp_ns: int
     place: FloatArray
@@ -32,14 +32,14 @@ class Odometry(NamedTuple):
 
 
 class OdometryBuffer:
-    """The latest few; those that are none are counted."""
+    """Buffer of the latest odometries; malformed ones are counted."""
 
     def __init__(self, tally: Tally) -> None:
         self._tally = tally
         self._latest: deque[Odometry] = deque(maxlen=KEPT)
 
     def add(self, odometry: Odometry) -> None:
-        """Keep one, if it is that long after the one before; stamps that go back restart it."""
+        """Keep one if it is ``SPACING_NS`` after the last; stamps that go back clear the buffer."""
         if not _is_usable(odometry):
             self._tally.add("odometry", OdometryReason.MALFORMED)
             return
@@ -51,7 +51,7 @@ class OdometryBuffer:
         self._latest.append(odometry)
 
     def at(self, stamp_ns: int) -> Odometry | None:
-        """The one nearest in time; None where there is none within ``MOST_APART_NS``."""
+        """Return the one nearest in time; None if none is within ``MOST_APART_NS``."""
         nearest = min(self._latest, key=lambda kept: abs(kept.stamp_ns - stamp_ns), default=None)
         if nearest is None or abs(nearest.stamp_ns - stamp_ns) > MOST_APART_NS:
             return None
@@ -59,7 +59,7 @@ class OdometryBuffer:
 
 
 def _is_usable(odometry: Odometry) -> bool:
-    """Whether its place is finite and its covariance is one."""
+    """Whether the position is finite and the covariance positive semidefinite."""
     (xx, xy), (yx, yy) = odometry.covariance
     is_finite = bool(np.isfinite(odometry.place).all()) and math.isfinite(xx + xy + yx + yy)
     return is_finite and xx >= 0.0 and yy >= 0.0 and xy * yx <= xx * yy * (1.0 + 1e-9)

@@ -1,20 +1,20 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which way round the box stands: four hypotheses, a quarter turn apart, weighted from scan to scan.
+"""Orientation of the box: four hypotheses, a quarter turn apart, weighted from scan to scan.
 
     h_k   heading of hypothesis k = 0 … 3, about k quarter turns from that tracked        rad
     w_k   its probability
-    ψ̂, s  heading predicted, with the standard deviation of what the scan has beside it  rad
+    ψ̂, s  predicted heading; standard deviation of h_k − ψ̂                              rad
     E_k   evidence: the likelihood of a scan's beams, integrated over the poses about h_k
     Λ     log odds of a quarter turn, from the E_k of all scans
 
-Half a turn leaves the box as it was, and a quarter nearly so: the sides differ by little, and few beams do
-not tell them apart. So what counts first is where the heading was,
+After half a turn the box looks the same, and after a quarter nearly so: the sides differ by little, and few
+beams do not distinguish them. The first weights are therefore those of the predicted heading,
 
     w_k ∝ Σ_j w_j N(h_k; ψ̂ + j π/2, s²),  wrapped.
 
-What an absence leaves open stays open until Λ decides. No single scan does, and scans from one place count
-once: the same beams hit and miss in each of them. Until then a fix holds all hypotheses.
+An ambiguity after an absence remains until Λ resolves it. No single scan suffices, and scans from one place
+count once: the same beams hit and miss in each of them. Until then a fix covers all hypotheses.
 """
 
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ from trackslip_common.arrays import FloatArray
 
 QUARTER_TURN = np.pi / 2.0
 CERTAIN: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
-NEGLIGIBLE = 1e-4  # probability of another heading beside which one is claimed
-REFUTED = 1e-6  # odds below which the other sides are not fitted
+NEGLIGIBLE = 1e-4  # probability of the other headings below which one is certain
+REFUTED = 1e-6  # probability below which the other sides are not fitted
 LARGEST_STEP = 1.0  # of Λ in one scan
-LOST = 0.5 * np.pi / 4.0  # rad: a heading predicted no better has lost which sides were which
-ERROR_TIME = 10.0  # s, for which a hypothesis goes on to be wrong
+LOST = 0.5 * np.pi / 4.0  # rad, standard deviation of the prediction from which the sides are unknown
+ERROR_TIME = 10.0  # s, correlation time of the error of a hypothesis
 SHORTEST = 0.01  # s between fixes
 _TURNS = QUARTER_TURN * np.arange(4.0)
 _WRAPS = 2.0 * np.pi * np.arange(-2.0, 3.0)[:, np.newaxis, np.newaxis]
@@ -47,7 +47,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class SideEvidence:
-    """Λ: ``settled`` in places left, and the mean of ``count`` scans in this one at ``x``, ``y``, m."""
+    """Λ: ``settled`` from earlier places, plus the mean of ``count`` scans at the present ``x``, ``y``, m."""
 
     settled: float = 0.0
     mean: float = 0.0
@@ -61,21 +61,21 @@ class SideEvidence:
         return self.settled + float(np.clip(self.mean, -LARGEST_STEP * self.count, LARGEST_STEP * self.count))
 
     def after(self, log_ratio: float, pose: FloatArray, step: float) -> "SideEvidence":
-        """With one more scan of the box at ``pose`` (3,), to which beams are ``step`` apart, m."""
+        """Return Λ after one more scan of the box at ``pose`` (3,), where beams are ``step`` apart, m."""
         if self.count == 0 or np.hypot(pose[0] - self.x, pose[1] - self.y) > step:
             return SideEvidence(self.log_odds, log_ratio, 1, float(pose[0]), float(pose[1]))
         count = self.count + 1
         return SideEvidence(self.settled, self.mean + (log_ratio - self.mean) / count, count, self.x, self.y)
 
     def turned(self) -> "SideEvidence":
-        """As a quarter turn away has it."""
+        """Return Λ for the heading a quarter turn away."""
         return SideEvidence(-self.settled, -self.mean, self.count, self.x, self.y)
 
 
 def prior(turned: FloatArray, variance: FloatArray, weights: FloatArray) -> FloatArray:
-    """Probabilities (M,) of headings before their scan is heard.
+    """Return the probabilities (M,) of headings prior to the evidence of their scan.
 
-    turned, variance: (M,), the headings less ψ̂ and s², rad and rad²; weights: (4,) of ψ̂ and the headings
+    turned, variance: (M,), the headings minus ψ̂, and s², rad and rad²; weights: (4,) of ψ̂ and the headings
     one, two and three quarter turns from it.
     """
     away = turned - _TURNS[:, np.newaxis] + _WRAPS
@@ -85,42 +85,42 @@ def prior(turned: FloatArray, variance: FloatArray, weights: FloatArray) -> Floa
 
 
 def sides_are_known(turned: float, variance: float, weights: FloatArray) -> bool:
-    """Whether what a heading was expected to be, as in ``prior``, refutes those a quarter turn from it."""
+    """Whether the prior of a heading, as in ``prior``, refutes those a quarter turn from it."""
     probabilities = prior(turned + _TURNS, np.full(4, variance), weights)
     return bool(probabilities[1::2].sum() < REFUTED)
 
 
 def with_evidence(weights: FloatArray, log_odds: float) -> FloatArray:
-    """Probabilities (4,) with the log odds of the second and fourth against the others."""
+    """Return probabilities (4,) updated with the log odds of the second and fourth against the others."""
     logs = np.log(np.maximum(weights, 1e-300)) + np.array((0.0, log_odds, 0.0, log_odds))
     return _normalised(logs)
 
 
 def _normalised(logs: FloatArray) -> FloatArray:
-    """Probabilities from their logarithms, known up to a constant."""
+    """Return probabilities from their logarithms, known up to a constant."""
     likelihoods = np.exp(logs - logs.max())
     return np.asarray(likelihoods / likelihoods.sum())
 
 
 class Weighed(NamedTuple):
-    """The hypotheses after a scan."""
+    """Hypotheses after a scan."""
 
-    modes: list[Mode]  # the likeliest first
+    modes: list[Mode]  # most probable first
     probabilities: FloatArray  # (4,) of each
-    headings: "Headings"  # what is remembered
+    headings: "Headings"  # state for the next scan
 
 
 @dataclass(frozen=True, eq=False)
 class Headings:
-    """What is remembered of the hypotheses, the first of which is tracked: w (4,) without Λ, and Λ."""
+    """State of the hypotheses, the first of which is tracked: w (4,) without Λ, and Λ."""
 
     weights: FloatArray
     evidence: SideEvidence
 
     def after(self, modes: list[Mode], heading: float, variance: float, step: float) -> Weighed:
-        """With one more scan; its modes are about ``heading``, predicted with this variance, and turned.
+        """Return the hypotheses after a scan, with modes about ``heading`` and its three quarter turns.
 
-        ``step`` is that of ``SideEvidence.after``.
+        ``variance``: of the predicted heading, rad²; ``step``: as in ``SideEvidence.after``.
         """
         turned = np.array([mode.pose[2] for mode in modes]) - heading
         weights = prior(turned, variance + np.array([mode.covariance[2, 2] for mode in modes]), self.weights)
@@ -139,11 +139,11 @@ class Headings:
 
 
 def mixed(modes: list[Mode], weights: FloatArray, elapsed: float) -> tuple[FloatArray, FloatArray]:
-    """Pose (3,) and covariance (3, 3) of the modes together; the heading is that of the first.
+    """Return pose (3,) and covariance (3, 3) of the mixture of modes; the heading is that of the first.
 
-    ``elapsed``: since the fix before, s. Errors of consecutive fixes are correlated: the spread of the
+    ``elapsed``: since the previous fix, s. Errors of consecutive fixes are correlated: the spread of the
     positions counts once in ``ERROR_TIME``. Ambiguous headings are not averaged: two that are a quarter turn
-    apart have no mean. Their variance puts each of them within two standard deviations.
+    apart have no mean. The heading variance puts each of them within two standard deviations.
     """
     away = np.array([mode.pose - modes[0].pose for mode in modes])
     away[:, 2] -= 2.0 * np.pi * np.round(away[:, 2] / (2.0 * np.pi))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One sweep of the laser as the localizer takes it, and what a usable one is."""
+"""One laser scan as input of the localizer, and its validity check."""
 
 import math
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 
 MOST_BEAMS = 20_000  # three times those of the finest scanners
-FULL_TURN = 2.0 * np.pi + 1e-3  # rad, rounded as float32 may have it
+FULL_TURN = 2.0 * np.pi + 1e-3  # rad, with the rounding of float32
 SMALLEST_INCREMENT = 1e-5  # rad
 LONGEST_SWEEP = 2.0  # s
-LATEST_NS = (2**31 - 4) * 1_000_000_000  # the seconds of a ROS stamp end with the next sweeps
+LATEST_NS = (2**31 - 4) * 1_000_000_000  # the seconds of a ROS stamp end shortly after
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
     """Ranges (N,) in m, from ``angle_min`` on in the laser frame, rad.
 
-    stamp_ns: of the first beam; time_increment: from one beam to the next, s. A range is +∞ where nothing
-    returned, NaN or −∞ where nothing is known (REP-117).
+    stamp_ns: of the first beam; time_increment: from one beam to the next, s. A range is +∞ without a return,
+    NaN or −∞ if unknown (REP-117).
     """
 
     stamp_ns: int
@@ -31,7 +31,7 @@ class Scan:
     time_increment: float
 
     def counter_clockwise(self) -> "Scan":
-        """Turned round where its beams run clockwise (``angle_increment`` < 0): the last is then first."""
+        """Return the scan with its beams counter-clockwise: reversed if ``angle_increment`` < 0."""
         if not self.angle_increment < 0.0 or self.ranges.ndim != 1 or self.ranges.size > MOST_BEAMS:
             return self
         steps = self.ranges.size - 1
@@ -47,7 +47,7 @@ class Scan:
         )
 
     def is_usable(self) -> bool:
-        """Whether shape, geometry and times are such as a scanner can have; ranges may be anything."""
+        """Whether shape, geometry and times are possible for a scanner; ranges are not checked."""
         if self.ranges.ndim != 1 or not 2 <= self.ranges.size <= MOST_BEAMS:
             return False
         steps = self.ranges.size - 1
@@ -59,9 +59,9 @@ class Scan:
         )
 
     def angles(self) -> FloatArray:
-        """(N,), rad."""
+        """Return the beam angles (N,), rad."""
         return self.angle_min + self.angle_increment * np.arange(self.ranges.size, dtype=np.float64)
 
     def time_ns(self, beam: float) -> int:
-        """When the beam of this index, or a mean of indices, was measured."""
+        """Return the stamp of the beam of this index, or of a mean of indices, ns."""
         return self.stamp_ns + round(self.time_increment * 1e9 * beam)

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which object of a scan is the box: cut the scan into objects, fit the box to each, keep the one expected.
+"""Search for the box in a scan: segment it into objects, fit the box to each, gate by the expected pose.
 
-A rectangle looks the same after half a turn and nearly so after a quarter: where the heading expected does
-not tell, the box is fitted either way, and ``quarters.py`` weighs the two.
+A rectangle looks the same after half a turn and nearly so after a quarter. If the expected heading does not
+resolve this, the box is fitted both ways, and ``quarters.py`` weights the two.
 """
 
 from dataclasses import dataclass
@@ -28,11 +28,11 @@ QUARTER = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)
 
 
 class Reason(Enum):
-    """Why a scan or an object in it gave no fix; in the order of how far it came."""
+    """Why a scan or an object in it gave no fix; in the order of the checks."""
 
     MALFORMED = "malformed"
     NOT_LATER = "not_later_than_the_scan_before"
-    AHEAD = "stamp_ahead"  # and not (yet) confirmed by those that follow
+    AHEAD = "stamp_ahead"  # and not (yet) confirmed by the following stamps
     NOTHING_NEAR = "nothing_near_the_prediction"
     BACKGROUND = "was_there_before"
     FEW_BEAMS = "few_beams"
@@ -40,16 +40,16 @@ class Reason(Enum):
     SIZE = "larger_than_the_box"
     SHAPE = "not_the_shape_of_the_box"
     GATE = "too_far_from_the_prediction"
-    UNCERTAIN = "one_of_several_places"  # found, and perhaps another thing
+    UNCERTAIN = "one_of_several_places"  # found, but perhaps another object
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An object that can be the box.
 
-    fits: within an eighth of a turn of the heading expected and, where that is in doubt, of a quarter turn
-    from it; place: (2,) of base_link in odom by the better, m; distance: from the place expected, m; is_new:
-    whether it is known not to have been there before, for the laser saw what is behind it, or the box.
+    fits: within an eighth of a turn of the expected heading and, if ambiguous, of a quarter turn from it;
+    place: (2,) of base_link in odom by the better fit, m; distance: from the expected position, m;
+    is_unobserved_receiver: whether the object is new: the laser measured behind it before, or the box.
     """
 
     beams: Beams
@@ -60,7 +60,7 @@ class Candidate:
 
 
 class BoxSearch:
-    """Fits the box to the objects of a scan before a background, and counts objects refused."""
+    """Fits the box to the objects of a scan in front of a background; counts rejected objects."""
 
     def __init__(self, p: BoxLocalizerParameters, box: Box, tally: Tally) -> None:
         self._parameters = p
@@ -71,9 +71,9 @@ class BoxSearch:
         self.background = Background.unknown()
 
     def find(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> list[Candidate] | Reason:
-        """The objects near the expected pose that can be the box, or how far the best of the others came.
+        """Return the objects near the expected pose that can be the box, or the last check reached.
 
-        What was there before is cut off: a post beside the box would lengthen or turn it.
+        The background is cut off: a post beside the box would lengthen or rotate it.
         """
         reach = self.box.diagonal + 3.0 * self.range_stddev
         known = self.background.holds(ranges, angles, self._margin)
@@ -100,13 +100,13 @@ class BoxSearch:
 
     @property
     def _margin(self) -> float:
-        """Between two ranges of one thing, m."""
+        """Largest difference of two ranges of one object, m."""
         return float(3.0 * np.sqrt(2.0) * self.range_stddev)
 
     def _evaluate(
         self, indices: IndexArray, expected: Expectation, ranges: FloatArray, angles: FloatArray
     ) -> Candidate | Reason:
-        """Whether one object is the box."""
+        """Return the candidate if an object can be the box, else why not."""
         if len(indices) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
         beams = beams_on(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
@@ -132,7 +132,7 @@ class BoxSearch:
         return Candidate(beams, fits, pose[:2], distance, is_new)
 
     def _near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
-        """(N,) which beams end where the box may be."""
+        """Return which beams (N,) end where the box may be."""
         x, y = self._frames.laser_from_odom(expected.pose)[:2]
         with np.errstate(invalid="ignore"):  # no return straight ahead: ∞ sin 0
             away = np.hypot(ranges * np.cos(angles) - x, ranges * np.sin(angles) - y)
@@ -140,7 +140,7 @@ class BoxSearch:
         return near
 
     def _fitted(self, beams: Beams, expected: Expectation) -> list[Optimum]:
-        """The fit about the expected heading and, where that is in doubt, the one about a quarter turn."""
+        """Return the fit about the expected heading and, if ambiguous, that about a quarter turn from it."""
         heading = float(self._frames.laser_from_odom(expected.pose)[2])
         first = self.settled(heading, beams)
         variance = expected.yaw_variance + min(float(np.linalg.inv(first.information)[2, 2]), 1.0)
@@ -149,7 +149,7 @@ class BoxSearch:
         return [first, self.settled(heading + QUARTER_TURN, beams)]
 
     def settled(self, middle: float, beams: Beams) -> Optimum:
-        """The fit within an eighth of a turn of ``middle``; the best of all starts, if the first is poor."""
+        """Return the first good fit within an eighth of a turn of ``middle``, else the best of all starts."""
         starts = likely_starts(middle + QUARTER, self.box, beams, self.range_stddev)
         stuck: list[Optimum] = []
         for start in starts:
@@ -158,11 +158,11 @@ class BoxSearch:
                 if self._is_explained(optimum, self._parameters.good_fit):
                     return optimum
                 stuck.append(optimum)
-        if not stuck:  # each has left for another view of the box
+        if not stuck:  # all have left this eighth of a turn
             return most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)
         return min(stuck, key=lambda optimum: optimum.chi2)
 
     @staticmethod
     def _is_explained(optimum: Optimum, probability: float) -> bool:
-        """Whether noise gives its χ² with this probability."""
+        """Whether its χ² is within the quantile of this probability."""
         return optimum.chi2 <= float(chdtri(optimum.freedom, 1.0 - probability))

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The track of base_link from fix to fix, and where it makes the next one expected.
+"""Track of base_link from fix to fix, and the prediction of the next fix.
 
     p, v   pose of base_link in odom, its rate of change   m, m, rad; m/s, m/s, rad/s
-    σ, τ   standard deviation of v, and the time for which it lasts  as v; s
+    σ, τ   standard deviation of v, and its correlation time  as v; s
     e      e^{−Δt/τ}
 
-Each axis is a Kalman filter of its own: v is a first-order Gauss–Markov process, so that after an absence
-the vehicle is sought about where it was, ever wider:
+Each axis has its own Kalman filter. v is a first-order Gauss–Markov process, so that in an absence the
+predicted position comes to rest and its variance grows:
 
     p ← p + τ (1 − e) v      v ← e v
     Q_pp = σ² (2 τ Δt − τ² (3 − 4 e + e²))      Q_pv = σ² τ (1 − e)²      Q_vv = σ² (1 − e²)
@@ -29,10 +29,10 @@ _NS = 1e-9  # s
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """Where base_link should be, (x, y, yaw) in m and rad, and how far from there a fix may lie.
+    """Predicted pose of base_link, (x, y, yaw) in m and rad, and the gates of a fix about it.
 
-    yaw_variance: of the heading predicted, rad²; headings: this one, and its quarter turns.
-    elapsed: since the fix before, s.
+    yaw_variance: of the predicted heading, rad²; headings: hypotheses of it and its quarter turns.
+    elapsed: since the previous fix, s.
     """
 
     pose: FloatArray
@@ -43,9 +43,9 @@ class Expectation:
     elapsed: float
 
     def innovation_variance(self, fix: Mode, p: BoxLocalizerParameters) -> float:
-        """Heading variance, rad², with which a fix that its own track contradicts agrees with it; else 0.
+        """Return the heading variance, rad², at which a fix beyond ``ambiguity_gate`` is inside it; else 0.
 
-        Few beams now and then fit a corner where there is a side, and are sure of it.
+        Few beams sometimes fit a corner where there is a side; the fit is then overconfident.
         """
         turned = float(fix.pose[2] - self.pose[2])
         squared = (turned - QUARTER_TURN * round(turned / QUARTER_TURN)) ** 2
@@ -55,7 +55,7 @@ class Expectation:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """p and v: mean (3, 2) and covariance (3, 2, 2), an axis each; the hypotheses of the heading."""
+    """p and v: mean (3, 2) and covariance (3, 2, 2), by axis; the hypotheses of the heading."""
 
     stamp_ns: int
     mean: FloatArray
@@ -71,13 +71,13 @@ class Track:
         headings: Headings,
         p: BoxLocalizerParameters,
     ) -> "Track":
-        """At a pose (3,) with its variances (3,), moving at any speed that the vehicle has."""
+        """Return a track at a pose (3,) with variances (3,), at any velocity that the vehicle can have."""
         mean, covariance = np.zeros((3, 2)), np.zeros((3, 2, 2))
         mean[:, 0], covariance[:, 0, 0], covariance[:, 1, 1] = pose, variance, _rate_variance(p)
         return cls(stamp_ns, mean, covariance, headings)
 
     def predicted(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
-        """At a later time; an earlier one is taken for this."""
+        """Return the track propagated to a later stamp; an earlier stamp counts as its own."""
         elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
         tau, left = p.coast_time, np.exp(-elapsed / p.coast_time)
         transition = np.array(((1.0, tau * (1.0 - left)), (0.0, left)))
@@ -89,7 +89,7 @@ class Track:
         return Track(max(stamp_ns, self.stamp_ns), self.mean @ transition.T, covariance, self.headings)
 
     def expectation(self, stamp_ns: int, p: BoxLocalizerParameters) -> Expectation:
-        """Of the next fix: within what the vehicle can have moved since the last."""
+        """Return the prediction of the next fix, gated by the possible motion since the last."""
         elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
         there = self.predicted(stamp_ns, p)
         variance = float(there.covariance[2, 0, 0])
@@ -103,7 +103,7 @@ class Track:
         )
 
     def updated(self, stamp_ns: int, fix: Mode, headings: Headings, p: BoxLocalizerParameters) -> "Track":
-        """With a fix of the first hypothesis; ``headings`` are those of after it."""
+        """Return the track updated with a fix of the first hypothesis; ``headings``: those after the fix."""
         there = self.predicted(stamp_ns, p)
         innovation_variance = there.covariance[:, 0, 0] + fix.covariance.diagonal()
         innovation = fix.pose - there.mean[:, 0]
@@ -116,15 +116,15 @@ class Track:
         return Track(there.stamp_ns, mean, 0.5 * (covariance + covariance.swapaxes(1, 2)), headings)
 
     def restamped(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
-        """Standing where it was: the clock was set, and how long ago that was is unknown."""
+        """Return the track at its pose, with unknown velocity: after the clock is set, Δt is unknown."""
         return Track.begun(stamp_ns, self.mean[:, 0], self.covariance[:, 0, 0], self.headings, p)
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What a localizer leaves to the next: its track, the stamp of its latest scan, and the background.
+    """State for the next localizer: the track, the stamp of the latest scan, and the background.
 
-    laser: (3,) where the background was seen from, in odom, m and rad.
+    laser: (3,) pose of the laser for the background, in odom, m and rad.
     """
 
     track: Track
@@ -134,7 +134,7 @@ class Kept:
 
 
 def initial_expectation(p: BoxLocalizerParameters) -> Expectation:
-    """At the start: about the initial pose."""
+    """Return the prediction at the start: the initial pose."""
     return Expectation(
         pose=np.array([p.initial_x, p.initial_y, p.initial_yaw]),
         reach=p.initial_reach,
@@ -146,5 +146,5 @@ def initial_expectation(p: BoxLocalizerParameters) -> Expectation:
 
 
 def _rate_variance(p: BoxLocalizerParameters) -> FloatArray:
-    """σ² of each axis (3,)."""
+    """Return σ² of each axis (3,)."""
     return np.array((p.top_speed, p.top_speed, p.top_yaw_rate)) ** 2

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The file that keeps the track of the box, for a localizer that is started again during a drive.
+"""File of the box's track, for a localizer that is restarted during a drive.
 
-Without it the box would be sought about the initial pose, where it no longer is. With the track it keeps the
-background, without which a thing that has stood there all the time could be the box. JSON, written beside
-itself and moved into place; a file that is no track is moved aside. It outlives the process and need not
-outlive the machine, so nothing waits for the disk.
+Without it the search would begin at the initial pose, where the box no longer is. It also keeps the
+background, without which a stationary object could be taken for the box. It is JSON, written to a temporary
+file and moved into place; a file that is no track is moved aside. The file need not survive a power failure,
+so writing does not wait for the disk.
 """
 
 import json
@@ -25,14 +25,14 @@ from trackslip_estimation.box.track import Kept, Track
 
 _VERSION = 3
 _MILLIMETRES = 1000.0  # in a metre
-_FARTHEST = 10_000_000  # mm; what is beyond gave no return
+_FARTHEST = 10_000_000  # mm; longer ranges count as no return
 _NO_RETURN = -1
 _LARGEST = 4096 + 20 * MOST_BEAMS  # bytes
-_PERIOD_NS = 1_000_000_000  # of scans, from one writing to the next
+_PERIOD_NS = 1_000_000_000  # scan time between two writings
 
 
 def track_text(kept: Kept) -> str:
-    """What the file holds."""
+    """Return the content of the file."""
     track = kept.track
     e = track.headings.evidence
     return json.dumps(
@@ -53,10 +53,10 @@ def track_text(kept: Kept) -> str:
 
 
 def parse_track(text: str) -> Kept:
-    """What ``track_text`` was given.
+    """Return the state from a text of ``track_text``.
 
     Raises:
-        InputError: the text is not one.
+        InputError: the text is invalid.
     """
     try:
         tree: Any = json.loads(text)
@@ -94,13 +94,13 @@ def parse_track(text: str) -> Kept:
 
 
 def _to_millimetres(ranges: FloatArray) -> list[int | None]:
-    """Of each beam; none where nothing is known (NaN, −∞), ``_NO_RETURN`` where nothing returned."""
+    """Return the range of each beam, mm; None if unknown (NaN, −∞), ``_NO_RETURN`` without a return."""
     rounded = np.rint(np.clip(ranges * _MILLIMETRES, -np.inf, _FARTHEST + 1.0))
     return [None if not mm >= 0.0 else int(mm) if mm <= _FARTHEST else _NO_RETURN for mm in rounded.tolist()]
 
 
 def _from_millimetres(numbers: list[int | None]) -> FloatArray:
-    """The ranges (N,), m.
+    """Return the ranges (N,), m.
 
     Raises:
         ValueError: there is no list, or a number is out of range.
@@ -115,22 +115,22 @@ def _from_millimetres(numbers: list[int | None]) -> FloatArray:
 
 
 class TrackFile:
-    """One node's; with an empty path there is none, and nothing is ever done."""
+    """Track file of one node; with an empty path nothing is read or written."""
 
     def __init__(self, path: str) -> None:
         """``path`` may begin with ~.
 
         Raises:
-            InputError: nobody knows that home directory.
+            InputError: the home directory is unknown.
         """
         self._path = own_file("track_file", path)
         self._written_ns = 0
-        self._is_foreign = False  # what is there is no track, perhaps somebody's text
+        self._is_foreign = False  # whether the present file is no track
         self.failures = 0
-        self.failure = ""  # why the last reading or writing failed; empty where it did not
+        self.failure = ""  # why the last reading or writing failed; empty if it did not
 
     def read(self) -> Kept | None:
-        """The track that is there; None where there is none of use, see ``failure``."""
+        """Return the state in the file; None if there is no usable one, see ``failure``."""
         if self._path is None:
             return None
         try:
@@ -145,7 +145,7 @@ class TrackFile:
             return None
 
     def write(self, kept: Kept | None) -> None:
-        """Keep it; not more often than once a second of scans."""
+        """Write the state, at most once a second of scan time."""
         if self._path is None or kept is None or abs(kept.scan_ns - self._written_ns) < _PERIOD_NS:
             return
         self._written_ns = kept.scan_ns
