@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Between messages and the localizer's records."""
+"""Conversions between messages and the localizer's records."""
 
 import math
 from typing import Any
@@ -18,12 +18,12 @@ _DIAGONAL_KNOWN = 2
 
 
 def fix(message: Any) -> Fix:
-    """From sensor_msgs/NavSatFix."""
+    """Return the record of a sensor_msgs/NavSatFix."""
     return Fix(*read(NavSatFields, message))
 
 
 def pose(make: Make, place: Place, topic: str, frame: str) -> Any:
-    """geometry_msgs/PoseWithCovarianceStamped of an antenna: nobody observes its heading."""
+    """Return a geometry_msgs/PoseWithCovarianceStamped of an antenna, with unobserved heading."""
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = place.covariance
     at = np.array((place.east, place.north, 0.0))
@@ -32,7 +32,7 @@ def pose(make: Make, place: Place, topic: str, frame: str) -> Any:
 
 
 def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:
-    """sensor_msgs/NavSatFix of the map's origin, which is exact."""
+    """Return a sensor_msgs/NavSatFix of the map's origin, which is exact."""
     return make(
         "sensor_msgs/msg/NavSatFix",
         header=header(make, stamp_ns, frame),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fix → place of the antenna in metres east and north of a datum, or why not.
+"""Position of the antenna in metres east and north of a datum, from one fix.
 
     ϕ, λ, h      latitude, longitude, altitude above the ellipsoid     °, °, m
     E, N         east and north of the datum, on its tangent plane     m
@@ -26,11 +26,11 @@ FIX = "fix"
 _UNKNOWN = 0  # covariance type
 _EARTH_RADIUS = 6.4e6  # m
 _AGREEING = 100.0  # m between fixes that agree on a datum
-_UP_SHARE = 2.0  # standard deviation of an altitude over that of the position
+_UP_SHARE = 2.0  # ratio of the altitude's standard deviation to that of the position
 
 
 class Reason(Enum):
-    """Why a fix was refused."""
+    """Why a fix is rejected."""
 
     NO_FIX = "no fix"
     NOT_A_NUMBER = "not a number"
@@ -44,7 +44,7 @@ class Reason(Enum):
 
 
 class Fix(NamedTuple):
-    """A position as a receiver gives it."""
+    """Fix of a receiver."""
 
     stamp_ns: int
     latitude: float  # °
@@ -65,7 +65,7 @@ class Datum(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Of an antenna on the map."""
+    """Position of an antenna on the map."""
 
     stamp_ns: int
     east: float  # m
@@ -76,7 +76,7 @@ class Place(NamedTuple):
 
 
 class GnssLocalizer:
-    """Its state is the datum, and nothing else: one fix is judged by itself."""
+    """Converts single fixes; the datum, given or from the first fixes, is the only state."""
 
     def __init__(self, parameters: GnssLocalizerParameters) -> None:
         self.tally = Tally()
@@ -87,14 +87,14 @@ class GnssLocalizer:
         self._agreeing = 0
 
     def locate(self, fix: Fix) -> Place | Reason:
-        """Where the antenna is; refusals are counted."""
+        """Return the position of the antenna, or why the fix is rejected; rejections are counted."""
         found = self._refusal(fix) or self._place(fix)
         if isinstance(found, Reason):
             self.tally.add(FIX, found)
         return found
 
     def _refusal(self, fix: Fix) -> Reason | None:
-        """What is wrong with a fix whatever the datum."""
+        """Return why a fix is rejected independently of the datum, or None."""
         position = fix.latitude, fix.longitude
         if fix.status < 0:
             return Reason.NO_FIX
@@ -123,7 +123,7 @@ class GnssLocalizer:
         return Place(fix.stamp_ns, east, north, up, covariance, _up_variance(fix, covariance))
 
     def _propose(self, fix: Fix) -> None:
-        """A datum from fixes that agree: one wrong fix at the start must not move the map away."""
+        """Set the datum from fixes in a row that agree: one wrong fix at the start must not shift the map."""
         if self._candidate is None or math.hypot(*_offset(self._candidate, fix)) > _AGREEING:
             altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
             self._candidate, self._agreeing = Datum(fix.latitude, fix.longitude, altitude), 0
@@ -132,7 +132,7 @@ class GnssLocalizer:
             self.datum = self._candidate
 
     def _covariance(self, fix: Fix) -> FloatArray:
-        """(2, 2) as the fix has it; by its status where that is unknown, or zero."""
+        """Return the covariance (2, 2) of a fix; if unknown or zero, the one assumed for its status."""
         if fix.covariance_type != _UNKNOWN and fix.covariance.any():
             return fix.covariance
         assumed = self._p.assumed_stddev
@@ -141,7 +141,10 @@ class GnssLocalizer:
 
 
 def _up_variance(fix: Fix, covariance: FloatArray) -> float:
-    """m²; where the fix has none, that of twice the position's: satellites are above only."""
+    """Return the altitude variance, m²; by default that of twice the position's standard deviation.
+
+    The altitude is less accurate because all satellites are above the antenna.
+    """
     stated = fix.altitude_variance if fix.covariance_type != _UNKNOWN else 0.0
     if math.isfinite(stated) and stated > 0.0:
         return stated
@@ -155,7 +158,7 @@ def is_covariance(covariance: FloatArray) -> bool:
 
 
 def why_far(datum: Datum, latitude: float, longitude: float) -> Reason:
-    """What is said of a position (°) that is farther from the datum than the map reaches."""
+    """Return the reason to reject a position (°) that is too far from the datum."""
     other = latitude * datum.latitude < 0.0 or longitude * datum.longitude < 0.0
     return Reason.HEMISPHERE if other else Reason.FAR
 
@@ -163,9 +166,9 @@ def why_far(datum: Datum, latitude: float, longitude: float) -> Reason:
 def east_north_up(
     datum: Datum, latitude: Number, longitude: Number, altitude: Number
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """E, N, U of positions (°, °, m; nan: that of the datum), numbers or arrays.
+    """Return E, N, U, m, of positions (°, °, m; nan: altitude of the datum), numbers or arrays.
 
-    E and N are infinite on the far side of the earth, whose tangent plane is parallel.
+    E and N are infinite on the far side of the Earth, which would be projected onto the map, too.
     """
     known = np.where(np.isnan(altitude), datum.altitude, altitude)
     east, north, up = pymap3d.geodetic2enu(latitude, longitude, known, *datum)
@@ -174,6 +177,6 @@ def east_north_up(
 
 
 def _offset(datum: Datum, fix: Fix) -> tuple[float, float]:
-    """E, N."""
+    """Return E, N of a fix, m."""
     east, north, _ = east_north_up(datum, fix.latitude, fix.longitude, fix.altitude)
     return float(east), float(north)

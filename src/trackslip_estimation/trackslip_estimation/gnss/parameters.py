@@ -8,7 +8,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 
 NODE = "gnss_localizer"
-HIGHEST_LATITUDE = 89.0  # ° of a datum: east and north mean nothing at a pole
+HIGHEST_LATITUDE = 89.0  # ° of a datum: east and north are undefined at a pole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,32 +18,36 @@ class AssumedStddevs(Parameters):
     single: float = parameter("status FIX: code alone", unit="m", gt=0.0)
     differential: float = parameter("status SBAS_FIX: code with corrections", unit="m", gt=0.0)
     rtk: float = parameter(
-        "status GBAS_FIX: corrections from a base; fixed or float is not known", unit="m", gt=0.0
+        "status GBAS_FIX: corrections from a base; fixed or float is unknown", unit="m", gt=0.0
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class GnssLocalizerParameters(Parameters):
-    """Where the map's origin is, and which fixes are refused."""
+    """Origin of the map, and limits of accepted fixes."""
 
     map_frame: str = parameter("frame of the poses: x east, y north of the datum")
     datum_latitude: float = parameter(
-        "of the map's origin; 0, 0: that of the first good fix, and another after each start",
+        "latitude of the map's origin; 0, 0: the first good fix, a different one after each start",
         unit="°",
         ge=-90.0,
         le=90.0,
     )
-    datum_longitude: float = parameter("of the map's origin", unit="°", ge=-180.0, le=180.0)
-    datum_altitude: float = parameter("of the map's origin above the ellipsoid", unit="m", ge=-1e4, le=1e5)
-    datum_fixes: int = parameter(
-        "fixes in a row that agree before the first of them is the datum", ge=1, le=1000
+    datum_longitude: float = parameter("longitude of the map's origin", unit="°", ge=-180.0, le=180.0)
+    datum_altitude: float = parameter(
+        "altitude of the map's origin above the ellipsoid", unit="m", ge=-1e4, le=1e5
     )
-    max_distance: float = parameter("fixes farther from the datum are refused", unit="m", gt=0.0, le=1e6)
-    max_stddev: float = parameter("fixes with a larger one, east or north, are refused", unit="m", gt=0.0)
+    datum_fixes: int = parameter(
+        "consecutive fixes that agree before the first of them is the datum", ge=1, le=1000
+    )
+    max_distance: float = parameter("fixes farther from the datum are rejected", unit="m", gt=0.0, le=1e6)
+    max_stddev: float = parameter(
+        "fixes with a larger standard deviation, east or north, are rejected", unit="m", gt=0.0
+    )
     assumed_stddev: AssumedStddevs
 
     def __post_init__(self) -> None:
-        """Check what concerns one field, then what concerns several.
+        """Check each field, then that the datum is not near a pole.
 
         Raises:
             InputError: a value is out of range.
@@ -57,5 +61,5 @@ class GnssLocalizerParameters(Parameters):
 
     @property
     def datum_is_given(self) -> bool:
-        """Whether the map's origin is a parameter."""
+        """Whether the map's origin is given by parameters."""
         return self.datum_latitude != 0.0 or self.datum_longitude != 0.0

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS nodes: thin shells around the estimators and the bags."""
+"""ROS nodes: thin wrappers of the estimators."""

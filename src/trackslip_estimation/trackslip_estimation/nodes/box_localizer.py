@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``box_localizer``: laser scans in, pose of the machine by the box on its cab out."""
+"""``box_localizer``: pose of the machine from laser scans of the box on its cab."""
 
 import sys
 from typing import Any
@@ -27,27 +27,27 @@ UNCERTAIN = "box not certain, no pose is published: drive on, or clear the site 
 
 
 class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
-    """Converts, calls the localizer, publishes."""
+    """Converts messages, calls the localizer, publishes its fixes."""
 
     def __init__(self) -> None:
         super().__init__(NODE, BoxNodeParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
-        """Make the localizer, and compile what the first scan would wait for."""
+        """Create the localizer; compile the fit, so that the first scan does not wait for it."""
         compile_fit()
         self._file = TrackFile(self.settings.track_file)
         self._localizer = BoxLocalizer(self.settings, self.settings.vehicle.box, self._file.read())
         self._odometry = OdometryBuffer(self._localizer.tally)
         self._fixes = 0
         self._scans = 0
-        self._is_uncertain = False  # which of several things the box is, in the latest scan
+        self._is_uncertain = False  # whether the box is ambiguous in the latest scan
         self._news = (0, 0)
         self._poses = self.advertise(topic_class("box_pose"), "box_pose")
         self.subscribe(topic_class("scan"), "scan", self._on_scan)
         self.subscribe_packed(topic_class(ODOMETRY), ODOMETRY, self._on_odometry)
 
     def health(self) -> list[Health]:
-        """Fixes per scan, and why scans gave none."""
+        """Return the numbers of scans and fixes, and why scans gave no fix."""
         (fixes, scans), self._news = self._news, (self._fixes, self._scans)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         restarts = self._localizer.restarts

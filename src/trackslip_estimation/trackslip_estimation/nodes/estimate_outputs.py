@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of an estimate: odometry, slips, machine state, and what a machine's sensors give besides."""
+"""Topics of an estimate: odometry, slips, machine state; attitude and swing with the sensors for them."""
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import make
@@ -14,7 +14,7 @@ from trackslip_estimation.slip.transforms import blank_transforms, fill_transfor
 
 
 class EstimateOutputs:
-    """Advertises and publishes."""
+    """Advertises and publishes the topics of an estimate."""
 
     def __init__(self, node: TrackslipNode[SlipEstimatorParameters]) -> None:
         p, advertise, frames = node.settings, node.advertise_packed, conversions.Frames(*node.settings.frames)
@@ -31,7 +31,7 @@ class EstimateOutputs:
         self._tf = _advertise_tf(node, frames) if p.publish_tf else None
 
     def publish(self, estimate: Estimate) -> None:
-        """All that there is of an estimate, the odometry first."""
+        """Publish all outputs of an estimate, the odometry first."""
         conversions.fill_odometry(self._odometry.message, estimate)
         self._odometry.publish()
         conversions.fill_track_slip(self._track_slip.message, estimate)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What /diagnostics says of the slip estimator: waiting, running, or what is missing."""
+"""Entry of the slip estimator in /diagnostics: waiting, running, or what is missing."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,13 +12,13 @@ from trackslip_estimation.slip.learned_text import findings
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import named
 
-_PATIENCE = 0.2  # s, the shortest silence worth a word
+_PATIENCE = 0.2  # s, shortest silence that is reported
 
 
 def estimator_health(
     estimator: SlipEstimator, watch: SourceWatch, silent: float | None, counts: Mapping[str, Any]
 ) -> Health:
-    """``silent``: seconds since a sprocket sample came, None before the first one."""
+    """Return the entry; ``silent``: seconds since the last sprocket sample, None before the first one."""
     p, now_ns = estimator.parameters, estimator.newest_ns or 0
     values = {**counts, "restarts": estimator.restarts, "divergences": estimator.divergences}
     values["attitude"] = estimator.attitude
@@ -46,5 +46,5 @@ def estimator_health(
 
 
 def _diverged(watch: SourceWatch, now_ns: int) -> str:
-    """What to put before the state of an estimate that restarted recently."""
+    """Return the prefix of the message after a recent divergence, else an empty string."""
     return "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``gnss_localizer``: fixes of a GNSS receiver in, places of its antenna in metres east and north out."""
+"""``gnss_localizer``: positions of a GNSS antenna in metres east and north, from fixes of its receiver."""
 
 import sys
 from typing import Any
@@ -17,13 +17,13 @@ POSE, DATUM = "gnss_pose", "gnss_localizer/datum"
 
 
 class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
-    """Converts, calls the localizer, publishes."""
+    """Converts fixes, calls the localizer, publishes its positions."""
 
     def __init__(self) -> None:
         super().__init__(NODE, GnssLocalizerParameters, f"{NODE}.yaml")
 
     def configure(self) -> None:
-        """Make the localizer."""
+        """Create the localizer."""
         self._localizer = GnssLocalizer(self.settings)
         self._fixes = self._poses = 0
         self._news = (0, 0)
@@ -33,12 +33,12 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         self.subscribe(topic_class(FIX), FIX, self._on_fix)
 
     def activate(self) -> None:
-        """A datum that is given is known at once."""
+        """Publish the datum if it is given by parameters."""
         if self._localizer.datum is not None:
             self._publish_datum(self.get_clock().now().nanoseconds)
 
     def health(self) -> list[Health]:
-        """Poses per fix, the datum, and why fixes gave no pose."""
+        """Return the numbers of fixes and poses, the datum, and why fixes gave no pose."""
         (poses, fixes), self._news = self._news, (self._poses, self._fixes)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         datum = self._localizer.datum
@@ -62,7 +62,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         self._pose.publish(conversions.pose(make, place, POSE, self.settings.map_frame))
 
     def _publish_datum(self, stamp_ns: int) -> None:
-        """What a later run needs as parameters to have the same map."""
+        """Publish the datum; log it as parameters for a later run with the same map."""
         datum = self._localizer.datum
         assert datum is not None
         names = ("latitude", "longitude", "altitude")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics that measurements come on: subscribed to, checked for their frame, converted, handed on."""
+"""Subscriptions to the measurement topics: check the frame, convert, pass on to the estimator."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -32,12 +32,12 @@ from trackslip_estimation.slip.sources import (
 )
 from trackslip_estimation.slip.static_frames import StaticFrames
 
-_DEPTH = 100  # several publishers keep one message each
+_DEPTH = 100  # several publishers latch one message each
 _ANGLES = ("mounting_roll", "mounting_pitch", "mounting_yaw")
 
 
 class StaticMountings:
-    """Subscribes where an IMU needs it, and finds each mounting once: it stays until the next start."""
+    """IMU mountings from /tf_static, subscribed to if needed; each is determined once in a run."""
 
     def __init__(self, node: Node, base_frame: str, imus: Mapping[str, YawRateSource]) -> None:
         """``imus``: by topic.
@@ -56,13 +56,13 @@ class StaticMountings:
             node.create_subscription(kind, "/tf_static", self.take, latched(_DEPTH))
 
     def take(self, message: Any) -> None:
-        """One message of /tf_static."""
+        """Add the transforms of one message of /tf_static."""
         for link in message.transforms:
             q = link.transform.rotation
             self._frames.add(link.header.frame_id, link.child_frame_id, (q.x, q.y, q.z, q.w))
 
     def imu(self, source: str, frame: str) -> tuple[YawRateSource | None, dict[str, float]]:
-        """What is stated of an IMU with its mounting, None while that is not known; parameters found now."""
+        """Return an IMU with its mounting, None while that is unknown, and newly determined parameters."""
         known = self._imus[source]
         if known is not None:
             return known, {}
@@ -78,7 +78,7 @@ class StaticMountings:
 
 
 class MeasurementSources:
-    """Gives ``process`` each measurement; what is refused before is counted by the node."""
+    """Passes each measurement to ``process``; the node counts those rejected before."""
 
     def __init__(
         self, node: TrackslipNode[SlipEstimatorParameters], process: Callable[[Measurement], None]
@@ -112,13 +112,13 @@ class MeasurementSources:
 
     @property
     def sprocket_silence_s(self) -> float | None:
-        """Since the last sprocket sample; None before the first one."""
+        """Time since the last sprocket sample, s; None before the first one."""
         return None if self._received_s is None else time.monotonic() - self._received_s
 
     def _listen(
         self, kind: type, source: str, callback: Callable[[Any], None], *, packed: bool = True
     ) -> None:
-        """Subscribe to a source; what is in another frame than it may be in is refused."""
+        """Subscribe to a source; reject messages in another frame than the configured one."""
 
         def when_in_frame(message: Any) -> None:
             if self._frames.get(source) in (None, read(FrameFields, message).frame):
@@ -135,7 +135,7 @@ class MeasurementSources:
 
     def _on_imu(self, message: Any, source: str) -> None:
         imu, found = self._mountings.imu(source, read(FrameFields, message).frame)
-        if found:  # a bag has them from now on
+        if found:  # published, so that a bag contains them
             self._node.settings = self._node.settings.changed(found)
             self._node.publish_parameters()
         self._use(source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu))
@@ -144,7 +144,7 @@ class MeasurementSources:
         self._process(conversions.pose_fix(message, source))
 
     def _on_set_pose(self, message: Any) -> None:
-        """Repeated first: a recorder knows this node, and may never have met who set the pose."""
+        """Republish the pose, then use it: a recorder may not have discovered its publisher in time."""
         self._pose_set.publish(message)
         self._on_pose(message, SET_POSE)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check beside a running slip estimator: what it found stands on /diagnostics as ``setup``."""
+"""Setup check of a running slip estimator, reported in /diagnostics as ``setup``."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ _MOST_WORDS = 3  # causes that one line names
 
 
 class SetupMonitor:
-    """Sees each input of the estimator; evaluates in a thread of its own, so that no measurement waits."""
+    """Collects each input of the estimator; evaluates in its own thread, so that no measurement waits."""
 
     def __init__(
         self, node: TrackslipNode[SlipEstimatorParameters], failed: Callable[[Exception], None]
@@ -29,7 +29,7 @@ class SetupMonitor:
         node.create_timer(_PERIOD, self._evaluate, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def see(self, given: Input) -> None:
-        """What the estimator was given."""
+        """Add an input of the estimator; a reload restarts the check."""
         if isinstance(given, Command | Reload):
             if isinstance(given, Reload):
                 self._running.restart(self._node.settings)
@@ -37,11 +37,11 @@ class SetupMonitor:
             self._running.add(given)
 
     def finish(self) -> None:
-        """Wait for an evaluation that is under way."""
+        """Wait for a running evaluation."""
         self._background.join()
 
     def health(self) -> list[Health]:
-        """One entry: plausible, or the causes with their remedies."""
+        """Return one entry: no mistake found, or the causes with their remedies."""
         result = self._running.result
         values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
         values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``slip_estimator``: sprockets, yaw rates and poses in; odometry, slips and a report on each input out."""
+"""``slip_estimator``: odometry, slips and a report on each input, from sprockets, yaw rates and poses."""
 
 import sys
 from typing import Any
@@ -38,9 +38,9 @@ from trackslip_estimation.slip.source_watch import SourceWatch
 
 
 class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
-    """Sources, estimator and outputs, joined; all else is in ``SlipEstimator``."""
+    """Connects sources, estimator and outputs; all else is in ``SlipEstimator``."""
 
-    realtime_priority = 10  # somebody steers by it
+    realtime_priority = 10  # controllers use the odometry
     parameters_topic = RELOAD
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self.create_service(SetBool, "~/freeze", self._on_freeze)
 
     def configure(self) -> None:
-        """Make the estimator, its outputs and its inputs."""
+        """Create the estimator, its outputs and its inputs."""
         p = self.settings
         self._kept = StateKeeper(self, lambda: self._estimator)
         self._estimator = SlipEstimator(p, learned=self._kept.learned)
@@ -64,11 +64,11 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._sources = MeasurementSources(self, self._process)
 
     def activate(self) -> None:
-        """State which vehicle the estimates are of."""
+        """Publish the parameters of the vehicle."""
         self._vehicle.publish(make("std_msgs/msg/String", data=vehicle_text(self.settings.vehicle)))
 
     def reload(self, values: dict[str, Any]) -> None:
-        """Before its first run, the estimator is created; later it goes on with other values."""
+        """Create the estimator again before its first run; later, pass the new values to it."""
         if self.has_run:
             self._process(Reload(values))
         else:
@@ -76,16 +76,16 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
         self._watch.expect(self.settings.timeouts_ns())
 
     def started_from(self) -> dict[str, Any]:
-        """What was learned before: a bag carries it along."""
+        """Return the states learned before this run, for the bag."""
         return self._kept.started_from()
 
     def deactivate(self) -> None:
-        """Keep what was learned."""
+        """Save the learned states."""
         self._kept.finish()
         self._setup.finish()
 
     def health(self) -> list[Health]:
-        """Waiting, running, or what is missing; what was not accepted, innovations, and what was learned."""
+        """Return the entries of estimator, setup check and state file, with counts of rejected inputs."""
         refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
         counts = {"measurements": self._processed, "estimates": self._estimates, **refused}
         silence = self._sources.sprocket_silence_s
@@ -118,7 +118,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _process(self, given: Input) -> None:
         report, estimate = self._estimator.process(given)
-        if estimate is not None:  # first: somebody steers by it
+        if estimate is not None:  # first: controllers use it
             self._outputs.publish(estimate)
             self._estimates += 1
         self._publish_report(report)

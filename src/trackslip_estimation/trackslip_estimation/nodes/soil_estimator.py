@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``soil_estimator``: states of the machine and hydraulics in; forces of the tracks and the soil out."""
+"""``soil_estimator``: track forces and soil parameters, from machine states and hydraulics."""
 
 import sys
 import time
@@ -24,11 +24,11 @@ from trackslip_estimation.soil.soil_parameters import (
 
 _PATIENCE = 1.0  # s of silence
 NOTHING = "no forces and no soil are estimated"
-_NICENESS = 5  # soils change slowly; those that wait for odometry come first
+_NICENESS = 5  # soils change slowly; odometry has priority
 
 
 def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[str, Any]) -> Health:
-    """``silent``: seconds since the slip estimator was heard, None before the first time."""
+    """Return the entry; ``silent``: seconds since the last machine state, None before the first one."""
     values = {**counts, "restarts": estimator.restarts, **_findings(estimator)}
     if silent is None:
         return Health(WARN, "waiting for machine_state", values)
@@ -46,12 +46,12 @@ def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[
 
 
 def _sides(are_so: tuple[bool, bool]) -> str:
-    """Those of which something is so."""
+    """Return the names of the sides whose flag is set."""
     return " and ".join(side for side, is_so in zip(("left", "right"), are_so, strict=True) if is_so)
 
 
 def _findings(estimator: SoilEstimator) -> dict[str, Any]:
-    """K, F_max and what the check of the flow says."""
+    """Return K, F_max, their identifiability and η_V of the flow check, as texts."""
     found = estimator.strength
     (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
     efficiency = estimator.volumetric_efficiency
@@ -64,7 +64,7 @@ def _findings(estimator: SoilEstimator) -> dict[str, Any]:
 
 
 class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
-    """Converts, calls the estimator, publishes; all else is in ``SoilEstimator``."""
+    """Converts messages, calls the estimator, publishes; all else is in ``SoilEstimator``."""
 
     parameters_topic = PARAMETERS
 
@@ -72,10 +72,10 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         super().__init__(NODE, SoilEstimatorParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
-        """Make the estimator, its outputs and its inputs."""
+        """Create the estimator, its outputs and its inputs."""
         self._estimator = None if self.settings.vehicle.lacks else SoilEstimator(self.settings)
         self._inputs = self._published = 0
-        self._received: float | None = None  # s, steady: when the slip estimator was last heard
+        self._received: float | None = None  # s, steady: time of the last machine state
         self._reported: Any = None
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
@@ -86,12 +86,12 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         self.subscribe_packed(topic_class(MACHINE_STATE), MACHINE_STATE, self._on_machine_state)
 
     def reload(self, values: dict[str, Any]) -> None:
-        """The estimator goes on with other values."""
+        """Pass the new values to the estimator."""
         if self._estimator is not None:
             self._estimator.use(self.settings)
 
     def health(self) -> list[Health]:
-        """Waiting, running, or what is wrong; what was not used, by source and reason."""
+        """Return waiting, running, or what is wrong, with unused inputs by source and reason."""
         if self._estimator is None:
             return [Health(WARN, f"{self.settings.vehicle.lacks}: {NOTHING}")]
         total = self._estimator.tally.total
@@ -119,7 +119,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
             self._report_changes(self._estimator)
 
     def _report_changes(self, estimator: SoilEstimator) -> None:
-        """A fault or a stall is reported at once, not with the next second."""
+        """Publish the health at once if faults, stalled or stuck tracks have changed."""
         condition = (estimator.faults, estimator.stalled, estimator.struggling)
         if condition != self._reported:
             self._reported = condition

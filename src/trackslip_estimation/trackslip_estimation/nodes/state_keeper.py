@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node's state file: read when it is configured, written once a minute and at the end."""
+"""State file of a node: read when the node is configured, written once a minute and at the end."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ _CERTAIN = 0.99  # probability of the most probable branch, below which nothing 
 
 
 class StateKeeper:
-    """``estimator`` gives the one to keep what it learned of; nothing is done without a state file."""
+    """Keeps the states learned by ``estimator()``; does nothing without a state file."""
 
     def __init__(
         self, node: TrackslipNode[SlipEstimatorParameters], estimator: Callable[[], SlipEstimator]
@@ -34,7 +34,7 @@ class StateKeeper:
             node.create_timer(_PERIOD, self._save, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def started_from(self) -> dict[str, Any]:
-        """What was learned before this run, as a bag carries it along."""
+        """Return the states learned before this run, as they are stored in a bag."""
         return {} if self.learned is None else {"learned": to_tree(self.learned, self._meaning)}
 
     def forget(self) -> None:
@@ -42,14 +42,14 @@ class StateKeeper:
         self._file.forget(self._meaning)
 
     def finish(self) -> None:
-        """Write for the last time."""
+        """Write the file for the last time."""
         self._write()
         self._file.finish()
         if self._file.failure:
             self._node.get_logger().warning(f"what was learned is not kept: {self._file.failure}")
 
     def health(self) -> list[Health]:
-        """An entry of /diagnostics, where there is a file."""
+        """Return the entry of /diagnostics; none without a file."""
         if not self._file:
             return []
         level = OK if self._file.used and not self._file.failure else WARN

@@ -7,7 +7,7 @@ numpy scalars. An impossible argument raises ``InputError`` naming it, its value
 
     strength    Mohr-Coulomb and the thrust the ground can bear   (2.1)-(2.4), (3.1)
     sinkage     pressure and sinkage                              (2.5)-(2.8)
-    resistance  what holds a track back                           §2.5.4, (3.10)
+    resistance  motion resistance of a track                      §2.5.4, (3.10)
     traction    thrust and slip                                   (3.2), (3.3), (3.12)
     turning     lateral forces, moment, centre of rotation        (3.4)-(3.9), (3.13)
     hydraulics  pressure, torque and thrust; flow and speed       (3.25), (3.27), appendix B

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of the formulas: arrays of finite numbers inside their range, or an ``InputError``."""
+"""Validation of the arguments of formulas: arrays of finite numbers in range, or an ``InputError``."""
 
 from types import MappingProxyType
 
@@ -17,10 +17,10 @@ _HOLDS = MappingProxyType(
 
 
 def checked(field: str, value: ArrayLike, unit: str = "", **bounds: float) -> FloatArray:
-    """``value`` as an array of any shape; ``bounds``: gt, ge, lt, le.
+    """Return ``value`` as an array of any shape; ``bounds``: gt, ge, lt, le.
 
     Raises:
-        InputError: a number is missing, not finite or out of range; the line shows the first such one.
+        InputError: a number is missing, not finite or out of range; the message names the first one.
     """
     gt, ge, lt, le = (bounds.get(name) for name in _HOLDS)
     spec = Spec(field, unit, gt, ge, lt, le)

@@ -12,8 +12,8 @@
     C_d, A_v discharge coefficient, open area of the valve   1, m²
     ρ        density of the oil                              kg/m³
 
-Losses always cost the side that gives the power. When the motor drives (ΔP and ω of one sign, or ω = 0)
-the torque is η_m of the ideal one; when the track drives the motor it is 1/η_m of it.
+The side that supplies the power bears the losses. When the motor drives (ΔP and ω of one sign, or ω = 0)
+the torque is η_m times the ideal one; when the track drives the motor it is 1/η_m times the ideal one.
 """
 
 import math
@@ -103,7 +103,7 @@ def speed_of_flow(flow: ArrayLike, pressure: ArrayLike, vehicle: Vehicle) -> Flo
 
 
 def flow_of_speed(speed: ArrayLike, pressure: ArrayLike, vehicle: Vehicle) -> FloatArray:
-    """Q in m³/s that this sprocket speed takes: the inverse of ``speed_of_flow``.
+    """Q in m³/s at this sprocket speed: the inverse of ``speed_of_flow``.
 
     Args:
         speed: ω, rad/s.
@@ -159,10 +159,10 @@ def orifice_pressure_drop(
 
 
 def relieved_pressure(pressure: ArrayLike, vehicle: Vehicle) -> FloatArray:
-    """The pressure the relief valves leave, Pa: ΔP kept within ± the relief pressure.
+    """ΔP in Pa, limited by the relief valves to ± the relief pressure.
 
     Args:
-        pressure: ΔP that the load asks for, Pa.
+        pressure: ΔP that the load requires, Pa.
         vehicle: supplies the relief pressure.
 
     Raises:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What holds a vehicle back in straight motion; b is one track's width, forces are of both tracks.
+"""Motion resistance of a vehicle in straight motion; b is one track's width, forces are of both tracks.
 
 b, s      width of one track, length of track in the soil     m
 z_0       sinkage                                             m

@@ -12,7 +12,7 @@
     q        F/F_max = 1 − (1 − e^−u)/u                             1
 
 Braking mirrors driving: negative slip gives the negative thrust of the same positive slip. The formulas
-are exact for any slip; slips above 1 mean a track that pulls forward while the vehicle rolls back.
+are exact for any slip; at slips above 1 a track drives forward while the vehicle moves backward.
 """
 
 import numpy as np
@@ -69,7 +69,7 @@ def thrust_of_elements(
     b = checked("width", width, "m", gt=0.0)
     l = checked("length", length, "m", gt=0.0)  # noqa: E741 (the thesis' symbol)
     ends = np.linspace(0.0, 1.0, tau.size + 1)
-    # Thrust up to x is x q(u x/l): differences of it are the elements.
+    # Thrust up to x is x q(u x/l); its differences are those of the elements.
     up_to = ends * _mobilised(
         i[..., np.newaxis] * ends, checked("shear_modulus", shear_modulus, "m", gt=0.0), l
     )
@@ -99,10 +99,10 @@ def thrust(slip: ArrayLike, limit: ArrayLike, shear_modulus: ArrayLike, length: 
 def slip_of_thrust(
     force: ArrayLike, limit: ArrayLike, shear_modulus: ArrayLike, length: ArrayLike
 ) -> FloatArray:
-    """The slip at which (3.3) gives this thrust: its exact inverse.
+    """Slip i at which (3.3) gives this thrust: the exact inverse.
 
-    Newton on (1 − q) u = 1 − e^−u, a convex function, from a point right of its root: every step falls
-    towards the root and none passes it; rounding is held off by the lower bound u ≥ 2 q.
+    Newton's method on (1 − q) u = 1 − e^−u, a convex function, from a point right of its root: each step
+    decreases u and none passes the root. The lower bound u ≥ 2 q guards against rounding.
 
     Args:
         force: F, N, |F| < F_max; negative when the track brakes.
@@ -111,7 +111,7 @@ def slip_of_thrust(
         length: l > 0, m.
 
     Raises:
-        InputError: an argument is out of range; a thrust of F_max and above belongs to no slip.
+        InputError: an argument is out of range; no slip gives a thrust of F_max or more.
     """
     q = _share(force, limit)
     k = checked("shear_modulus", shear_modulus, "m", gt=0.0)
@@ -172,6 +172,6 @@ def _share_of(u: FloatArray) -> FloatArray:
 
 
 def _over(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
-    """A ratio that may overflow to infinity, where its limit is wanted."""
+    """Return a ratio; an overflow to infinity is intended, as it gives the limit of the formula."""
     with np.errstate(over="ignore"):
         return numerator / denominator

@@ -1,23 +1,23 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lateral forces of the soil in a turn, their moment, and where the vehicle then rotates.
+"""Lateral forces of the soil in a turn, their moment, and the centre of rotation of the vehicle.
 
     l        contact length of a track                                  m
-    x        place along a track, in the thesis from 0 to l             m
+    x        position along a track, in the thesis from 0 to l          m
     W        weight of the vehicle, m g                                 N
     μ_l      coefficient of lateral resistance                          1
     φ̇, v_x   yaw rate (left positive), speed of the track centre C      rad/s, m/s
     R        radius of the turn, |v_x/φ̇|                                m
     a        lateral acceleration φ̇² R                                  m/s²
-    λ        a/(2 g μ_l): 1 when no element pushes outward any more     1
+    λ        a/(2 g μ_l): from 1 on no element pushes outward           1
     f        lateral force per metre of one track                       N/m
     x_0, x_s where f vanishes, centroid of |f|                          m
     M_r      moment of turning resistance of both tracks                N m
-    D        how far the centre of rotation lies ahead of C             m
+    D        distance of the centre of rotation ahead of C              m
     α        slip angle, tan α = v_y/v_x, positive to the left          rad
 
-The thesis spreads the centrifugal force evenly over the tracks. Its x_s − l/2 in the first order of λ is
-the D that balances the lateral forces exactly; the whole (3.6) is the centroid of |f|.
+The thesis distributes the centrifugal force evenly over the tracks. Its x_s − l/2 to first order in λ is
+the D that balances the lateral forces exactly; the full (3.6) is the centroid of |f|.
 """
 
 import numpy as np
