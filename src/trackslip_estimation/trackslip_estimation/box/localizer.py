@@ -87,7 +87,7 @@ class BoxLocalizer:
         self._association = Association(self._parameters)
         self._tracks: list[Track | None] = [None]  # searched in turn; None: the initial pose
         self._first_ns: int | None = None  # stamp of the run's first scan
-        self._scan_ns = 0  # of its latest
+        self._scan_ns = 0  # stamp of its latest scan
         self._clock = self._new_clock()
 
     def locate(self, scan: Scan, odometry: Odometry | None = None) -> BoxFix | Rejection:

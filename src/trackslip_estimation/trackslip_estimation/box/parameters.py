@@ -39,7 +39,7 @@ class BoxLocalizerParameters(Parameters):
         "standard deviations of the predicted heading by which gate_yaw is widened", gt=0.0
     )
     ambiguity_gate: float = parameter(
-        "heading innovation, in standard deviations, beyond which the covariance of a fix is inflated", gt=0.0
+        "heading innovation, in standard deviations, beyond which its variance is inflated", gt=0.0
     )
     top_speed: float = parameter("speed that widens gate_distance without fixes", unit="m/s", gt=0.0)
     top_yaw_rate: float = parameter(

@@ -4,7 +4,7 @@
 
     h_k   heading of hypothesis k = 0 … 3, about k quarter turns from that tracked        rad
     w_k   its probability
-    ψ̂, s  predicted heading; standard deviation of h_k − ψ̂                              rad
+    ψ̂, s  predicted heading; standard deviation of h_k − ψ̂                                rad
     E_k   evidence: the likelihood of a scan's beams, integrated over the poses about h_k
     Λ     log odds of a quarter turn, from the E_k of all scans
 

@@ -14,7 +14,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
 PART = "setup"
 _PERIOD = 15.0  # s between evaluations
-_MOST_WORDS = 3  # causes that one line names
+_MOST_WORDS = 3  # causes named in one message
 
 
 class SetupMonitor:

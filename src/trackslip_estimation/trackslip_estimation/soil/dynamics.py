@@ -6,7 +6,7 @@
     v_y      lateral speed at C, from the slip estimator              m/s
     F_j      thrust of a track                                        N
     s_j      expected sign of a track's ground speed                  1
-    s        sense of the turn: 1 left, −1 right, 0 straight       1
+    s        sense of the turn: 1 left, −1 right, 0 straight          1
     m, I_z, W, B, l   of ``Vehicle``
 
     N_j, G   load on a track, weight along the tracks: ``ground_load``; ½ W and 0 on level ground   N
@@ -149,7 +149,7 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
 
 @compiled
 def _is_held(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
-    """Whether static friction may hold a track on a slope: its size is unknown while the sign of v_j is."""
+    """Whether static friction of unknown size may hold the machine on a slope: a sign s_j is uncertain."""
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
     steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
     return bool(steep and min(abs(left), abs(right)) < p.dynamics.certain_sign)

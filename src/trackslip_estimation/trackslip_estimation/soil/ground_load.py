@@ -7,13 +7,13 @@ Compiled.
     θ, ϕ         pitch (nose down > 0), roll (left side up > 0)                 rad
     σ, s         angle of the upper structure, its standard deviation           rad
     x_0, y_0, h  centre of gravity in base_link, upper structure facing forward m
-    g            its shift backwards at a swing of π/2, m_u c/m                   m
+    g            its shift backwards at a swing of π/2, m_u c/m                 m
     x_g, y_g     x_0 + g (E[cos σ] - 1), y_0 + g E[sin σ]                       m
     G            m g sin θ, the weight along the tracks, forward                N
     N_j          m g cos θ cos ϕ (½ ± y_N/B): + left, y_N = y_g - h tan ϕ       N
     x_N          x_g + h tan θ/cos ϕ: centre of pressure                        m
     γ            share of friction in F_max on level ground                     1
-    g_j          ratio of a track's F_max to that on level ground: 1 + γ (2 N_j/W - 1)   1
+    g_j          ratio of a track's F_max to that on level ground: 1 + γ (2 N_j/W - 1)  1
     ratio of the soil strength at x ahead of C to its mean: 1 + x γ 12 x_N/l², not below 0
 
 σ is Gaussian: E[cos σ] = k cos σ̂, E[sin σ] = k sin σ̂ with k = e^(-s²/2), and their variances are

@@ -200,9 +200,7 @@ ACCEPTED = -1
 def fault_of(given: SoilInputRecord) -> int:
     """Return INVALID or OUT_OF_RANGE for an input that is either, else ACCEPTED."""
     if given.source == IS_HYDRAULICS:
-        has_none = math.isnan(given.spools[0]) and math.isnan(
-            given.spools[1]
-        )  # not measured: valves never count as closed
+        has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # unmeasured: never closed
         of_spools = ACCEPTED if has_none else _of_numbers(given.spools, _LARGEST_SPOOL)
         return _worse(_of_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
     C, P = given.twist_covariance, given.pose_covariance

@@ -53,7 +53,7 @@ class Path(NamedTuple):
     following: NDArray[np.int64]  # index of the element centre behind it
     part: FloatArray  # share of the distance from the former to the latter
     scale: FloatArray  # factor of j there: falls to 0 at the leading edge
-    time: FloatArray  # time the soil has been under the track since, s
+    time: FloatArray  # time under the track since then, s
     middle: FloatArray  # x of the middle of its travel, m
 
 

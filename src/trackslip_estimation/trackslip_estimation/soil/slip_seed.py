@@ -4,7 +4,7 @@
 
 Equal slips of both tracks are not observable from the yaw rate; a seed makes them observable. K and F_max are
 themselves estimated from slips, so that a seed is correlated with the slip estimate. Therefore only one seed
-follows each turn. Its covariance includes the whole uncertainty of K. Its soil strength is that at the end of
+follows each turn. Its covariance includes the full uncertainty of K. Its soil strength is that at the end of
 the turn, not influenced by the slips to be corrected.
 
     i, F     slip and thrust of a track, positive in the direction of travel      1, N

@@ -8,14 +8,14 @@
     j, q       shear displacement under the tracks, F/F_max: ``shear_field``           m, 1
     λ          slip distance: ∫(U − v_x) dt                                            m
 
-Slips of straight motion are small, and their estimates lag: the soil sheared in the turn before gives thrust
-without slip, until it is fresh one contact length later. The thrust is measured well at each instant, and λ
+Slips of straight motion are small, and their estimates lag. Soil sheared in the turn before gives thrust
+without slip; fresh soil follows one contact length later. The thrust is measured well at each instant, and λ
 over the whole straight: the track distance exceeds the distance between two good positions. Each hypothesis
 therefore travels the straight with the slips that the measured thrusts require. The likelihood uses λ alone,
 which is almost proportional to K.
 
-A small slip gives the thrust F_max i l/(2 K) (1 - l lean/6): an error of the lean of the load changes λ by
-l/6 times that error, relatively.
+A small slip gives the thrust F_max i l/(2 K) (1 - l lean/6). The relative error of λ by an error of the
+lean of the load is l/6 times that error.
 """
 
 import math

@@ -7,7 +7,7 @@
     F_d, F_b   thrust of ΔP − b, motor driving and motor driven               N
     π          probability that the motor drives: ΔP − b and ω have one sign  1
     F          π F_d + (1 − π) F_b                                            N
-    σ²         variance of F by noise and offset, plus π (1 − π) (F_d − F_b)²  N²
+    σ²         variance of F by noise and offset + π (1 − π) (F_d − F_b)²    N²
 
 Arrays (2,) are left, right. σ² excludes the error of the efficiency: it scales all thrusts alike and does not
 average out.

@@ -5,8 +5,8 @@
     q        F/F_max of each track, see ``shear_field``                              1
     U        upper triangular, U Uᵀ the twist's covariance: errors (v_x, v_y, φ̇) = U z
     z        first component of z: error of v_x alone, in its standard deviations 1
-    J        change of q for one standard deviation of each other error, and of the load's lean   1
-    R        covariance of thrust and model errors, plus F_max² J Jᵀ              N²
+    J        change of q for one standard deviation of each other error, and of the load's lean  1
+    R        covariance of thrust and model errors, plus F_max² J Jᵀ                 N²
     d²       minimum over z of z² + (F − F_max q(z))ᵀ R⁻¹ (F − F_max q(z))
 
 Both slip and thrust have errors: d is the distance from the measurement to the curve q(z), not along one
