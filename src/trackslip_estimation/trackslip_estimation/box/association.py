@@ -71,7 +71,7 @@ class Association:
 
     @property
     def places(self) -> list[FloatArray]:
-        """Positions (2,) of base_link, m, by the ambiguous candidates."""
+        """Positions (2,) of base_link for the ambiguous candidates, m."""
         return [follower.last for follower in self._followers]
 
     def choose(

@@ -5,7 +5,7 @@
 Symbols and model are those of ``measurement_model``.
 
 The most likely q is found by Gauss–Newton with Huber's weights. Near the view onto one side the outline has
-a cusp (ψ and −ψ look alike) and the second side has at most one beam: the curvature at the optimum is wrong.
+a cusp (ψ and −ψ look alike) and the second side has at most one beam: the curvature there is no information.
 Mean and covariance are therefore moments of the posterior, by importance sampling over a fixed set of points
 about the optimum (the same scan gives the same fix). The posterior has the uniform ends of the model; the
 optimum has Gaussian ends of the same variance.

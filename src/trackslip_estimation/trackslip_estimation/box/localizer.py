@@ -7,7 +7,7 @@ only decides which of several objects is the box after an absence (``association
 
 Time is that of the stamps. A stamp far ahead is rejected until the next ones confirm it. Confirmed stamps
 that go back restart the localizer. If they lie before the run's first scan, another run begins at the initial
-pose; else the clock was set, and the box is at its last position. If one of them fails, the other is tried.
+pose; else the clock was set, and the box is at its last pose. Without a fix at one, the other is tried.
 """
 
 from dataclasses import dataclass
@@ -78,7 +78,7 @@ class BoxLocalizer:
 
     @property
     def places(self) -> list[FloatArray]:
-        """Positions (2,) of base_link in odom by ambiguous candidates, m; empty if unambiguous."""
+        """Positions (2,) of base_link in odom for ambiguous candidates, m; empty if unambiguous."""
         return self._association.places
 
     def reset(self) -> None:

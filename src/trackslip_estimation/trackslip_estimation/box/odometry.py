@@ -39,7 +39,7 @@ class OdometryBuffer:
         self._latest: deque[Odometry] = deque(maxlen=KEPT)
 
     def add(self, odometry: Odometry) -> None:
-        """Keep one if it is ``SPACING_NS`` after the last; stamps that go back clear the buffer."""
+        """Keep one if ``SPACING_NS`` after the last; ``MOST_APART_NS`` before it, clear the buffer first."""
         if not _is_usable(odometry):
             self._tally.add("odometry", OdometryReason.MALFORMED)
             return

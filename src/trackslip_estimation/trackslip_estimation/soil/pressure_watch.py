@@ -142,7 +142,7 @@ def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameter
 
 @compiled
 def _stuck(watch: Watch, fault: int, sample: Sample, p: WatchParameters) -> int:
-    """Return the evidence for a stuck transducer: equal readings while a track moves."""
+    """Return the evidence for a stuck transducer: equal readings, unless at standstill, where they may be."""
     if not watch.has_reading or sample.reading_ns == watch.reading_ns:
         return _OPEN
     side = fault - _LEFT_STUCK

@@ -148,7 +148,7 @@ class SoilEstimator:
                 self._restart()
 
     def _restart(self) -> None:
-        """Reset all estimates, those of the transducers' offsets included."""
+        """Reset all estimates, also the transducers' offsets: the elapsed time is unknown."""
         self._state.known[:] = step.initial(self.parameters)
         self._posterior.reset()
         self.restarts += 1
