@@ -16,5 +16,5 @@ def test_messages_of_any_numbers_leave_the_slip_estimate_finite() -> None:
 def test_messages_of_any_numbers_leave_the_soil_estimate_finite() -> None:
     found = fuzz_messages.fuzz_soil(2000)
     assert found.faults == []
-    assert all(found.counts[f"{name} holds nan or infinity"] > 0 for name in fuzz_messages.soil_topics())
+    assert all(found.counts[f"{name} contains nan or infinity"] > 0 for name in fuzz_messages.soil_topics())
     assert found.counts["machine_state beyond physical limits"] > 0

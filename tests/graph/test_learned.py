@@ -110,7 +110,7 @@ def test_a_restart_keeps_what_was_learned(programs, observer, capsys):
 
     graph.begin("second")
     entry, _ = graph.status("slip_estimator: state file")
-    assert "starts from what was learned" in entry.message
+    assert "starts from values learned" in entry.message
     assert "gyro reads" in graph.status("slip_estimator")[1]["gyro scale"]
     graph.feed(later(machine[: len(machine) // 4], 10**12))
     assert graph.ask("reset").success
@@ -121,7 +121,7 @@ def test_a_restart_keeps_what_was_learned(programs, observer, capsys):
     before, after = (run["learned"]["gyro_scale"] for run in (first, second))
     assert after["stddev"] <= before["stddev"] * 1.01
     assert after["value"] == pytest.approx(before["value"], abs=2.0 * before["stddev"])
-    assert "starts from what was learned before" in capsys.readouterr().out
+    assert "starts from values learned before" in capsys.readouterr().out
 
     graph.begin("third", vehicle__kinematics__tread=0.8)
     entry, _ = graph.status("slip_estimator: state file")

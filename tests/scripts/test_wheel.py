@@ -175,4 +175,4 @@ def test_code_of_the_pages_runs_in_a_shell(bare: Path, wheel: Path, tmp_path: Pa
 def test_commands_that_need_ros_name_it_where_it_is_missing(bare: Path, tmp_path: Path) -> None:
     done = run(bare, tmp_path, "trackslip", "record")
     assert done.returncode == 2
-    assert "ROS is not there" in done.stderr
+    assert "ROS is not available" in done.stderr

@@ -80,7 +80,7 @@ def test_a_replay_starts_from_what_the_live_estimator_started_from(
 ) -> None:
     path = second_run()
     found = summary(path)
-    assert "starts from what was learned before the bag begins" in capsys.readouterr().out
+    assert "starts from values learned before the bag begins" in capsys.readouterr().out
     assert found["final"] != summary(bag)["final"]
     with open_bag(path) as second:
         replayed = replay(second, load_slip_parameters(), InputFilters(), None)

@@ -66,7 +66,7 @@ def test_a_part_that_goes_is_well_again() -> None:
     events = Events()
     events.see_lights([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
     events.see_lights([], 1.0, 0.0)
-    assert reported(events)[-1] == "record: inputs: well again"
+    assert reported(events)[-1] == "record: inputs: recovered"
 
 
 def test_what_alternates_each_second_does_not_fill_the_list() -> None:

@@ -37,4 +37,4 @@ def test_without_ros_the_command_names_it(
     bag: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch, node: str, words: str
 ) -> None:
     monkeypatch.setitem(sys.modules, f"trackslip_bags.nodes.{node}", None)
-    assert "ROS is not there" in refuse(*words.replace("BAG", str(bag)).split())
+    assert "ROS is not available" in refuse(*words.replace("BAG", str(bag)).split())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator in ``trackslip replay``: what it finds, what it says, and that it repeats itself."""
+"""The soil estimator in ``trackslip replay``: its result, its messages, and that it is repeatable."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -101,7 +101,7 @@ def test_explanation_of_frozen_fixes_states_since_when() -> None:
 
     _, _, estimator = errors(changed(recording, freeze), recording, parameters(**GNSS))
     found = estimator.explained.found[0]
-    assert found.text == f"{FIX} repeats itself"
+    assert found.text == f"{FIX} repeats one fix"
     assert 19.0 < found.since_ns / S - 1.0 < 23.0
 
 

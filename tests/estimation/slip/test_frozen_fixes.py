@@ -17,7 +17,7 @@ from trackslip_estimation.slip.measurements import Measurement, PoseFix
 
 BEGIN, END = 20.0, 28.0  # s
 STATED = 0.05  # m
-STAYS = "gnss_pose stays where it was"
+STAYS = "gnss_pose is frozen"
 
 
 def of_receiver(machine: Machine, frozen: float | None = None) -> FaultCase:

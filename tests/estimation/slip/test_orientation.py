@@ -153,7 +153,7 @@ def test_what_is_no_orientation_is_refused_by_name(
     assert refused(plain) == []
     np.testing.assert_array_equal(found.pose, expected.pose)
     np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
-    assert f"is refused: {refusal.name.lower().replace('_', ' ')}" in own.attitude
+    assert f"is rejected: {refusal.name.lower().replace('_', ' ')}" in own.attitude
 
 
 def test_one_that_contradicts_gyro_and_gravity_is_gated() -> None:

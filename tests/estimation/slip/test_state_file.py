@@ -72,7 +72,7 @@ def test_what_was_written_is_read_with_its_age(path: Path, at: Callable[[float],
     found = kept.read(OF)
     assert found is not None
     assert kept.used
-    assert kept.note == f"starts from what was learned 2 h ago ({path})"
+    assert kept.note == f"starts from values learned 2 h ago ({path})"
     assert to_tree(found, OF) == to_tree(aged(LEARNED, 2 * HOUR, OF), OF)
 
 
@@ -113,7 +113,7 @@ def test_the_first_start_has_nothing_to_read(path: Path) -> None:
     kept = StateFile(str(path))
     assert kept.read(OF) is None
     assert kept.used
-    assert kept.note == f"nothing learned before: no file {path}"
+    assert kept.note == f"no learned values: there is no file {path}"
 
 
 @given(at=st.integers(0, len(TEXT) - 1), character=st.sampled_from("09.-ae \n#é"))
@@ -243,7 +243,7 @@ def test_a_damaged_file_of_this_machine_was_lost_without_a_word(path: Path) -> N
     aside.write_text("years of work", encoding="utf-8")
     kept = StateFile(str(path))
     assert kept.read(OF) is None
-    assert f"{aside} is not used: it was edited, or cut off" in kept.note
+    assert f"{aside} is not used: its checksum is wrong: it was edited or truncated" in kept.note
     assert not kept.used
     kept.write(LEARNED, OF)
     kept.finish()
@@ -308,7 +308,7 @@ def test_where_nothing_can_be_written_the_estimator_goes_on(tmp_path: Path, name
     kept = StateFile(str(tmp_path / name))
     assert kept.read(OF) is None
     if name == "folder":
-        assert "it is no file" in kept.note
+        assert "it is not a regular file" in kept.note
         return
     kept.write(LEARNED, OF)
     kept.finish()

@@ -246,7 +246,7 @@ def test_an_imu_above_gives_no_tilt_while_the_swing_is_unknown() -> None:
     own = SlipEstimator(load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 2.0}))
     own.process_all(truth.measurements)
     assert own.estimate().outputs.tilt is None
-    assert "imu/data_raw sits on the upper structure, whose angle is not known" in own.attitude
+    assert "imu/data_raw is on the upper structure, whose swing angle is unknown" in own.attitude
 
 
 def test_the_vehicle_states_what_sits_above() -> None:

@@ -25,7 +25,7 @@ _NO_HEIGHT = 100.0  # m, standard deviation of an unknown height
 def attitude_text(a: Attitude, source: str | None) -> str:
     """Status of a record of ``ATTITUDE`` with the IMU's topic ``source``; None: no IMU is configured."""
     if source is None:
-        return "flat: no IMU is to tell (use_attitude, yaw_rate_sources)"
+        return "flat: no IMU is configured; set use_attitude and yaw_rate_sources"
     if int(a["known"]) == 0:
         return f"flat: {_lacking(a, source)}{_refused(a, source)}"
     roll, pitch, height = (float(a["mean"][k]) for k in (ROLL, PITCH, HEIGHT))
@@ -45,7 +45,7 @@ def _lacking(a: Attitude, source: str) -> str:
     if int(a["sample"]["lost"]) == 1:
         variance = float(a["sample"]["turn_variance"])
         swing = f" (± {math.degrees(math.sqrt(variance)):.0f}°)" if is_heading_known(variance) else ""
-        return f"{source} sits on the upper structure, whose angle is not known{swing}"
+        return f"{source} is on the upper structure, whose swing angle is unknown{swing}"
     if int(a["seen"]) == 0:
         return f"nothing of {source} yet"
     if int(a["sample"]["levels"]) == 0:
@@ -56,12 +56,12 @@ def _lacking(a: Attitude, source: str) -> str:
     size = float(np.linalg.norm(force))
     if abs(size - GRAVITY) > GRAVITY_TOLERANCE:
         return (
-            f"accelerations of {source} are refused: {size:.2f} m/s² on average, and gravity is {GRAVITY:.2f}"
+            f"accelerations of {source} are rejected: {size:.2f} m/s² on average, and gravity is {GRAVITY:.2f}"
         )
     if force[2] < UPRIGHT:
         x, y, z = (f"{value:.1f}" for value in force.tolist())
-        where = f"{source} feels gravity along ({x}, {y}, {z}) m/s²"
-        return f"accelerations are refused: {where}, and not along z; its mounting is to be stated"
+        where = f"{source} measures gravity along ({x}, {y}, {z}) m/s²"
+        return f"accelerations are rejected: {where}, and not along z; set its mounting"
     return f"{source} is silent"
 
 
@@ -69,7 +69,7 @@ def _refused(a: Attitude, source: str) -> str:
     """Why the last orientation was rejected; empty if it was not."""
     refusal = int(a["refusal"])
     words = AttitudeRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
-    return f"; the orientation of {source} is refused: {words}" if words else ""
+    return f"; the orientation of {source} is rejected: {words}" if words else ""
 
 
 def _tilted(a: Attitude, source: str) -> str:
@@ -78,5 +78,7 @@ def _tilted(a: Attitude, source: str) -> str:
         bias, stddev = float(a["mean"][k]), math.sqrt(float(a["covariance"][k, k]))
         if abs(bias) > max(_OFF, _SIGNIFICANT * stddev):
             degrees = math.degrees(abs(bias) / GRAVITY)
-            return f"; {source} is tilted {degrees:.1f}° in {name}, or its accelerometer errs as much"
+            return (
+                f"; {source} is tilted {degrees:.1f}° in {name}, or its accelerometer has a bias of that size"
+            )
     return ""

@@ -75,7 +75,7 @@ def parse_track(text: str) -> Kept:
     except InputError:  # a ValueError, too
         raise
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError) as error:
-        raise InputError("it is no track of a box") from error
+        raise InputError("it is not the track of a box") from error
     of_laser = np.array([laser_x, laser_y, laser_yaw, angle_min, spacing])
     numbers = (mean, covariance, weights, np.array([settled, average, count, x, y]), of_laser)
     in_range = all(0 <= ns < 2**63 for ns in (stamp_ns, scan_ns))
@@ -83,12 +83,12 @@ def parse_track(text: str) -> Kept:
         raise InputError("it has values out of range")
     is_covariance = np.array_equal(covariance, covariance.swapaxes(1, 2))
     if not is_covariance or np.linalg.eigvalsh(covariance).min() < 0.0:
-        raise InputError("its covariance is none")
+        raise InputError("its covariance is invalid")
     if weights.min() < 0.0 or not math.isclose(weights.sum(), 1.0, rel_tol=1e-6) or count < 0:
-        raise InputError("its probabilities are none")
+        raise InputError("its probabilities are invalid")
     is_geometry = max(abs(angle_min), abs(spacing)) <= FULL_TURN
     if not is_geometry or len(ranges) != len(free) or len(ranges) > MOST_BEAMS:
-        raise InputError("its background is none")
+        raise InputError("its background is invalid")
     track = Track(stamp_ns, mean, covariance, Headings(weights, evidence))
     return Kept(track, scan_ns, background, (laser_x, laser_y, laser_yaw))
 

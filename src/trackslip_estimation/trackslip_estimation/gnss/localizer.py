@@ -36,7 +36,7 @@ class Reason(Enum):
     NOT_A_NUMBER = "not a number"
     OUT_OF_RANGE = "latitude or longitude out of range"
     ZERO = "latitude and longitude are 0"
-    BAD_COVARIANCE = "covariance is no covariance"
+    BAD_COVARIANCE = "covariance is not positive definite"
     UNCERTAIN = "too uncertain"
     HEMISPHERE = "in another hemisphere than the datum"
     FAR = "too far from the datum"

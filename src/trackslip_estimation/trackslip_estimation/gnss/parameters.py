@@ -56,7 +56,7 @@ class GnssLocalizerParameters(Parameters):
         if abs(self.datum_latitude) > HIGHEST_LATITUDE:
             raise InputError(
                 f"GnssLocalizerParameters.datum_latitude: {self.datum_latitude:g} is out of range;"
-                " accepted: >= -89 and <= 89 °, as east and north mean nothing at a pole"
+                " accepted: >= -89 and <= 89 °, east and north are undefined at a pole"
             )
 
     @property

@@ -61,7 +61,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         if self._file.failure:
             values["track file"] = self._file.failure
         if self._scans == scans:
-            return [Health(WARN, "no scans; look at the scanner's driver", values)]
+            return [Health(WARN, "no scans: check the laser driver", values)]
         if self._fixes == fixes and self._is_uncertain:
             values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.places)
             return [Health(WARN, UNCERTAIN, values)]

@@ -48,7 +48,7 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
         if self._fixes == fixes:
             return [Health(WARN, "no fixes", values)]
         if self._poses == poses:
-            return [Health(WARN, f"all fixes refused: {', '.join(why for _, why in news)}", values)]
+            return [Health(WARN, f"all fixes rejected: {', '.join(why for _, why in news)}", values)]
         return [Health(WARN if news else OK, f"{sum(news.values())} refused" if news else "running", values)]
 
     def _on_fix(self, message: Any) -> None:

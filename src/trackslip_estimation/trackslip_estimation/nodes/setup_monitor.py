@@ -46,7 +46,7 @@ class SetupMonitor:
         values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
         values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
         if not result.causes:
-            return [Health(OK, "no mistake of the setup found", values, PART)]
+            return [Health(OK, "no setup mistake found", values, PART)]
         first, *others = result.causes
         words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]
         words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_WORDS - 1]]

@@ -97,13 +97,13 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         return self._apply_command(
-            Command(RESET), response, "the estimate restarts; what was learned is kept"
+            Command(RESET), response, "the estimate was reset; learned values are kept"
         )
 
     def _on_forget(self, _: Any, response: Any) -> Any:
         if self.active:
             self._kept.forget()
-        return self._apply_command(Command(FORGET), response, "the estimate restarts, with nothing learned")
+        return self._apply_command(Command(FORGET), response, "the estimate was reset without learned values")
 
     def _on_freeze(self, request: Any, response: Any) -> Any:
         text = "poses are ignored from now on" if request.data else "poses are used again"

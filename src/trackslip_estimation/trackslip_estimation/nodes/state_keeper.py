@@ -46,7 +46,7 @@ class StateKeeper:
         self._write()
         self._file.finish()
         if self._file.failure:
-            self._node.get_logger().warning(f"what was learned is not kept: {self._file.failure}")
+            self._node.get_logger().warning(f"learned values are not saved: {self._file.failure}")
 
     def health(self) -> list[Health]:
         """Return the entry of /diagnostics; none without a file."""

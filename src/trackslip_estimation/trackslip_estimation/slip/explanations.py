@@ -100,13 +100,13 @@ _WORDS = {
     Event.HEADING_OFF: "angles of {source} are off",
     Event.HEADING_WANDERS: "angles of {source} wander",
     Event.WANDERS: "{source} wanders",
-    Event.REPEATS: "{source} repeats itself",
-    Event.STAYS: "{source} stays where it was",
+    Event.REPEATS: "{source} repeats one fix",
+    Event.STAYS: "{source} is frozen",
     Event.SCATTERS: "{source} scatters",
     Event.RECOVERED: "{source} has recovered",
     Event.MOVED: "the machine was moved",
     Event.TURNED: "the heading was wrong",
-    Event.SWUNG: "the upper structure has swung",
+    Event.SWUNG: "the swing angle jumped",
     Event.SLIPPED: "the slip of both tracks changed",
     Event.SLID: "the machine slides",
     Event.SKIDDED: "the machine skidded",
@@ -116,7 +116,7 @@ _WORDS = {
     Event.NOISE: "{source} is noisier than before",
     Event.BECAME_JUMP: "the machine was moved",
 }
-_OFF_FOR_GOOD = "angles of {source} are off for good"
+_OFF_FOR_GOOD = "angles of {source} have a permanent offset"
 
 
 def explanations(window: Window, sources: Sources) -> list[Explanation]:

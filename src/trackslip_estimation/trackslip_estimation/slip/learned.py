@@ -217,7 +217,7 @@ def from_tree(tree: Any, of: Meaning) -> Learned:
         InputError: the tree is of another machine, or not of this form.
     """
     if not isinstance(tree, Mapping) or not isinstance(tree.get("machine"), str):
-        raise InputError("it does not hold what was learned of a machine")
+        raise InputError("it contains no learned values")
     if tree["machine"] != of.machine:
         raise OtherMachine("it is of another vehicle, or of other sources or another model", tree["machine"])
     names, prior = list(of.places), of.prior
@@ -242,7 +242,7 @@ def from_tree(tree: Any, of: Meaning) -> Learned:
         if np.linalg.eigvalsh(correlations)[0] < -_ROUNDING:
             raise ValueError("correlations")
     except (ValueError, TypeError, KeyError, OverflowError, AttributeError) as error:
-        raise InputError("its numbers are no estimates of this version's states") from error
+        raise InputError("its values do not fit the states of this version") from error
     return Learned(tree["machine"], mean, stddev, correlations, track, fixes)
 
 

@@ -55,14 +55,14 @@ def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
     """
     body, sign, checksum = text.rpartition(CHECKSUM)
     if not sign or checksum.strip() != digest(body):
-        raise InputError("it was edited, or cut off")
+        raise InputError("its checksum is wrong: it was edited or truncated")
     tree: Any = parse_yaml(body, "state file")
     if not isinstance(tree, dict) or tree.get("version") != _VERSION:
         raise InputError("it is of another version")
     try:
         written_s = datetime.fromisoformat(str(tree.get("written"))).timestamp()
     except (ValueError, OverflowError) as error:
-        raise InputError("it does not say when it was written") from error
+        raise InputError("its time of writing is missing") from error
     return from_tree(tree, of), written_s
 
 
@@ -98,7 +98,7 @@ class StateFile:
         try:
             if self._path.exists():
                 return self._used(self._path, of)
-            self.note = f"nothing learned before: no file {self._path}"
+            self.note = f"no learned values: there is no file {self._path}"
         except (InputError, OSError) as error:
             self._is_foreign = True
             self._other = error.machine if isinstance(error, OtherMachine) else ""
@@ -124,7 +124,7 @@ class StateFile:
         age_s = time.time() - written_s
         known = _EARLIEST < age_s < _OLDEST
         age = _words(max(age_s, 0.0)) if known else "at an unknown time"
-        self.note = f"starts from what was learned {age} ({path})"
+        self.note = f"starts from values learned {age} ({path})"
         return aged(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, of)
 
     def write(self, learned: Learned | None, of: Meaning) -> None:
@@ -211,7 +211,7 @@ def _content(path: Path) -> str:
         OSError: the file cannot be read.
     """
     if not path.is_file():
-        raise InputError("it is no file")
+        raise InputError("it is not a regular file")
     with path.open("rb") as file:
         content = file.read(_LARGEST + 1)
     if len(content) > _LARGEST:

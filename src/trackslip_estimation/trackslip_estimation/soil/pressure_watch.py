@@ -27,8 +27,8 @@ _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 class Unused(Enum):
     """Why pressures are not used although no fault is reported."""
 
-    BRIEF = "pressures in doubt for a moment"
-    AT_REST = "pressures at rest that are no offsets: digging, a slope, or oil shut in"
+    BRIEF = "implausible pressures, too short to report"
+    AT_REST = "pressures at standstill too large for an offset: digging, a slope or trapped oil"
 
 
 class PressureFault(Enum):
@@ -37,7 +37,7 @@ class PressureFault(Enum):
     DROPPED = "hydraulics silent"
     LEFT_STUCK = "left pressure stuck"
     RIGHT_STUCK = "right pressure stuck"
-    BEYOND_RELIEF = "pressure beyond the relief valve's"
+    BEYOND_RELIEF = "pressure above the relief pressure"
     IN_KPA = "pressure in kPa instead of Pa"
     IN_PSI = "pressure in psi instead of Pa"
     IN_BAR = "pressure in bar instead of Pa"

@@ -182,13 +182,13 @@ def copy_state(source: InputValues, to: InputValues) -> None:
 class Rejection(Enum):
     """Why an input is not used."""
 
-    INVALID = "holds nan or infinity"
-    DUPLICATE = "same stamp as one before"
-    TOO_LATE = "older than what is done already"
-    AHEAD = "far ahead of the others"
-    RESTARTED = "the clock went back: all restarts"
+    INVALID = "contains nan or infinity"
+    DUPLICATE = "duplicate stamp"
+    TOO_LATE = "older than processed data"
+    AHEAD = "stamp far ahead of the others"
+    RESTARTED = "the clock went back: the estimator was reset"
     OUT_OF_RANGE = "beyond physical limits"
-    DIVERGED = "the estimate was not finite: all restarts"
+    DIVERGED = "the estimate was not finite: the estimator was reset"
 
 
 # For compiled code: index of each in ``Rejection``

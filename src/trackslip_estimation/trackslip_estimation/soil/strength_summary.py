@@ -43,9 +43,9 @@ def _reason(
     if effective_samples < 1.0:
         return "too little driving yet"
     if f_high > p.widest_ratio * f_low:
-        return "F_max: thrusts far below it tell no more than K/F_max; a turn would"
+        return "F_max: the thrusts are too small, only K/F_max is observable; drive a turn"
     if k_high > p.widest_ratio * k_low:
-        return "K: the slips are within their own errors"
+        return "K: the slips are below their uncertainty"
     if k_low < p.edge_ratio * p.lowest_modulus or k_high * p.edge_ratio > p.highest_modulus:
         return "K: at the end of the range looked for"
     return ""

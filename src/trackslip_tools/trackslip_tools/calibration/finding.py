@@ -41,7 +41,7 @@ def rounded(value: float, decimals: int) -> float:
 def found(value: float, spread: float, unit: str, basis: str) -> Finding:
     """A finding from a value and half the width of its 95 % interval; no value if either is not finite."""
     if not (math.isfinite(value) and math.isfinite(spread)):
-        return refused("what was recorded determines no number", unit)
+        return refused("the data do not determine a value", unit)
     return Finding(unit, float(value), (float(value - spread), float(value + spread)), basis)
 
 

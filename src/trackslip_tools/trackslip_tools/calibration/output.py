@@ -26,7 +26,7 @@ def text(calibration: Calibration) -> str:
     lines.append(f"to adopt (--output writes it): {named or 'nothing'}")
     if calibration.confirmed:
         names = ", ".join(calibration.confirmed)
-        lines.append(f"as the parameters have it, and not written (--all writes it): {names}")
+        lines.append(f"consistent with the parameters, not written (--all writes it): {names}")
     return "\n".join(map(wrapped, lines))
 
 

@@ -89,7 +89,7 @@ def turning(recordings: Sequence[Recording], gyro: Gyro) -> Turns:
         return Turns(refused(reason, "1"), float("nan"))
     fit = clustered(differences[:, np.newaxis], turned, np.arange(len(turned)))
     if fit is None or not fit.values[0]:
-        return Turns(refused("one turn outweighs all others", "1"), float("nan"))
+        return Turns(refused("a single turn determines the result", "1"), float("nan"))
     basis = f"{len(turned)} turns, {np.abs(turned).sum():.1f} rad"
     return Turns(found(fit.values[0], fit.spread(), "1", basis), float(np.std(turned / differences, ddof=1)))
 

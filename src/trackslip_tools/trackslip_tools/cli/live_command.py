@@ -86,7 +86,7 @@ def _serve(bag: Bag, p: LiveParameters, args: argparse.Namespace, setup: Result)
         while not feed.finished:
             server.push(feed.advance(time.monotonic()))
             time.sleep(PERIOD)
-        show("the bag is over; the page stays", file=sys.stderr)
+        show("end of the bag; the page stays open", file=sys.stderr)
         while True:
             server.push(feed.advance(time.monotonic()))
             time.sleep(PERIOD)

@@ -19,9 +19,8 @@ def node_module(name: str, asked_by: str) -> Any:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        text = (
-            f"{asked_by}: ROS is not there (no module {error.name}); accepted: a shell that sourced its setup"
-        )
+        why = f"ROS is not available (no module {error.name})"
+        text = f"{asked_by}: {why}; accepted: a shell that sourced its setup"
         raise InputError(text) from error
 
 

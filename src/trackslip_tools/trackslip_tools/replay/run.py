@@ -92,6 +92,6 @@ def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None
     if tree is None:
         return None, ""
     try:
-        return from_tree(tree, meaning(p)), "starts from what was learned before the bag begins"
+        return from_tree(tree, meaning(p)), "starts from values learned before the bag begins"
     except InputError as error:
         return None, f"what was learned before the bag begins is not used: {error}"

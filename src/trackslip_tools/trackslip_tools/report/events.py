@@ -67,7 +67,7 @@ class Events:
             self.add(level, _reported(name, level, message, before[1]), now_s, time_ms)
         for name, (level, _) in self._conditions.items():
             if name not in conditions and level is not Level.OK:
-                self.add(Level.OK, f"{name}: well again", now_s, time_ms)
+                self.add(Level.OK, f"{name}: recovered", now_s, time_ms)
         self._conditions = conditions
 
     def see_values(self, values: Mapping[str, str], now_s: float, time_ms: float) -> None:

@@ -115,7 +115,7 @@ def _light(received: _Received, now_s: float) -> Light:
     rate, age = (_number(status.values.get(key, "")) for key in (_RATE, _AGE))
     age = quiet_s if math.isnan(age) else age + quiet_s
     if quiet_s > SILENT_S:
-        return Light(status.name, Level.SILENT, "silent: the node has ended, or hangs", math.nan, age)
+        return Light(status.name, Level.SILENT, "no status: the node has stopped or hangs", math.nan, age)
     return Light(status.name, status.level, status.message, rate, age)
 
 

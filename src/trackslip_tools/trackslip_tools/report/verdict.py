@@ -144,7 +144,7 @@ def _same_as_live(run: Run, _: VerdictLimits) -> Verdict:
         as_far_as = f", but not from where {breaks[0].why}" if breaks else ""
         return _checked(True, value, f"The replay repeats what the machine computed{as_far_as}.")
     lost = f"{live.unmatched} unmatched, {live.lost_inputs} measurements and {live.lost_reports} reports lost"
-    return _checked(False, value, f"The machine computed something else ({lost}).")
+    return _checked(False, value, f"Replay and live estimates differ ({lost}).")
 
 
 def _position(run: Run, limits: VerdictLimits) -> Verdict:
@@ -191,7 +191,7 @@ def _consistency(limits: VerdictLimits, ratio: float, value: str, what: str) -> 
     times = math.sqrt(ratio)
     words = f"{what} are {times:.2f} times what the estimate claims"
     if times > limits.most_consistency:
-        return _checked(False, value, f"{words}: it is too sure.")
+        return _checked(False, value, f"{words}: it is overconfident.")
     if times < limits.least_consistency:
         words = f"{words}: sensors are better than stated (harmless)"
         return Verdict(State.INFORMATION, value, f"{words}.")
@@ -210,7 +210,7 @@ def _tracks(run: Run, _: VerdictLimits) -> Verdict:
     """Check that the tracks turned when commanded, without getting stuck."""
     found = trouble_spells(run)
     if not found:
-        return _unknown("Neither hydraulics nor estimates of forces: nobody knows whether a track was stuck.")
+        return _unknown("Neither hydraulics nor estimates of forces: stuck tracks cannot be detected.")
     troubles = troubles_text(found)
     if troubles:
         return _checked(

@@ -36,8 +36,8 @@ class Part(NamedTuple):
 
 COMMON = (
     Part("pose", POSE, "m, m, rad", "x, y, heading of the track-contact centre in the site frame"),
-    Part("gyro_bias", slice(GYRO_BIAS, GYRO_BIAS + 1), "rad/s", "what a gyro shows of no rotation"),
-    Part("gyro_scale", slice(GYRO_SCALE, GYRO_SCALE + 1), "1", "what a gyro shows of 1 rad/s, less 1"),
+    Part("gyro_bias", slice(GYRO_BIAS, GYRO_BIAS + 1), "rad/s", "gyro bias"),
+    Part("gyro_scale", slice(GYRO_SCALE, GYRO_SCALE + 1), "1", "gyro scale error"),
     Part("fix_delay", slice(FIX_DELAY, FIX_DELAY + 1), "1", "delay of all fixes, over their stamp errors"),
 )
 

@@ -67,10 +67,10 @@ VELOCITY_ERRORS = slice(SPEED_ERROR, YAW_RATE_ERROR + 1)
 ACTIVE = 13  # number of states, with those of ``model``
 PARTS = (
     *COMMON,
-    Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "speed and yaw rate beyond the equations"),
+    Part("velocity_errors", VELOCITY_ERRORS, "m/s, rad/s", "velocity errors of speed and yaw rate"),
     Part("common_slip", slice(COMMON_SLIP, COMMON_SLIP + 1), "1", "slip common to both tracks"),
     Part("rotation_offset", slice(ROTATION_OFFSET, ROTATION_OFFSET + 1), "m", "centre of rotation x_I"),
-    Part("downhill_slip", slice(DOWNHILL, DOWNHILL + 1), "1", "speed downhill over that of the tracks, k"),
+    Part("downhill_slip", slice(DOWNHILL, DOWNHILL + 1), "1", "downhill speed over track speed, k"),
 )
 
 

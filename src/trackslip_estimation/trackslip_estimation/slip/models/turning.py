@@ -53,7 +53,9 @@ PARTS = (
     *speed.PARTS,
     Part("efficiency", slice(EFFICIENCY, EFFICIENCY + 1), "1", "turning efficiency κ"),
     Part("loss", slice(LOSS, LOSS + 1), "1", "speed lost in a turn, η"),
-    Part("asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "turn to the left by the metre driven, ε"),
+    Part(
+        "asymmetry", slice(ASYMMETRY, ASYMMETRY + 1), "rad/m", "side asymmetry: yaw to the left per metre, ε"
+    ),
 )
 _ASYMMETRY_WALK = 0.04  # random walk of ε per sine of the cross slope, rad/m/√m
 
