@@ -162,7 +162,7 @@ def test_without_a_gyro_about_x_and_y_the_accelerometers_do() -> None:
     ("force", "words"),
     [
         ((math.nan, math.nan, math.nan), "has no accelerations"),
-        ((0.0, 0.0, 0.0), "are rejected: 0.00 m/s² on average, and gravity is 9.81"),
+        ((0.0, 0.0, 0.0), "are rejected: 0.00 m/s² on average, gravity is 9.81"),
         ((0.1, 0.0, 0.3), "are rejected: 0.32 m/s²"),
         ((0.0, 0.0, -9.6), "set its mounting"),
         ((9.8, 0.0, 0.1), "set its mounting"),

@@ -55,9 +55,7 @@ def _lacking(a: Attitude, source: str) -> str:
     force = a["mean_force"]
     size = float(np.linalg.norm(force))
     if abs(size - GRAVITY) > GRAVITY_TOLERANCE:
-        return (
-            f"accelerations of {source} are rejected: {size:.2f} m/s² on average, and gravity is {GRAVITY:.2f}"
-        )
+        return f"accelerations of {source} are rejected: {size:.2f} m/s² on average, gravity is {GRAVITY:.2f}"
     if force[2] < UPRIGHT:
         x, y, z = (f"{value:.1f}" for value in force.tolist())
         where = f"{source} measures gravity along ({x}, {y}, {z}) m/s²"
