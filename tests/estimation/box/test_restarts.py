@@ -91,7 +91,7 @@ def test_track_without_background_gives_no_fix_until_the_box_has_driven():
     scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY)
     assert longest_wrong(scored) <= LONGEST
     assert scored[0].stamp > SEEN_AGAIN + 2.0
-    driven = PARAMETERS.proof_distance / SITE_DRIVE.speed
+    driven = PARAMETERS.confirmation_distance / SITE_DRIVE.speed
     assert scored[0].stamp < SEEN_AGAIN + driven + 8.0  # which it turns meanwhile
 
 

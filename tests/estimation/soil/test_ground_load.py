@@ -18,8 +18,8 @@ from trackslip_estimation.soil.ground_load import (
     burden_of,
     burden_variance,
     centre_of,
-    follow_burden,
     set_load,
+    update_burden,
 )
 from trackslip_estimation.soil.interpolation import SAMPLE
 from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, element_places, shares
@@ -83,7 +83,7 @@ def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
     for seconds, motion in moments:
         sample["motion"] = motion
         for _ in range(round(seconds * 10)):
-            follow_burden(burden, sample, NUMBERS["load"])
+            update_burden(burden, sample, NUMBERS["load"])
     return math.sqrt(burden_variance(burden, 1.0, NUMBERS["load"]))
 
 

@@ -17,7 +17,7 @@ from trackslip_estimation.soil.pressure_watch import (
     Watch,
     WatchParameters,
     evaluate,
-    named_faults,
+    reported_faults,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
@@ -41,7 +41,7 @@ class Bench:
 
     @property
     def faults(self) -> tuple[PressureFault, ...]:
-        return named_faults(self._watch[0])
+        return reported_faults(self._watch[0])
 
     def _evaluate(self, sample: np.ndarray) -> PressureFault | None:
         found = evaluate(self._watch[0], sample[0], NUMBERS[0], P.vehicle.whole().relief_pressure)
@@ -82,11 +82,11 @@ def test_true_pressures_are_trusted(bench: Bench) -> None:
 
 
 def test_pressures_that_stop_coming_are_named_until_they_have_come_back(bench: Bench) -> None:
-    bench.silence(0.5 * P.watch.naming_time)
+    bench.silence(0.5 * P.watch.report_time)
     assert bench.faults == ()
-    bench.silence(P.watch.naming_time)
+    bench.silence(P.watch.report_time)
     assert bench.faults == (PressureFault.DROPPED,)
-    output = bench.drive(STRAIGHT, 2.0 * P.watch.naming_time)
+    output = bench.drive(STRAIGHT, 2.0 * P.watch.report_time)
     assert output[0] is PressureFault.DROPPED
     assert output[-1] is None
     assert bench.faults == ()
@@ -141,7 +141,7 @@ def test_another_unit_is_named(bench: Bench, unit: float, fault: PressureFault, 
         assert set(bench.drive(at_work, 2.0, lambda p: p / unit)) == {fault}
         assert bench.faults == (fault,)
     assert set(bench.drive(STANDING, 2.0, lambda p: p / unit)) == {fault}
-    bench.drive(phase, 2.0 * P.watch.naming_time)
+    bench.drive(phase, 2.0 * P.watch.report_time)
     assert bench.faults == ()
 
 

@@ -210,21 +210,21 @@ def test_many_inputs_at_once_give_what_they_give_one_by_one(chunk: int) -> None:
         own = [getattr(o, name) for o in requested if isinstance(o, TrackForces)]
         np.testing.assert_array_equal(forces[name], own)
     assert replayed.tally.total == live.tally.total
-    assert replayed.struggling == live.struggling
+    assert replayed.is_stuck == live.is_stuck
 
 
 def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_is_not() -> None:
     ordinary, spinning = SoilEstimator(P), SoilEstimator(P)
     run(given(), ordinary)
-    assert ordinary.struggling == (False, False)
+    assert ordinary.is_stuck == (False, False)
     outputs = run(given("clayey_soil", SPINNING), spinning)
-    assert spinning.struggling == (False, True)
+    assert spinning.is_stuck == (False, True)
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1 < last.reserve[0]
     patient = spinning.parameters.changed({"stuck_time": 1e6})
     spinning.use(patient)
-    assert spinning.struggling == (False, False)
+    assert spinning.is_stuck == (False, False)
     stuck = {"high_slip", "stuck_time", "stuck_probability"}
     assert reloadable(SoilEstimatorParameters) == {"low_reserve"} | stuck
 
@@ -236,7 +236,7 @@ def test_a_turn_that_the_soil_does_not_bear_is_no_getting_stuck() -> None:
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
-    assert estimator.struggling == (False, False)
+    assert estimator.is_stuck == (False, False)
 
 
 def test_a_track_that_is_dragged_faster_than_it_turns_does_not_spin() -> None:
@@ -252,7 +252,7 @@ def test_a_track_that_is_dragged_faster_than_it_turns_does_not_spin() -> None:
     last = at(outputs, TrackForces, 16.0)
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1
-    assert estimator.struggling == (False, False)
+    assert estimator.is_stuck == (False, False)
 
 
 def test_tracks_that_are_commanded_and_do_not_turn_are_stalled_within_a_second() -> None:

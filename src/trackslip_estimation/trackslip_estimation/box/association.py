@@ -42,7 +42,7 @@ class _Follower:
         if odometry is None:
             return
         moved, driven = _apart(place, self.first), self.driven(odometry)
-        if driven is None or abs(moved - driven) > p.proof_difference + p.proof_share * driven:
+        if driven is None or abs(moved - driven) > p.confirmation_difference + p.proof_share * driven:
             self.first, self.odometry = place, odometry.place
 
     def driven(self, odometry: Odometry | None) -> float | None:
@@ -57,8 +57,8 @@ class _Follower:
         return moved if driven is None else min(moved, driven)
 
     def is_likely(self, stamp_ns: int, p: BoxLocalizerParameters) -> bool:
-        """Whether the gate accepted the candidate within the last ``rival_time``."""
-        return self.likely_ns is not None and stamp_ns - self.likely_ns <= round(p.rival_time * 1e9)
+        """Whether the gate accepted the candidate within the last ``ambiguity_time``."""
+        return self.likely_ns is not None and stamp_ns - self.likely_ns <= round(p.ambiguity_time * 1e9)
 
 
 class Association:
@@ -116,10 +116,10 @@ class Association:
         odometry: Odometry | None,
         stamp_ns: int,
     ) -> Candidate | None:
-        """Return the only likely candidate, or the only one that has moved ``proof_distance``."""
+        """Return the only likely candidate, or the only one that has moved ``confirmation_distance``."""
         p = self._parameters
         followers = [self._follower(candidate, odometry, stamp_ns) for candidate in candidates]
-        kept_ns = round(p.forgotten_time * 1e9)
+        kept_ns = round(p.candidate_timeout * 1e9)
         self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= kept_ns]
         likely = []
         for candidate, follower in zip(candidates, followers, strict=True):
@@ -132,7 +132,7 @@ class Association:
         driving = [
             candidate
             for candidate, follower in zip(candidates, followers, strict=True)
-            if follower.moved(odometry) >= p.proof_distance
+            if follower.moved(odometry) >= p.confirmation_distance
         ]
         return driving[0] if len(driving) == 1 else None
 

@@ -48,15 +48,17 @@ class BoxLocalizerParameters(Parameters):
     clearance: float = parameter(
         "distance about the machine without another object of the box's shape", unit="m", gt=0.0
     )
-    proof_distance: float = parameter("distance after which a moving candidate is the box", unit="m", gt=0.0)
-    proof_difference: float = parameter(
+    confirmation_distance: float = parameter(
+        "distance after which a moving candidate is the box", unit="m", gt=0.0
+    )
+    confirmation_difference: float = parameter(
         "largest difference between the distances of a candidate and of the odometry", unit="m", gt=0.0
     )
     proof_share: float = parameter("addition to proof_difference, as share of the distance", ge=0.0, lt=1.0)
-    rival_time: float = parameter(
+    ambiguity_time: float = parameter(
         "time after its last acceptance for which a candidate makes another one ambiguous", unit="s", gt=0.0
     )
-    forgotten_time: float = parameter(
+    candidate_timeout: float = parameter(
         "time without detection after which a candidate is forgotten", unit="s", gt=0.0
     )
     coast_time: float = parameter(

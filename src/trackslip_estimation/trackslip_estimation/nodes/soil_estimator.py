@@ -40,8 +40,8 @@ def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[
     if any(estimator.stalled):
         text = f"stalled: {_sides(estimator.stalled)} commanded and under pressure, but not turning"
         return Health(WARN, text, values)
-    if any(estimator.struggling):
-        return Health(WARN, f"getting stuck: {_sides(estimator.struggling)} at the limit of the soil", values)
+    if any(estimator.is_stuck):
+        return Health(WARN, f"getting stuck: {_sides(estimator.is_stuck)} at the limit of the soil", values)
     return Health(OK, "running", values)
 
 
@@ -120,7 +120,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
 
     def _report_changes(self, estimator: SoilEstimator) -> None:
         """Publish the health at once if faults, stalled or stuck tracks have changed."""
-        condition = (estimator.faults, estimator.stalled, estimator.struggling)
+        condition = (estimator.faults, estimator.stalled, estimator.is_stuck)
         if condition != self._reported:
             self._reported = condition
             self.publish_health()

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.soil.thrust import ThrustRecord
 
 SPEED, RATE, MU_R, MU_L = range(4)
-_SIZE, _SEEN = 4, 2
+_SIZE, _MEASURED = 4, 2
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 _ROUNDING = 1e-12  # (m/s)², (rad/s)²: keeps variances positive
 
@@ -67,7 +67,7 @@ class DynamicsParameters(Parameters):
     mu_l_stddev: float = parameter("initial and largest standard deviation of μ_l", gt=0.0)
     mu_r_walk: float = parameter("random walk of μ_r while driving", unit="1/√s", gt=0.0)
     mu_l_walk: float = parameter("random walk of μ_l in turns", unit="1/√s", gt=0.0)
-    unseen_walk: float = parameter(
+    unmeasured_walk: float = parameter(
         "random walk of μ_r and μ_l, driving without known thrusts", unit="1/√s", gt=0.0
     )
     yaw_inertia_stddev: float = parameter("relative standard deviation of I_z", ge=0.0, lt=1.0)
@@ -122,26 +122,26 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
     is_modelled = thrust.is_known and moves and 0.0 < dt <= p.dynamics.longest_step
     held = _is_held(sample, load, p)
     is_modelled = is_modelled and not held
-    measured, noise = np.empty(_SEEN), np.empty((_SEEN, _SEEN))  # v_x, φ̇
-    for i in range(_SEEN):
+    measured, noise = np.empty(_MEASURED), np.empty((_MEASURED, _MEASURED))  # v_x, φ̇
+    for i in range(_MEASURED):
         measured[i] = twist[2 * i]
-        for j in range(_SEEN):
+        for j in range(_MEASURED):
             noise[i, j] = covariance[2 * i, 2 * j] + (_ROUNDING if i == j else 0.0)
     sense = math.copysign(1.0, sample.tracks[1] - sample.tracks[0])
     if sample.motion != _TURNING or not sense * measured[1] > 0.0:
         sense = 0.0
-    first_followed = _SEEN if sense != 0.0 else RATE
+    first_followed = _MEASURED if sense != 0.0 else RATE
     if is_modelled:
         _predict(dynamics, sample, thrust, load, sense, p)
     else:
         first_followed = SPEED
         for k in range(MU_R, MU_L + 1):
-            dynamics.covariance[k, k] += p.dynamics.unseen_walk**2 * dt if moves and not held else 0.0
+            dynamics.covariance[k, k] += p.dynamics.unmeasured_walk**2 * dt if moves and not held else 0.0
     _follow(dynamics, first_followed, measured, noise)
     if is_modelled:
         correlated = max(p.dynamics.twist_error_time / dt, 1.0)
-        for i in range(_SEEN):
-            for j in range(_SEEN):
+        for i in range(_MEASURED):
+            for j in range(_MEASURED):
                 noise[i, j] *= correlated
         _correct(dynamics, measured, noise)
     _bound(dynamics, p.dynamics)
@@ -200,7 +200,7 @@ def _correct(dynamics: Dynamics, measured: FloatArray, noise: FloatArray) -> Non
     S00, S01 = covariance[0, 0] + noise[0, 0], covariance[0, 1] + noise[0, 1]
     S10, S11 = covariance[1, 0] + noise[1, 0], covariance[1, 1] + noise[1, 1]
     determinant = S00 * S11 - S01 * S10
-    gain, keep, after = np.empty((_SIZE, _SEEN)), np.eye(_SIZE), np.empty(_SIZE)
+    gain, keep, after = np.empty((_SIZE, _MEASURED)), np.eye(_SIZE), np.empty(_SIZE)
     for i in range(_SIZE):
         of_speed, of_rate = covariance[i, SPEED], covariance[i, RATE]
         gain[i, 0] = (of_speed * S11 - of_rate * S10) / determinant
@@ -223,10 +223,10 @@ def _set(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: Flo
 @compiled
 def _follow(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatArray) -> None:
     """Set the states from ``first`` to φ̇ to their measurements, uncorrelated with the other states."""
-    for i in range(first, _SEEN):
+    for i in range(first, _MEASURED):
         dynamics.mean[i] = measured[i]
         for j in range(_SIZE):
-            is_measured = first <= j < _SEEN
+            is_measured = first <= j < _MEASURED
             dynamics.covariance[i, j] = dynamics.covariance[j, i] = noise[i, j] if is_measured else 0.0
 
 

@@ -131,7 +131,7 @@ def burden_of(vehicle: Vehicle) -> Table[Burden]:
 
 
 @compiled
-def follow_burden(burden: Burden, sample: Sample, p: LoadParameters) -> None:
+def update_burden(burden: Burden, sample: Sample, p: LoadParameters) -> None:
     """Update the burden: the bucket load may change only at a standstill of ``filling_time`` or longer."""
     if sample.motion == _STRAIGHT or sample.motion == _TURNING:
         burden.has_driven = 1

@@ -4,7 +4,7 @@
 
 Evidence for each fault is a time: a sample for it adds its duration, a sample against it subtracts it.
 Pressures are unused from the first sample for a fault (a stuck one: after ``grace_time``). The fault is
-reported once its evidence reaches ``naming_time``, and until it falls to 0.
+reported once its evidence reaches ``report_time``, and until it falls to 0.
 """
 
 import math
@@ -69,7 +69,7 @@ class Watch(Record):
     """Evidence for faults, and the newest reading."""
 
     seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against
-    is_named: Annotated[IntArray, len(PressureFault)]
+    is_reported: Annotated[IntArray, len(PressureFault)]
     has_reading: int
     reading_ns: int  # of the newest reading
     reading: Annotated[FloatArray, 2]
@@ -79,7 +79,7 @@ class Watch(Record):
 class WatchParameters(Parameters):
     """Limits of plausible pressures."""
 
-    naming_time: float = parameter(
+    report_time: float = parameter(
         "duration of the evidence after which a fault is reported", unit="s", gt=0.0
     )
     grace_time: float = parameter("time for which equal readings may be chance", unit="s", ge=0.0)
@@ -89,14 +89,14 @@ class WatchParameters(Parameters):
         "typical pressure over a travel motor while driving", unit="Pa", gt=0.0
     )
     least_speed: float = parameter("track speed above which a track drives", unit="m/s", gt=0.0)
-    telling_difference: float = parameter(
+    least_swap_difference: float = parameter(
         "pressure difference in a turn from which swapped sides are detectable", unit="Pa", gt=0.0
     )
 
 
-def named_faults(watch: Watch) -> tuple[PressureFault, ...]:
+def reported_faults(watch: Watch) -> tuple[PressureFault, ...]:
     """Return the faults that are reported at present."""
-    return tuple(fault for fault, named in zip(PressureFault, watch["is_named"], strict=True) if named)
+    return tuple(fault for fault, named in zip(PressureFault, watch["is_reported"], strict=True) if named)
 
 
 @compiled
@@ -114,7 +114,7 @@ def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: 
             highest = max(abs(sample.pressures[0]), abs(sample.pressures[1]))
             evidence = _FOR if highest > (1.0 + p.relief_margin) * relief_pressure else _AGAINST
         elif fault == _SWAPPED:
-            evidence = _crossed(sample, p)
+            evidence = _swap_evidence(sample, p)
         elif likely_unit == _OPEN:
             evidence = _OPEN
         else:
@@ -133,11 +133,11 @@ def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameter
     """Add the evidence of one sample; return whether the fault makes its pressures unusable."""
     if evidence != _OPEN:
         seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
-        watch.seconds[fault] = min(max(seconds, 0.0), p.naming_time)
-    persists = watch.is_named[fault] or watch.seconds[fault] >= p.naming_time
-    watch.is_named[fault] = watch.seconds[fault] > 0.0 and persists
+        watch.seconds[fault] = min(max(seconds, 0.0), p.report_time)
+    persists = watch.is_reported[fault] or watch.seconds[fault] >= p.report_time
+    watch.is_reported[fault] = watch.seconds[fault] > 0.0 and persists
     grace = p.grace_time if fault in (_LEFT_STUCK, _RIGHT_STUCK) else 0.0
-    return bool(watch.is_named[fault] or (evidence == _FOR and watch.seconds[fault] > grace))
+    return bool(watch.is_reported[fault] or (evidence == _FOR and watch.seconds[fault] > grace))
 
 
 @compiled
@@ -183,7 +183,7 @@ def _distance(reading: float, unit: int, p: WatchParameters) -> float:
 
 
 @compiled
-def _crossed(sample: Sample, p: WatchParameters) -> int:
+def _swap_evidence(sample: Sample, p: WatchParameters) -> int:
     """Return the evidence for swapped sides: the faster track of a turn has the larger pressure.
 
     It slips more, forwards and in reverse. Nearly equal speeds at the start or end of a turn are no evidence:
@@ -191,6 +191,6 @@ def _crossed(sample: Sample, p: WatchParameters) -> int:
     """
     difference, faster = sample.pressures[1] - sample.pressures[0], sample.tracks[1] - sample.tracks[0]
     turns = sample.motion == _TURNING and abs(faster) > p.least_speed
-    if not turns or abs(difference) < p.telling_difference:
+    if not turns or abs(difference) < p.least_swap_difference:
         return _OPEN
     return _FOR if difference * faster < 0.0 else _AGAINST

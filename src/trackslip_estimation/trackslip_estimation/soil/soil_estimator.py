@@ -20,7 +20,7 @@ from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
-from trackslip_estimation.soil.pressure_watch import PressureFault, Unused, named_faults
+from trackslip_estimation.soil.pressure_watch import PressureFault, Unused, reported_faults
 from trackslip_estimation.soil.records import (
     HYDRAULICS,
     SOIL_INPUT,
@@ -101,7 +101,7 @@ class SoilEstimator:
     @property
     def faults(self) -> tuple[PressureFault, ...]:
         """Faults of the pressures that are reported at present."""
-        return named_faults(self._known["watch"])
+        return reported_faults(self._known["watch"])
 
     @property
     def strength(self) -> StrengthSummary:
@@ -115,7 +115,7 @@ class SoilEstimator:
         return None if math.isnan(efficiency) else efficiency
 
     @property
-    def struggling(self) -> tuple[bool, bool]:
+    def is_stuck(self) -> tuple[bool, bool]:
         """Whether the left and the right track are getting stuck: spinning at the limit of the soil."""
         left, right = self._known["spinning"] >= self.parameters.stuck_time
         return bool(left), bool(right)
@@ -163,7 +163,7 @@ class SoilEstimator:
         elif gathered == BROKEN:
             posterior.break_segment()
         elif gathered == LOST:
-            posterior.leave_ground()
+            posterior.reset_displacement()
         nothing, p = self._state.forces[:0], self.parameters
         if known["seed_due"]:
             seed = seed_of(

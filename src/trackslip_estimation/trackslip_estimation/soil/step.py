@@ -26,8 +26,8 @@ from trackslip_estimation.soil.ground_load import (
     burden_of,
     burden_variance,
     centre_of,
-    follow_burden,
     set_load,
+    update_burden,
 )
 from trackslip_estimation.soil.interpolation import Interpolator, Sample, new_interpolator
 from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, PressureFault, Unused, Watch
@@ -184,11 +184,11 @@ def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
     is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
     if update_offsets(known.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
         faults[_AT_REST] += 1
-    follow_burden(known.burden, sample, p.load)
+    update_burden(known.burden, sample, p.load)
     if fault == NO_FAULT:
         _measure(known, sample, p)
     else:
-        faults[fault if known.watch.is_named[fault] or fault == DROPPED else _BRIEF] += 1
+        faults[fault if known.watch.is_reported[fault] or fault == DROPPED else _BRIEF] += 1
         hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
     for k in range(2):
         known.stalled[k] = stall_time(known.stalled[k], sample, k, p.stall, p.vehicle.relief_pressure)

@@ -64,9 +64,9 @@ class StrengthPosterior:
         """(moduli, limits) probability of each, before errors that never average; sums to 1"""
         self._age = np.zeros(shape)  # effective samples since the soil changed to that of the cell
         self.effective_samples = 0.0
-        self.leave_ground()
+        self.reset_displacement()
 
-    def leave_ground(self) -> None:
+    def reset_displacement(self) -> None:
         """Reset the shear displacement and the segment: the motion of the tracks is unknown."""
         self._displacement = np.zeros((2, self.parameters.elements, 2))
         self._pose: PoseWithCovariance | None = None  # at the end of the last average

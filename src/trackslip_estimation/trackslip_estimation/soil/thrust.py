@@ -82,7 +82,7 @@ class ThrustParameters(Parameters):
         "standstill with closed spools before offsets are estimated", unit="s", ge=0.0
     )
     closed_spool: float = parameter("spool position below which a valve is closed", gt=0.0, lt=1.0)
-    unseen_walk: float = parameter(
+    unmeasured_walk: float = parameter(
         "random walk of a thrust while its pressure is unknown", unit="N/√s", gt=0.0
     )
 
@@ -170,7 +170,7 @@ def hold_thrust(thrust: ThrustRecord, dt: float, p: ThrustParameters, motor: Mot
     """Hold the thrusts for ``dt`` s; inflate their variances up to that of the relief pressure."""
     thrust.is_known = False
     for k in range(2):
-        thrust.variance[k] = min(thrust.variance[k] + p.unseen_walk**2 * dt, motor.largest_thrust**2)
+        thrust.variance[k] = min(thrust.variance[k] + p.unmeasured_walk**2 * dt, motor.largest_thrust**2)
 
 
 @compiled
