@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Roles bound to the signals of a DBC: what each is in SI, and how a position goes round.
+"""Binds roles to the signals of a DBC: conversion to SI, and the wrap of positions.
 
-ω = 2π η_V Q/(V_m n_g)      sprocket of a motor that takes the flow Q
-ω = v/r                     sprocket of a track that runs at v
+ω = 2π η_V Q/(V_m n_g)      sprocket whose motor receives the flow Q
+ω = v/r                     sprocket of a track with speed v
 """
 
 import math
@@ -22,13 +22,13 @@ from trackslip_drivers.protocols.units import UNITS, Quantity, Unit, accepted
 
 _TURN = 2.0 * math.pi
 _MOST_BITS = 64  # of a signal with a role
-_LARGEST_STEP = 1.000001 * _TURN  # of a position: a turn, as a counter of turns has
-_ROUNDED_FACTOR = 0.01  # 65536 steps of 0.0055 degrees are 360.4
-_ROUNDING_STEPS = 2.0  # a range of 0…359.9 or −180…180 degrees is one turn
+_LARGEST_STEP = 1.000001 * _TURN  # of a position: one turn (a counter of turns)
+_ROUNDED_FACTOR = 0.01  # relative error of a rounded DBC factor: 65536 steps of 0.0055 degrees are 360.4
+_ROUNDING_STEPS = 2.0  # tolerance of a range against whole turns: 0…359.9 or −180…180 degrees is one turn
 
 
 class Place(NamedTuple):
-    """A signal of a frame, from one sender or any (−1)."""
+    """A signal of a frame, from the sender with address ``source`` or from any (−1)."""
 
     frame: str
     signal: str
@@ -36,7 +36,7 @@ class Place(NamedTuple):
 
 
 class Scaled(NamedTuple):
-    """A signal in SI: (value − offset) × factor, within its limits."""
+    """A signal scaled to SI: (value − offset) × factor, clamped to [low, high]."""
 
     place: Place
     offset: float
@@ -45,21 +45,21 @@ class Scaled(NamedTuple):
     high: float = math.inf
 
     def si(self, value: float) -> float:
-        """Of a value in the DBC's unit; nan where that is nan."""
+        """The SI value of a value in the DBC's unit; nan for nan."""
         return min(max((value - self.offset) * self.factor, self.low), self.high)
 
 
 class Turned(NamedTuple):
-    """A position, from the raw numbers of its signal; positive drives forward, or is counter-clockwise."""
+    """A position decoded from raw steps; positive: drives forward, or counter-clockwise (swing)."""
 
     place: Place
     rad_per_step: float
-    steps_per_wrap: float  # a whole number wherever it can be
-    zero_steps: float  # what is read at an angle of zero
+    steps_per_wrap: float  # until the position repeats; a whole number where possible
+    zero_steps: float  # raw reading at angle zero
 
 
 class Bindings(NamedTuple):
-    """Every role of the roles file; a value with several parts is their sum."""
+    """The bound signals of all roles; a value with several parts is the sum of the parts."""
 
     scaled: Mapping[str, tuple[Scaled, ...]]
     turned: Mapping[str, Turned]
@@ -71,12 +71,12 @@ class Bindings(NamedTuple):
 
 
 class Binder:
-    """Finds the signals of roles in a DBC.
+    """Finds the signals of the roles in a DBC.
 
     Args:
         contract: the DBC.
-        vehicle: for flows and speeds over ground.
-        dbc, roles: the files, for messages.
+        vehicle: converts flows and ground speeds to sprocket speeds.
+        dbc, roles: paths of the files, for error messages.
     """
 
     def __init__(self, contract: Dbc, vehicle: VehicleParameters, dbc: Path, roles: Path) -> None:
@@ -87,11 +87,11 @@ class Binder:
         self._roles = roles
 
     def bind(self, roles: Mapping[str, Role]) -> Bindings:
-        """Bind them all.
+        """The bindings of all roles.
 
         Raises:
-            InputError: a signal is missing or ambiguous, its unit is unknown, missing or of something else,
-                or two roles have the same signal.
+            InputError: a signal is missing or ambiguous; its unit is unknown, missing or of another quantity;
+                or two roles share a signal.
         """
         scaled: dict[str, tuple[Scaled, ...]] = {}
         turned: dict[str, Turned] = {}
@@ -110,7 +110,7 @@ class Binder:
         return Bindings(scaled, turned)
 
     def _claim(self, place: Place, name: str, users: list[tuple[Place, str]]) -> None:
-        """Raise ``InputError`` where a signal has a role already."""
+        """Raise ``InputError`` if a signal already has a role."""
         for other, user in users:
             is_apart = -1 not in (other.source, place.source) and other.source != place.source
             if other[:2] != place[:2] or is_apart:
@@ -141,7 +141,7 @@ class Binder:
 
     @staticmethod
     def _spool(where: str, place: Place, role: Role, share: float, unit: Unit) -> Scaled:
-        """A pilot pressure: 0 where it is ``zero`` or less, ±1 where it is ``full`` or more."""
+        """Scale a pilot pressure to a spool position: 0 up to ``zero``, ±1 from ``full`` on."""
         zero, full = (_level(f"{where}: {key}", getattr(role, key), unit) for key in ("zero", "full"))
         if full <= zero:
             raise InputError(f"{where}: full: {role.full} is not above zero ({role.zero}); accepted: more")
@@ -175,7 +175,7 @@ class Binder:
         )
 
     def _find(self, name: str, reference: str) -> tuple[str, Message, str]:
-        """(start of messages, frame, signal) of FRAME.SIGNAL, or of a signal that only one frame has."""
+        """(prefix of messages, frame, signal) for FRAME.SIGNAL, or for a signal name that one frame has."""
         where = f"roles_file {self._roles}: role '{name}': signal '{reference}'"
         frame, _, signal = reference.rpartition(".")
         found = [
@@ -204,7 +204,7 @@ class Binder:
 
     @staticmethod
     def _unit(where: str, name: str, role: Role, of_dbc: str | None) -> Unit:
-        """The DBC's unit, or the one of the roles file where the DBC's is empty or unknown."""
+        """The DBC's unit; the unit of the roles file if the DBC's is empty or unknown."""
         text = (of_dbc or "").strip()
         requested = accepted(ROLES[name])
         found, stated = UNITS.get(text), UNITS.get(role.unit.strip())
@@ -226,7 +226,7 @@ class Binder:
 
 
 def _level(where: str, text: str, unit: Unit) -> float:
-    """A pressure of the roles file, in the signal's unit."""
+    """A pressure of the roles file, converted to the signal's unit."""
     number, _, name = text.strip().partition(" ")
     own = UNITS.get(name.strip()) if name else unit
     try:
@@ -240,7 +240,7 @@ def _level(where: str, text: str, unit: Unit) -> float:
 
 
 def _wrap(field: Field, step: float, rad: float) -> float:
-    """Steps after which a position is what it was: the range of the DBC, whole turns if it is nearly that."""
+    """Raw steps until a position repeats: the DBC's range, rounded to whole turns if it is close to them."""
     whole = field.mask + 1.0
     if field.floating or math.isinf(field.low) or math.isinf(field.high):
         span = _TURN / rad if field.floating else whole
@@ -252,14 +252,14 @@ def _wrap(field: Field, step: float, rad: float) -> float:
 
 
 def _circle(wrap: float, step: float, rad: float) -> float:
-    """Steps of one turn, whatever the range: no cab swings by half a turn between two frames.
+    """Raw steps of one turn: a swing is taken modulo one turn, as no cab swings half a turn between frames.
 
-    Where the bits end at one turn but for a rounded factor, a turn is what they hold.
+    If ``wrap`` differs from one turn only by a rounded factor, ``wrap`` is returned.
     """
     turn = _TURN / (rad * step)
     return wrap if abs(wrap - turn) <= _ROUNDED_FACTOR * turn else turn
 
 
 def _whole(steps: float) -> float:
-    """As a whole number where it is one but for rounding: these are exact."""
+    """The steps, rounded if they differ from a whole number only by rounding: whole numbers are exact."""
     return round(steps) if abs(steps - round(steps)) < 1e-6 * max(steps, 1.0) else steps

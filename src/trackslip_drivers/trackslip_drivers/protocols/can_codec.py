@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Payloads of one frame to values and back: what cantools does, at a tenth of its time.
+"""Decodes and encodes the payload of one frame as cantools does, in a tenth of the time.
 
-A checksum covers the payload with its own bits cleared, without the bytes that are nothing but checksum.
+A checksum is computed over the payload with the checksum's bits cleared. Bytes that contain only checksum
+bits are left out.
 """
 
 import math
@@ -17,31 +18,31 @@ from cantools.database.errors import EncodeError
 
 Value = int | float
 
-_LARGEST_WHOLE = 1 << 64  # of factors and offsets that are read as whole numbers
-_RESERVED_FROM = 0xFB  # J1939: the highest byte of a raw value that is an error, or not available
+_LARGEST_WHOLE = 1 << 64  # largest factor or offset kept as an integer
+_RESERVED_FROM = 0xFB  # J1939: lowest top byte of a raw value that means error or not available
 
 
 class Field(NamedTuple):
-    """Where a signal lies in a payload that is read as one number, and what its raw value means."""
+    """Place of a signal in a payload that is read as one integer, and scaling of its raw value."""
 
-    big: bool  # which byte order that number has
+    big: bool  # the payload is read as a big-endian integer
     shift: int
     mask: int
-    sign: int  # bit of the raw value; 0 where it has none
+    sign: int  # sign bit of the raw value; 0: unsigned
     scale: float
     offset: float
     low: float
     high: float
-    floating: str  # of ``struct``; empty for whole numbers
-    reserved: int  # the least raw value that is none; 0 where all are values
+    floating: str  # format of ``struct``; empty: an integer
+    reserved: int  # lowest raw value that means error or not available; 0: none
     selector: tuple["Field", frozenset[int]] | None = None  # multiplexer, and its values with this signal
 
     def raw(self, little: int, big: int) -> int:
-        """The bits, as an unsigned number."""
+        """The signal's bits as an unsigned integer, from the payload read in both byte orders."""
         return (big if self.big else little) >> self.shift & self.mask
 
     def value(self, raw: int) -> float:
-        """Of the bits; nan where they mean none."""
+        """The value of the raw bits in the DBC's unit; nan if they are reserved or not finite."""
         if self.reserved and raw >= self.reserved:
             return math.nan
         if self.floating:
@@ -52,12 +53,12 @@ class Field(NamedTuple):
         return float((raw - 2 * (raw & self.sign)) * self.scale + self.offset)
 
     def bits(self, length: int) -> int:
-        """Its bits in a payload that is read as a little-endian number."""
+        """Mask of the signal's bits in a payload that is read as a little-endian integer."""
         order = "big" if self.big else "little"
         return int.from_bytes((self.mask << self.shift).to_bytes(length, order), "little")  # type: ignore[arg-type]
 
     def is_in(self, little: int, big: int) -> bool:
-        """Whether the payload has the signal, as its multiplexer and those above that select."""
+        """Whether the payload contains the signal: all multiplexers above select it."""
         if self.selector is None:
             return True
         multiplexer, values = self.selector
@@ -65,23 +66,23 @@ class Field(NamedTuple):
         return raw - 2 * (raw & multiplexer.sign) in values and multiplexer.is_in(little, big)
 
 
-_SAME = {"e": "H", "f": "I", "d": "Q"}  # of the same size
+_SAME = {"e": "H", "f": "I", "d": "Q"}  # integer formats of the same size
 _FLOATING = {16: "e", 32: "f", 64: "d"}
 
 
 def field_of(message: Message, name: str) -> Field:
-    """The place of a signal.
+    """The field of a signal.
 
     Raises:
-        KeyError: the frame has none of this name.
+        KeyError: the frame has no signal of this name.
     """
     signal = message.get_signal_by_name(name)
     big = signal.byte_order == "big_endian"
-    ahead = signal.start // 8 * 8 + 7 - signal.start % 8  # bits before the highest, from the first byte on
+    ahead = signal.start // 8 * 8 + 7 - signal.start % 8  # bits before the most significant one
     has_reserved = (
         message.protocol == "j1939" and signal.length % 8 == 0 and not (signal.is_signed or signal.is_float)
     )
-    has_no_range = not signal.minimum and not signal.maximum  # [0|0], [0.0|0.0]: none is given
+    has_no_range = not signal.minimum and not signal.maximum  # [0|0], [0.0|0.0]: the DBC gives no range
     return Field(
         big,
         8 * message.length - ahead - signal.length if big else signal.start,
@@ -98,7 +99,7 @@ def field_of(message: Message, name: str) -> Field:
 
 
 def _factor(number: float) -> float:
-    """A whole number that is exact as such, else a float: a product of these is infinite, no exception."""
+    """The number itself up to 2⁶⁴ (exact), else a float: an overflow is then infinite and raises nothing."""
     return number if abs(number) <= _LARGEST_WHOLE else float(number)
 
 
@@ -109,26 +110,26 @@ def _selector(message: Message, signal: Signal) -> tuple[Field, frozenset[int]] 
 
 
 class Protection(NamedTuple):
-    """What protects a frame, beside its DBC: names of signals, empty where there is none."""
+    """Protection of a frame, which a DBC cannot express: names of signals; empty: none."""
 
     counter: str = ""
     checksum: str = ""
     checksum_type: str = ""
     unused_bits_zero: bool = False
-    j1939: bool = False  # it is known by its parameter group, though the DBC does not mark it
+    j1939: bool = False  # match by parameter group, even if the DBC does not mark the frame as J1939
 
 
 class Codec:
-    """One frame.
+    """Decodes and encodes one frame.
 
     Args:
-        message: as the DBC describes it.
-        scaled: signals wanted as values in the DBC's unit.
-        raw: signals wanted as raw whole numbers (floating-point ones as values).
+        message: the frame in the DBC.
+        scaled: signals to return as values in the DBC's unit.
+        raw: signals to return as raw integers (floating-point signals as values).
         protection: counter and checksum.
 
     Raises:
-        KeyError: the frame has no signal of a name.
+        KeyError: the frame lacks a named signal.
     """
 
     def __init__(
@@ -136,11 +137,11 @@ class Codec:
     ) -> None:
         self.name = message.name
         self.length = message.length
-        self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # of the DBC; 0 where it has none
+        self.nominal_ns = (message.cycle_time or 0) * 1_000_000  # from the DBC; 0: not given
         self.fields = {name: field_of(message, name) for name in (*scaled, *raw)}
         whole = frozenset(name for name in raw if not self.fields[name].floating)
         self._requested = [(name, field, name in whole) for name, field in self.fields.items()]
-        self.is_exact = protection.unused_bits_zero  # no byte may follow those of the DBC
+        self.is_exact = protection.unused_bits_zero  # reject payloads longer than in the DBC
         self._unused_bits = ~_used_bits(message) if protection.unused_bits_zero else 0
         self._counter = field_of(message, protection.counter) if protection.counter else None
         self.modulus = 0 if self._counter is None else _modulus(self._counter)
@@ -152,13 +153,13 @@ class Codec:
             self._bare = slice(bare[0], bare[-1] + 1) if bare else slice(self.length, self.length)
 
     def checks(self, frame_id: int, little: int, big: int) -> bool:
-        """Whether the checksum is right, or there is none; the payload is read in both byte orders."""
+        """Whether the checksum is correct or absent; the payload is read in both byte orders."""
         return self._checksum is None or self._checksum.raw(little, big) == self._checksum_of(
             frame_id, little
         )
 
     def sealed(self, frame_id: int, data: bytes) -> bytes:
-        """The payload with the checksum that belongs to its other bits, whatever it had."""
+        """The payload with its checksum replaced by the correct one."""
         if self._checksum is None:
             return data
         little = int.from_bytes(data, "little") & self._cleared
@@ -170,15 +171,15 @@ class Codec:
         return self._compute(frame_id, cleared[: self._bare.start] + cleared[self._bare.stop :])
 
     def has_unused_bits(self, little: int) -> bool:
-        """Whether bits are set that belong to no signal, where they must not."""
+        """Whether a bit that belongs to no signal is set, if ``unused_bits_zero`` forbids it."""
         return bool(little & self._unused_bits)
 
     def count(self, little: int, big: int) -> int | None:
-        """The sender's counter; None where there is none."""
+        """The sender's counter; None if the frame has none."""
         return None if self._counter is None else self._counter.raw(little, big)
 
     def unpack(self, little: int, big: int) -> dict[str, Value] | None:
-        """The values of the signals that are in the payload; None where one lies outside its range."""
+        """The values of the signals in the payload; None if one is out of range."""
         values: dict[str, Value] = {}
         for name, field, is_whole in self._requested:
             if field.selector is not None and not field.is_in(little, big):
@@ -191,10 +192,10 @@ class Codec:
         return values
 
     def pack(self, frame_id: int, values: Mapping[str, float], count: int) -> bytes:
-        """The payload, with counter and checksum; values in the DBC's units.
+        """The payload with counter and checksum; ``values`` are in the DBC's units.
 
         Raises:
-            EncodeError: a value lies outside the range that the DBC gives.
+            EncodeError: a value is outside the DBC's range.
         """
         little = 0
         for name, field, _ in self._requested:
@@ -207,20 +208,20 @@ class Codec:
         return self.sealed(frame_id, little.to_bytes(self.length, "little"))
 
     def _placed(self, field: Field, raw: int) -> int:
-        """These bits where the field has them in a payload that is read as a little-endian number."""
+        """The raw value shifted to the field's place in a payload read as a little-endian integer."""
         if not field.big:
             return raw << field.shift
         return int.from_bytes((raw << field.shift).to_bytes(self.length, "big"), "little")
 
 
 def _modulus(counter: Field) -> int:
-    """Where a counter goes round: some stop one short of their bits, as the DBC's range says."""
+    """Modulus of a counter: some wrap below the limit of their bits, as the DBC's range states."""
     whole = counter.mask + 1
     return int(counter.high) + 1 if 0 < counter.high < counter.mask else whole
 
 
 def _used_bits(message: Message) -> int:
-    """The bits of a payload, read as a little-endian number, that belong to a signal."""
+    """Mask of the bits that belong to a signal, in a payload read as a little-endian integer."""
     bits = 0
     for signal in message.signals:
         bits |= field_of(message, signal.name).bits(message.length)
@@ -228,7 +229,7 @@ def _used_bits(message: Message) -> int:
 
 
 def _crc_table(polynomial: int, width: int) -> tuple[int, ...]:
-    """The remainder of each byte."""
+    """CRC remainder of each byte value (256)."""
     table, top, mask = [], 1 << width - 1, (1 << width) - 1
     for byte in range(256):
         crc = byte << width - 8
@@ -238,7 +239,7 @@ def _crc_table(polynomial: int, width: int) -> tuple[int, ...]:
     return tuple(table)
 
 
-_CRC_12 = tuple(low << 8 ^ top for top in _crc_table(0xD31, 12) for low in range(16))  # of each remainder
+_CRC_12 = tuple(low << 8 ^ top for top in _crc_table(0xD31, 12) for low in range(16))  # by remainder
 _CRC_8 = _crc_table(0x1D, 8)
 
 
@@ -256,8 +257,8 @@ def _remainder_of_id(frame_id: int) -> int:
 def _crc12_gsm(frame_id: int, data: bytes) -> int:
     """CRC-12/GSM over the id (four bytes, most significant first) and the payload.
 
-    It finds every wrong byte and any three wrong bits; of two or more wrong bytes it misses one pattern in
-    4096. No checksum of 12 bits finds all those.
+    It detects every single wrong byte and any three wrong bits. Of two or more wrong bytes it misses one
+    pattern in 4096; no 12-bit checksum detects all of these.
     """
     return _remainder_12(data, _remainder_of_id(frame_id)) ^ 0xFFF
 

@@ -1,31 +1,31 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cycle of a sender, measured: a DBC's own is believed only where the frames come like that."""
+"""Measures the cycle time of a sender; the DBC's cycle is used only if the arrivals agree with it."""
 
 import statistics
 from collections import deque
 from dataclasses import dataclass
 
-PROMPT = 0.5  # of a cycle: frames off by more say nothing of the cycle
-_FEW = 8  # intervals that show a cycle
-_LONGEST = 4  # cycles of an interval that counts
-_BLOCK = 32  # cycles
-_BLOCKS = 32  # that are averaged
-_ENOUGH = 3  # blocks that show more than intervals
-_WATCHED_NS = 500_000_000  # a shorter time shows no cycle but that of the DBC
-_RECENT_NS = 4_000_000_000  # a longer time counts half
-_SILENCE_NS = 2_000_000_000  # a longer interval is no host's that stands still
-_FILLED = 0.7  # of the time must be that of the frames that came
-_WORSE = 0.05  # of the time, less of it explained than by the cycle before
-_PERSISTENT_NS = 1_000_000_000  # frames that come otherwise for so long have another cycle
-_STALLING_NS = 10_000_000_000  # unless the host stands still again and again: so long shows whether it does
-_ROUGHLY = 0.25  # so near that of the DBC one interval must be to confirm it
-_AS_STATED = 0.05  # a measured cycle so near that of the DBC is that of the DBC
+PROMPT = 0.5  # of a cycle: a frame that deviates by more is early or late
+_FEW = 8  # intervals needed for a measured cycle
+_LONGEST = 4  # cycles of an interval that is used
+_BLOCK = 32  # cycles per block
+_BLOCKS = 32  # blocks averaged
+_ENOUGH = 3  # blocks needed before their mean is used
+_WATCHED_NS = 500_000_000  # in a shorter time only the DBC's cycle can be confirmed
+_RECENT_NS = 4_000_000_000  # when the recent intervals exceed this, their weight is halved
+_SILENCE_NS = 2_000_000_000  # a longer interval is not caused by a stalled host
+_FILLED = 0.7  # least share of the time that the counted cycles must fill
+_WORSE = 0.05  # share of the time: a new cycle may explain this much less than the present one
+_PERSISTENT_NS = 1_000_000_000  # frames off the cycle for longer have another cycle
+_STALLING_NS = 10_000_000_000  # the same where the pattern is that of a host that stalls repeatedly
+_ROUGHLY = 0.25  # relative tolerance for a single interval to confirm the DBC's cycle
+_AS_STATED = 0.05  # relative tolerance for a measured cycle to be that of the DBC
 
 
 @dataclass
 class _Intervals:
-    """Some of them, and the cycles that they are by the count of frames."""
+    """Sums over intervals: their number, the cycles by frame count, and the time."""
 
     count: int = 0
     cycles: float = 0.0
@@ -40,22 +40,22 @@ class _Intervals:
         return _Intervals(self.count, self.cycles / 2.0, self.time_ns / 2.0)
 
     def filled_by(self, cycle_ns: float) -> float:
-        """How much of their time so many cycles take."""
+        """Share of the summed time that the cycles would take at ``cycle_ns`` each."""
         return self.cycles * cycle_ns / max(self.time_ns, 1)
 
 
 class CycleMeter:
-    """The cycle of a sender, from the times between its frames.
+    """Measures the cycle of a sender from the intervals between its frames.
 
-    Until there are some blocks of frames it is the median of the first intervals, once their mean is about
-    that: the first frames may have waited, and come at once. A block is as long as its frames' arrivals say,
-    whatever came late within it; one that a stall made longer is outvoted by the rest.
+    The first estimate is the median of the first intervals, if their mean is close to it (frames that waited
+    arrive in bursts). Later it is the mean of the blocks of frames that agree with the median block. The
+    length of a block is unaffected by late frames inside it; a block that a stall lengthened is left out.
 
-    A host that stands still works off what has waited faster than it was sent. So a cycle is believed only
-    if as many as frames came fill the time.
+    After a stall, a host processes waiting frames faster than they were sent. A measured cycle is therefore
+    accepted only if cycle times number of frames fills the elapsed time.
 
     Args:
-        nominal_ns: as the DBC states it; 0 where it does not.
+        nominal_ns: the DBC's cycle; 0: not given.
     """
 
     def __init__(self, nominal_ns: float) -> None:
@@ -63,16 +63,16 @@ class CycleMeter:
         self._restart()
 
     def _restart(self) -> None:
-        self._first: deque[float] = deque(maxlen=2 * _FEW)  # ns a cycle, of the first intervals
-        self._blocks: deque[float] = deque(maxlen=_BLOCKS)  # ns a cycle
-        self._time_ns = self._cycles = 0  # of the block that is not full
-        self._early, self._late = _Intervals(), _Intervals()  # since a frame last came in its own time
+        self._first: deque[float] = deque(maxlen=2 * _FEW)  # ns per cycle, first intervals
+        self._blocks: deque[float] = deque(maxlen=_BLOCKS)  # ns per cycle
+        self._time_ns = self._cycles = 0  # of the incomplete block
+        self._early, self._late = _Intervals(), _Intervals()  # since the last prompt frame
         self._recent = _Intervals()
         self.cycle_ns: float | None = None
         self.is_nominal = False
 
     def add(self, interval_ns: int, cycles: int) -> None:
-        """An interval of some cycles; one with more than a few lost shows nothing, unless all are such."""
+        """Add an interval of some cycles; a long one counts only as late, a negative one drops the block."""
         if interval_ns < 0:
             self._time_ns = self._cycles = 0
             return
@@ -101,16 +101,16 @@ class CycleMeter:
         elif self._cycles >= _BLOCK:
             self._blocks.append(self._time_ns / self._cycles)
             self._time_ns = self._cycles = 0
-            middle = statistics.median_low(self._blocks)  # one of them: something agrees with it
+            middle = statistics.median_low(self._blocks)  # one of the blocks, so at least one agrees with it
             if len(self._blocks) >= _ENOUGH:
                 agreeing = [block for block in self._blocks if abs(block - middle) <= _AS_STATED * middle]
                 self.cycle_ns = self._decide(statistics.fmean(agreeing), _AS_STATED, _FEW)
 
     def _is_another(self) -> bool:
-        """Whether frames have not fitted the cycle for so long that it is another one.
+        """Whether frames have been off the cycle for so long that the sender has another cycle.
 
-        Where most come too early, and most of the time passes before those that come too late, a host stands
-        still, and catches up: that says nothing of the cycle, which fills the time then.
+        A stalling host gives many early frames and fewer late ones, with most of the time before the late
+        ones. If the present cycle then fills the time, the cycle is kept.
         """
         early, late = self._early, self._late
         unfit = _Intervals(early.count + late.count, early.cycles + late.cycles, early.time_ns + late.time_ns)
@@ -123,7 +123,7 @@ class CycleMeter:
         return True
 
     def _by_first(self) -> float | None:
-        """By the first intervals; where they are uneven, that of the DBC if it fills the time."""
+        """The cycle from the median of the first intervals, or the DBC's if that fills the recent time."""
         middle, mean = statistics.median(self._first), statistics.fmean(self._first)
         if self._recent.time_ns < _WATCHED_NS:
             return self._decide(middle, _ROUGHLY, 0)
@@ -133,7 +133,7 @@ class CycleMeter:
         return self._decide(middle, _ROUGHLY, len(self._first) if is_even else 0)
 
     def _decide(self, measured_ns: float, tolerance: float, count: int) -> float | None:
-        """The DBC's cycle where a measured one agrees with it, theirs if they are enough, else as before."""
+        """The DBC's cycle if the measured one agrees; else the measured one if supported; else no change."""
         if self._nominal_ns > 0.0 and abs(measured_ns - self._nominal_ns) <= tolerance * self._nominal_ns:
             self.is_nominal = True
             return self._nominal_ns

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a DBC, after a look at its numbers: those of no frame take cantools hours, or all memory.
+"""Reads a DBC, after checks of its numbers: unphysical ones cost cantools hours or all memory.
 
-cantools makes a text of as many characters as a start bit and a length say, a list of all selectors in a
-range, a whole number of any exponent, and all below each selector of a multiplexer again: of 30
-multiplexers in each other, each of two selectors, 2³⁰.
+cantools builds a string as long as start bit plus length, a list of all selectors in a range, an integer of
+any exponent, and the tree below each selector of a multiplexer separately. For 30 nested multiplexers of two
+selectors each, that is 2³⁰ nodes.
 """
 
 import math
@@ -20,15 +20,15 @@ from cantools.database.errors import Error as CantoolsError
 from trackslip_common.errors import InputError
 from trackslip_drivers.protocols.dbc_parts import load_frames_apart
 
-_LARGEST = 8_000_000  # bytes; a whole J1939 has some 4 million
-_LONGEST_FRAME = 1785  # bytes: the most that J1939 carries in packets; CAN FD has 64
+_LARGEST = 8_000_000  # bytes; a complete J1939 DBC has about 4 million
+_LONGEST_FRAME = 1785  # bytes: limit of J1939's transport protocol; CAN FD has 64
 _MOST_BITS = 8 * _LONGEST_FRAME
-_MOST_SELECTORS = 20_000  # of all multiplexers, those in each other counted as often as they are reached
-_DEEPEST = 8  # multiplexers in each other
+_MOST_SELECTORS = 20_000  # of all multiplexers; a nested one counts once for each path to it
+_DEEPEST = 8  # levels of nested multiplexers
 _LARGEST_EXPONENT = 308  # of a double
 _LONGEST_NUMBER = 308  # digits: a double holds any such number
 
-_UNREAD = re.compile(r'"(?:\\"|[^"])*"|//.*?\n')  # texts and comments
+_UNREAD = re.compile(r'"(?:\\"|[^"])*"|//.*?\n')  # strings and comments
 _FRAME = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\w+)")
 _SIGNAL = re.compile(r"\bSG_\s+(\w+)(?:\s+(m?)(\d*)(M?))?\s*:\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
 _RANGES = re.compile(r"\bSG_MUL_VAL_\s+(\d+)\s+(\w+)\s+(\w+)\s+([^;]*);")
@@ -40,25 +40,25 @@ _DIGITS = re.compile(rf"\d{{{_LONGEST_NUMBER + 1},}}")
 
 
 class _Signal(NamedTuple):
-    """Of a frame, what multiplexing knows of it."""
+    """Multiplexing of one signal."""
 
     name: str
     is_multiplexer: bool
-    selector: int | None  # in whose presence it is there
+    selector: int | None  # value of the multiplexer that selects the signal
 
 
 class Dbc(NamedTuple):
-    """A DBC, and what is wrong with each of its frames that cannot be read."""
+    """A parsed DBC, and the reason for each frame that cannot be read."""
 
     database: Database
     left_out: Mapping[str, str]
 
 
 def read_dbc(path: Path) -> Dbc:
-    """A DBC; frames whose signals overlap or do not fit are in it too, for who knows whether they matter.
+    """Parse a DBC; frames with overlapping or misplaced signals are kept, as they may have no role.
 
     Raises:
-        InputError: it cannot be read, is none, or has numbers that are of no CAN bus.
+        InputError: the file cannot be read, is no DBC, or has numbers beyond those of any CAN bus.
     """
     where = f"dbc_file {path}"
     try:
@@ -68,7 +68,7 @@ def read_dbc(path: Path) -> Dbc:
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
-            text = content.decode("cp1252")  # as tools for Windows write it
+            text = content.decode("cp1252")  # of Windows tools
         _check(where, _UNREAD.sub(_blank, text))
         found = load_frames_apart(text)
     except InputError:
@@ -81,17 +81,17 @@ def read_dbc(path: Path) -> Dbc:
 
 
 def error_line(error: Exception) -> str:
-    """An error's text in one line."""
+    """The error's text on one line."""
     return " ".join(str(error).split())
 
 
 def _blank(found: re.Match[str]) -> str:
-    """What stands for a text, or for a comment."""
+    """Replacement of a string or a comment."""
     return '""' if found[0].startswith('"') else " "
 
 
 def _check(where: str, text: str) -> None:
-    """Look at a text without strings and comments."""
+    """Raise ``InputError`` for a number out of bounds in a DBC's text without strings and comments."""
     if (digits := _DIGITS.search(text)) is not None:
         raise InputError(f"{where}: a number of {len(digits[0])} digits; accepted: up to {_LONGEST_NUMBER}")
     for number in _EXPONENT.finditer(text):
@@ -130,7 +130,7 @@ _Selectors = Mapping[str, Mapping[str, frozenset[int]]]  # multiplexer → signa
 
 
 def _selectors(where: str, text: str) -> Mapping[str, _Selectors]:
-    """By frame: those of ``SG_MUL_VAL_``, and as the signal '' the choices of ``VAL_``."""
+    """By frame: the selectors of ``SG_MUL_VAL_``, and the choices of ``VAL_`` under the signal name ''."""
     found: defaultdict[str, dict[str, dict[str, frozenset[int]]]] = defaultdict(dict)
     count = 0
     for frame, signal, multiplexer, ranges in _RANGES.findall(text):
@@ -149,7 +149,7 @@ def _selectors(where: str, text: str) -> Mapping[str, _Selectors]:
 
 
 class _Multiplexing:
-    """How often cantools makes what is below the multiplexers of a frame."""
+    """Counts the nodes that cantools builds below the multiplexers of a frame."""
 
     def __init__(self, frame: str, signals: list[_Signal], selectors: _Selectors) -> None:
         self._frame, self._selectors = frame, selectors
@@ -165,7 +165,7 @@ class _Multiplexing:
         self._known: dict[str, int] = {}
 
     def count(self) -> int:
-        """Of all multiplexers that lie in no other."""
+        """Nodes below all outermost multiplexers."""
         inner = {name for below in self._below.values() for name in below}
         return sum(self._count(name, 1) for name in self._multiplexers if name not in inner)
 

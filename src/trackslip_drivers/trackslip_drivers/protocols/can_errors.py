@@ -10,7 +10,7 @@ _RESTARTED = 0x100
 
 
 class BusState(Enum):
-    """How well the controller can participate."""
+    """Error state of the CAN controller."""
 
     ACTIVE = "active"
     WARNING = "warning: many errors"

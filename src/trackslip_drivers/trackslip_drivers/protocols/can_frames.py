@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a DBC that have a role: decode whole, check, place in time, then commit; and the encode half.
+"""Decodes frames that have a role: unpack, check, determine the time of sending, then commit. Also encodes.
 
-The DBC has ids, lengths, scaling, ranges and units. What it cannot express is in the roles file: what a
-signal is for, and which signals are a counter and a checksum. A frame is known by its id; one of J1939 by its
-parameter group, whatever its priority and source address.
+The DBC has ids, lengths, scaling, ranges and units. The roles file adds the purpose of each signal, and the
+counter and checksum of a frame. A frame is matched by its id; a J1939 frame by its parameter group, with any
+priority and source address.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,19 +31,19 @@ from trackslip_drivers.protocols.can_timing import (
     UncountedFrames,
 )
 
-ERROR_FLAG = 1 << 29  # set beside the id by the transport for error frames
-STANDARD_FLAG = 1 << 31  # an 11-bit id, which must not pass for a 29-bit one
-BUS = "can"  # what a rejection is counted under when the frame cannot be named
+ERROR_FLAG = 1 << 29  # set in the id of error frames by the transport
+STANDARD_FLAG = 1 << 31  # marks an 11-bit id, to distinguish it from a 29-bit one
+BUS = "can"  # name in the tally for frames that cannot be named
 
-_EXTENDED = 1 << 29  # ids below are data frames with 29 bits
-_FIRST_BROADCAST = 0xF0  # of the PDU format: below it, the next byte is an address
+_EXTENDED = 1 << 29  # lower ids are data frames with 29 bits
+_FIRST_BROADCAST = 0xF0  # PDU format; below it, the next byte is a destination address
 _MOST_SENDERS = 256
 _SHOWN_IDS = 8
 _ID_BITS = _EXTENDED - 1
 
 
 class Rejection(Enum):
-    """Why a frame was not used."""
+    """Reason for the rejection of a frame."""
 
     ERROR_FRAME = "error frame"
     WRONG_LENGTH = "wrong length"
@@ -53,10 +53,10 @@ class Rejection(Enum):
 
 
 class FrameSet:
-    """The frames as the DBC describes them, with the roles of their signals.
+    """Codecs of the DBC's frames that have a role, and the bindings of their signals.
 
     Raises:
-        InputError: a file cannot be read or is none of its kind; a signal is missing; a unit is wrong.
+        InputError: a file cannot be read or has another format; a signal is missing; a unit is wrong.
     """
 
     def __init__(self, dbc: Path, roles: Path, vehicle: VehicleParameters) -> None:
@@ -113,31 +113,31 @@ class FrameSet:
         )
 
     def find(self, arbitration_id: int) -> Codec | None:
-        """The frame of an id as the transport gives it; None for those without a role."""
+        """The codec of an id in the transport's format; None for frames without a role."""
         codec = self._by_id.get(arbitration_id)
         if codec is None and self._by_group and arbitration_id < _EXTENDED:
             codec = self._by_group.get(_group(arbitration_id))
         return codec
 
     def find_other_source(self, arbitration_id: int) -> tuple[str, int] | None:
-        """The frame that this would be if only its source address or priority differed, and its own id."""
+        """(name, DBC id) of the frame that differs only by source address or priority; None if none does."""
         return self._by_own_id.get(_group(arbitration_id)) if arbitration_id < _EXTENDED else None
 
     def encode(self, name: str, values: Mapping[str, float], count: int) -> tuple[int, bytes]:
-        """(arbitration id, payload) of one frame; values in the DBC's units.
+        """(arbitration id, payload) of one frame; ``values`` are in the DBC's units.
 
         Raises:
-            EncodeError: a value lies outside the range that the DBC gives.
+            EncodeError: a value is outside the DBC's range.
         """
         frame_id = self._ids[name]
         return frame_id, self.codecs[name].pack(frame_id, values, count)
 
 
 def load_frames(p: CanDriverParameters) -> FrameSet:
-    """The frames that the parameters name.
+    """Load the frames named by the parameters.
 
     Raises:
-        InputError: as ``FrameSet``.
+        InputError: see ``FrameSet``.
     """
     return FrameSet(_file("dbc_file", p.dbc_file), _file("roles_file", p.roles_file), p.vehicle)
 
@@ -150,26 +150,26 @@ def _file(parameter: str, name: str) -> Path:
 
 
 class FrameDecoder:
-    """Accepts frames that pass every check, and knows when each was sent.
+    """Accepts frames that pass every check, and determines when each was sent.
 
     Attributes:
-        others: frames on the bus that have no role.
+        others: number of frames without a role.
     """
 
     def __init__(self, frames: FrameSet, tally: Tally) -> None:
         self.others = 0
-        self.others_ids: dict[int, None] = {}  # the first of them, as the transport gives them
-        self.other_sources: dict[str, tuple[int, int]] = {}  # frame → its id, and that which comes
-        self._has_role = False  # of any frame that came, though it was rejected
+        self.others_ids: dict[int, None] = {}  # the first of them, in the transport's format
+        self.other_sources: dict[str, tuple[int, int]] = {}  # frame → its DBC id, and the id received
+        self._has_role = False  # of any frame received, even if rejected
         self._frames = frames
         self._tally = tally
         self._timings: dict[int, FrameTiming] = {}  # by arbitration id
 
     def decode(self, arbitration_id: int, data: bytes, stamp_ns: int) -> Sequence[Frame] | Rejection:
-        """The frames that are known now that this one was received: as a rule itself.
+        """The frames whose time of sending is known after this one was received: usually this one.
 
-        None of them where its place in time is in doubt: it comes with the next of its name. A rejection has
-        been counted and has changed nothing else.
+        A frame whose time is ambiguous is held until later frames of its id resolve it. A rejection is
+        counted and affects neither values nor times.
         """
         codec = self._frames.find(arbitration_id)
         if codec is None:
@@ -192,7 +192,7 @@ class FrameDecoder:
         return timing.add(codec.count(little, big), stamp_ns, values)
 
     def _set_aside(self, arbitration_id: int) -> Sequence[Frame]:
-        """A frame without a role; one that differs by its source address alone may be meant."""
+        """Count a frame without a role; note one whose id differs only by source address or priority."""
         found = self._frames.find_other_source(arbitration_id)
         if found is not None and found[1] not in self._timings:
             name, own_id = found
@@ -203,7 +203,7 @@ class FrameDecoder:
         return ()
 
     def other_source(self) -> str:
-        """A frame that comes from another source address than the DBC's alone; empty where none does."""
+        """Message about a frame received only from another source address than the DBC's; or empty."""
         for name, (own_id, seen_id) in self.other_sources.items():
             if own_id not in self._timings:
                 seen = f"0x{seen_id:X}, from source address 0x{seen_id & 0xFF:02X}"
@@ -213,7 +213,7 @@ class FrameDecoder:
         return ""
 
     def ambiguous_source(self) -> str:
-        """A frame that several senders send, of which a role names none; empty where there is none."""
+        """Message about a frame of several senders whose role names none of them; or empty."""
         for frame in {place.frame for place in self._frames.bindings.places() if place.source < 0}:
             known = {identifier: self._frames.find(identifier) for identifier in self._timings}
             of_frame = {one & 0xFF for one, codec in known.items() if codec and codec.name == frame}
@@ -224,7 +224,7 @@ class FrameDecoder:
         return ""
 
     def hint(self) -> str:
-        """Why no frame has a role, and what to do; empty where nothing is known."""
+        """Message with the reason why no frame has a role, and the remedy; empty if unknown."""
         if found := self.other_source():
             return found
         if not self.others_ids or self._has_role:
@@ -233,12 +233,12 @@ class FrameDecoder:
         return f"frames come (ids {ids}), but none with a role; check dbc_file and roles_file"
 
     def resume(self) -> None:
-        """The bus was reopened: what came before is continued by time alone."""
+        """After the bus is reopened: take the elapsed time of the gap from stamps, not from counters."""
         for timing in self._timings.values():
             timing.resume()
 
     def cycle_ns(self, name: str) -> float:
-        """The slowest measured cycle of a frame's senders; 0 while none is known."""
+        """The longest measured cycle of a frame's senders, ns; 0 while none is known."""
         known = [self._frames.find(identifier) for identifier in self._timings]
         cycles = [
             timing.cycle_ns or 0.0
@@ -249,7 +249,7 @@ class FrameDecoder:
 
     def _new_timing(self, arbitration_id: int, codec: Codec) -> FrameTiming:
         if len(self._timings) >= _MOST_SENDERS:
-            self._timings.clear()  # of a bus full of nonsense
+            self._timings.clear()  # a bus full of random ids
         tally = self._tally
 
         def report(event: TimingEvent, times: int) -> None:
@@ -270,7 +270,7 @@ class FrameDecoder:
 
 
 def _check_signals(where: str, message: Message) -> None:
-    """Raise ``InputError`` where signals overlap, or do not fit in the frame."""
+    """Raise ``InputError`` if signals overlap or exceed the frame."""
     try:
         message.refresh(strict=True)
     except CantoolsError as error:
@@ -279,7 +279,7 @@ def _check_signals(where: str, message: Message) -> None:
 
 
 def _check_protection(where: str, message: Message, protection: Protection) -> None:
-    """Raise ``InputError`` unless counter and checksum are whole numbers of the frame, of the right size."""
+    """Raise ``InputError`` unless counter and checksum are unsigned signals of the frame, of the right size."""
     signals = {signal.name: signal for signal in message.signals}
     for key, name in (("counter", protection.counter), ("checksum", protection.checksum)):
         if name and name not in signals:
@@ -297,11 +297,11 @@ def _check_protection(where: str, message: Message, protection: Protection) -> N
 
 
 def _flagged_id(message: Message) -> int:
-    """As the transport gives it."""
+    """The id in the transport's format."""
     return message.frame_id if message.is_extended_frame else message.frame_id | STANDARD_FLAG
 
 
 def _group(identifier: int) -> int:
-    """Parameter group of a 29-bit id: neither priority, nor source, nor destination."""
+    """Parameter group of a 29-bit id: without priority, source and destination."""
     group = identifier >> 8 & 0x3FFFF
     return group if group >> 8 & 0xFF >= _FIRST_BROADCAST else group & 0x3FF00

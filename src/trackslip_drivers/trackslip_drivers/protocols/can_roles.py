@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The roles file: which signal of a user's DBC is what. See ``docs/can.md``.
+"""Reads the roles file, which assigns roles to the signals of a user's DBC. See ``docs/can.md``.
 
 roles: {ROLE: {signal: FRAME.SIGNAL, …}, …}
 frames: {FRAME: {counter: SIGNAL, checksum: SIGNAL, …}, …}
@@ -18,7 +18,7 @@ from trackslip_drivers.protocols.can_codec import CHECKSUMS, Protection
 from trackslip_drivers.protocols.units import Quantity
 
 POSITION, SPEED, FLOW = "position", "speed", "flow"
-MOTIONS = (POSITION, SPEED, FLOW)  # of a sprocket: one of them
+MOTIONS = (POSITION, SPEED, FLOW)  # of a sprocket: alternatives
 SIDES = ("left", "right")
 SWING, SUPPLY = "swing", "supply_pressure"
 
@@ -42,16 +42,16 @@ class Role(NamedTuple):
     """One entry of the roles file; the fields are its keys."""
 
     signal: str
-    minus: str = ""  # a second signal, whose value is taken off: port A less port B
-    unit: str = ""  # where the DBC has none that is known
+    minus: str = ""  # a second signal that is subtracted: port A minus port B
+    unit: str = ""  # if the DBC has no known unit
     sign: int = 1
-    ratio: float = 1.0  # of the sensor's turns, or of the speed measured, to one of the sprocket
+    ratio: float = 1.0  # sensor turns per sprocket turn, or measured speed per sprocket speed
     counts_per_turn: float = 0.0  # of the sensor, for counts
-    wraps_at: float = 0.0  # in the signal's unit; 0: where the DBC's range ends
-    offset: float = 0.0  # in the signal's unit: what it shows at zero
-    zero: str = ""  # of a pilot pressure: where the spool is closed, with its unit (or in the signal's)
-    full: str = ""  # where it is fully open
-    source: int = -1  # address of the sender, of J1939; -1: any
+    wraps_at: float = 0.0  # in the signal's unit; 0: at the end of the DBC's range
+    offset: float = 0.0  # reading at zero, in the signal's unit
+    zero: str = ""  # pilot pressure of a closed spool, with its unit (or in the signal's)
+    full: str = ""  # pilot pressure of a fully open spool
+    source: int = -1  # J1939 address of the sender; -1: any
 
 
 SPOOLS = tuple(f"{side}_spool" for side in SIDES)
@@ -63,17 +63,17 @@ _SHORT = "accepted: "
 
 
 class RolesFile(NamedTuple):
-    """What a roles file says."""
+    """Contents of a roles file."""
 
     roles: Mapping[str, Role]
     protections: Mapping[str, Protection]  # by frame
 
 
 def read_roles(path: Path) -> RolesFile:
-    """Read and check all that can be checked without the DBC.
+    """Read a roles file; checks all that does not depend on the DBC.
 
     Raises:
-        InputError: a role, a key or a value is not accepted, or roles exclude each other.
+        InputError: a role, key or value is not accepted, or roles are mutually exclusive.
     """
     tree = read_yaml(path)
     where = f"roles_file {path}"
@@ -144,5 +144,5 @@ def _protection(where: str, entry: Any) -> Protection:
 
 
 def _typed(where: str, value: Any, default: Any) -> Any:
-    """Of the type of the key's default."""
+    """The value, converted to the type of the key's default."""
     return coerced(where, value, type(default), Spec(""))

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""When the frames of one sender were sent, what was lost, and what only came late.
+"""Determines when each frame of a sender was sent, and counts lost frames.
 
-A counter says how many cycles passed, but for whole turns of it. Where the silence before a frame may hide
-such turns, the sender may as well have stalled, and be about to catch up: frames are held back until two of
-them have come in their own time. The one that is least late by its count then shows the turns that were lost:
-of a sender that only stalled, none. Without a counter nothing tells the frames of a burst after a silence
-from one another: the last of them stands for all.
+A counter gives the cycles between frames modulo its range. A silence may hide whole turns of the counter; or
+the sender stalled and is about to catch up. Frames after such a silence are held until the last two arrive
+at their normal interval. The held frame that is least late by its count then gives the number of turns lost:
+zero if the sender only stalled. Without a counter, the frames of a burst after a silence cannot be
+distinguished, and the last of them is used.
 
-The time that has passed for the sender is cycles counted times the cycle (``can_cycle``), so that the jitter
-of arrivals does not enter; without a counter it is that between stamps.
+The elapsed time of the sender is cycles counted times the cycle (``can_cycle``), so jitter of arrivals does
+not enter. Without a counter it is the difference of stamps.
 """
 
 from abc import ABC, abstractmethod
@@ -22,15 +22,15 @@ from trackslip_drivers.protocols.can_codec import Value
 from trackslip_drivers.protocols.can_cycle import PROMPT, CycleMeter
 from trackslip_drivers.stamping import PeriodicStamps
 
-_TURN_SHARE = 0.75  # of a turn of the counter: a silence longer than it expects may hide one more
-_MOST_HELD = 300  # frames; more come at once only from a sender that has another cycle now
-_PAUSE = 2.5  # cycles: a longer one may end in a burst, of a sender that does not count
-_PATIENCE = 200  # frames
-_STATED, _MEASURED, _UNCOUNTED = 1e-3, 0.02, 0.1  # tolerance of a cycle: two crystals; measured; guessed
+_TURN_SHARE = 0.75  # of a turn of the counter: lateness from which one more turn may be lost
+_MOST_HELD = 300  # frames; a longer burst comes only from a sender whose cycle has changed
+_PAUSE = 2.5  # cycles: a longer silence may end in a burst, if the sender has no counter
+_PATIENCE = 200  # frames, of ``PeriodicStamps``
+_STATED, _MEASURED, _UNCOUNTED = 1e-3, 0.02, 0.1  # relative tolerance of a cycle: DBC's; measured; no counter
 
 
 class TimingEvent(Enum):
-    """What happened to a frame on its way; LOST counts frames that never came."""
+    """Events of a sender's frames; LOST counts frames that never arrived."""
 
     LOST = "lost"
     ALIVE_REPEATED = "alive counter repeated"
@@ -38,16 +38,16 @@ class TimingEvent(Enum):
     CUT_OFF = "waited for the next while the bus was reopened"
 
 
-Report = Callable[[TimingEvent, int], None]  # what happened to frames, and how many
+Report = Callable[[TimingEvent, int], None]  # event, and number of frames
 
 
 class Frame(NamedTuple):
-    """One accepted frame, and when it was sent."""
+    """One accepted frame with its time of sending."""
 
     name: str
-    source: int  # of J1939, the sender's address; else 0
+    source: int  # J1939 address of the sender; else 0
     stamp_ns: int
-    elapsed_ns: int  # of the sender since the frame before this one of its name; 0 for the first
+    elapsed_ns: int  # sender's time since its previous frame of this id; 0 for the first
     values: Mapping[str, Value]  # signal → value in the DBC's unit, or a position's raw number
 
 
@@ -58,20 +58,20 @@ class _Arrival(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """A frame after another, by the counter, if no turn of it passed."""
+    """A held frame relative to the one before, by the counter without lost turns."""
 
     frame: _Arrival
     cycles: int
-    late: float  # cycles that its arrival is later than that
+    late: float  # cycles by which the frame arrived later than that
 
 
 class FrameTiming(ABC):
-    """Places the frames of one id.
+    """Determines the times of the frames of one id.
 
     Args:
-        nominal_ns: cycle that the DBC states; 0 where it does not.
-        report: called with each event of the frames.
-        name, source: of its frames.
+        nominal_ns: the DBC's cycle; 0: not given.
+        report: called with each event and the number of frames.
+        name, source: of the frames.
     """
 
     def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
@@ -79,8 +79,8 @@ class FrameTiming(ABC):
         self._meter = CycleMeter(nominal_ns)
         self._report = report
         self._accepted_ns: int | None = None  # arrival of the last frame accepted
-        self._seen_ns = 0  # and seen
-        self._stamp_ns = 0  # of the last one placed
+        self._seen_ns = 0  # arrival of the last frame seen
+        self._stamp_ns = 0  # stamp of the last frame returned
         self._filter: PeriodicStamps | None = None
         self._filter_ns = 0.0
 
@@ -90,15 +90,15 @@ class FrameTiming(ABC):
         return self._meter.cycle_ns
 
     def resume(self) -> None:
-        """The frames before are continued by time alone."""
+        """Restart the stamps after the bus is reopened."""
         self._filter = None
 
     @abstractmethod
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
-        """A frame that passed all checks; returns those whose times are known now."""
+        """Add a frame that passed all checks; returns the frames whose times are known now."""
 
     def _place(self, arrival_ns: int, values: Mapping[str, Value], cycles: int | None) -> Frame:
-        """``cycles``: since the frame before; 0 if unknown, None of a sender that does not count."""
+        """The frame with its times; ``cycles`` since the last one: 0 if unknown, None without a counter."""
         cycle_ns = self._meter.cycle_ns
         stamp_ns = self._stamp(arrival_ns, cycles)
         elapsed_ns = round(cycles * cycle_ns) if cycles and cycle_ns else stamp_ns - self._stamp_ns
@@ -108,7 +108,7 @@ class FrameTiming(ABC):
         return Frame(self._name, self._source, stamp_ns, max(elapsed_ns, 0), values)
 
     def _stamp(self, arrival_ns: int, cycles: int | None) -> int:
-        """The arrival without its jitter."""
+        """The arrival with its jitter filtered out, ns."""
         cycle_ns = self._meter.cycle_ns
         if not cycle_ns:
             return arrival_ns
@@ -122,11 +122,11 @@ class FrameTiming(ABC):
 
 
 class CountedFrames(FrameTiming):
-    """Those of a sender that counts.
+    """Frames of a sender with a counter.
 
     Args:
-        nominal_ns, report, name, source: as of ``FrameTiming``.
-        modulus: where the counter goes round.
+        nominal_ns, report, name, source: see ``FrameTiming``.
+        modulus: of the counter.
     """
 
     def __init__(self, nominal_ns: float, modulus: int, report: Report, name: str, source: int) -> None:
@@ -136,14 +136,14 @@ class CountedFrames(FrameTiming):
         self._held: list[_Step] = []
 
     def resume(self) -> None:
-        """Frames held are dropped, and counted."""
+        """Also drop the frames held, and report them."""
         super().resume()
         if self._held:
             self._report(TimingEvent.CUT_OFF, len(self._held))
         self._held, self._count = [], None
 
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
-        """As in ``FrameTiming``."""
+        """See ``FrameTiming``."""
         assert count is not None
         placed = []
         if self._held:
@@ -155,7 +155,7 @@ class CountedFrames(FrameTiming):
             placed = self._settle()
         if self._accepted_ns is None or self._count is None:
             return [self._accept(arrival_ns, values, count, 0)]
-        # A sender stuck at one count keeps being seen, so its silence never grows to a turn.
+        # A repeated count is timed from the last frame seen: a stuck counter never looks like a lost turn.
         since_ns = self._seen_ns if count == self._count else self._accepted_ns
         cycles, late = self._since(self._count, since_ns, count, arrival_ns)
         self._seen_ns = arrival_ns
@@ -168,27 +168,27 @@ class CountedFrames(FrameTiming):
         return placed
 
     def _since(self, before: int, before_ns: int, count: int, arrival_ns: int) -> tuple[int, float]:
-        """Cycles from one frame to another by their counts, and how many later that came; see ``_Step``."""
+        """(cycles between two frames by their counts, cycles by which the second arrived later than that)."""
         cycles, cycle_ns = (count - before) % self._modulus, self._meter.cycle_ns
         return cycles, (arrival_ns - before_ns) / cycle_ns - cycles if cycle_ns else 0.0
 
     def _turns(self, late: float) -> int:
-        """Of the counter, in so many cycles."""
+        """Turns of the counter that may be lost at a lateness in cycles."""
         return max(0, int(late / self._modulus + (1.0 - _TURN_SHARE)))
 
     def _turns_lost(self) -> int:
-        """By the frame held that is least late."""
+        """Turns lost, from the least late of the frames held."""
         return self._turns(min(accumulate(step.late for step in self._held)))
 
     def _has_caught_up(self) -> bool:
-        """Whether nothing was lost, or the last two of the frames held came in their own time."""
+        """Whether to place the held frames: no turn was lost, or the last two came at a normal interval."""
         times = [step.frame.arrival_ns for step in self._held[-3:]]
         apart = PROMPT * (self._meter.cycle_ns or 0.0)
         is_prompt = len(times) == 3 and min(times[2] - times[1], times[1] - times[0]) >= apart
         return is_prompt or not self._turns_lost() or len(self._held) >= _MOST_HELD
 
     def _settle(self) -> list[Frame]:
-        """Place the frames held, the first after the turns that were lost."""
+        """Place the frames held, the first of them after the turns lost."""
         turns, placed = self._turns_lost(), []
         for step in self._held:
             if step.cycles or turns:
@@ -200,7 +200,7 @@ class CountedFrames(FrameTiming):
         return placed
 
     def _accept(self, arrival_ns: int, values: Mapping[str, Value], count: int, cycles: int) -> Frame:
-        """A frame ``cycles`` after the one before; 0 if unknown."""
+        """Place a frame ``cycles`` after the previous one (0: unknown); reports frames lost between."""
         if cycles > 1:
             self._report(TimingEvent.LOST, cycles - 1)
         if cycles and self._accepted_ns is not None:
@@ -210,21 +210,21 @@ class CountedFrames(FrameTiming):
 
 
 class UncountedFrames(FrameTiming):
-    """Those of a sender that does not count."""
+    """Frames of a sender without a counter."""
 
     def __init__(self, nominal_ns: float, report: Report, name: str, source: int) -> None:
         super().__init__(nominal_ns, report, name, source)
         self._held: _Arrival | None = None
 
     def resume(self) -> None:
-        """A frame held is dropped, and counted."""
+        """Also drop the frame held, and report it."""
         super().resume()
         if self._held:
             self._report(TimingEvent.CUT_OFF, 1)
         self._held = None
 
     def add(self, count: int | None, arrival_ns: int, values: Mapping[str, Value]) -> list[Frame]:
-        """As in ``FrameTiming``."""
+        """See ``FrameTiming``."""
         frame = _Arrival(arrival_ns, values)
         since_ns, self._seen_ns = arrival_ns - self._seen_ns, arrival_ns
         if self._accepted_ns is None:

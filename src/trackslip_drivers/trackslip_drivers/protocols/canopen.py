@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What CANopen needs beside a DBC of its PDOs: a start of nodes (CiA 301), which encoders (CiA 406) wait for.
+"""CANopen beside a DBC of its PDOs: starts nodes (CiA 301), as encoders (CiA 406) need.
 
 000   01 node            NMT: start a node; node 0: all
-700+node   00            boot-up: the node has power, and waits
+700+node   00            boot-up: the node is powered, and waits for a start
 """
 
 from trackslip_drivers.protocols.can_frames import STANDARD_FLAG
@@ -12,14 +12,14 @@ START_ALL = (STANDARD_FLAG, b"\x01\x00")
 
 _ERROR_CONTROL, _NODES = 0x700, 0x7F
 _BOOT_UP = b"\x00"
-_PRE_OPERATIONAL = 0x7F  # of a heartbeat
+_PRE_OPERATIONAL = 0x7F  # state in a heartbeat
 
 
 def start_of(arbitration_id: int, data: bytes) -> tuple[int, bytes] | None:
-    """The frame that starts a node which waits for it; None where this frame shows none.
+    """The frame that starts a waiting node; None if this frame reports no waiting node.
 
     Args:
-        arbitration_id: as the transport gives it.
+        arbitration_id: in the transport's format.
         data: the payload.
     """
     node = arbitration_id & _NODES

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Loads what can be loaded of a DBC: cantools refuses all of it for one frame, or for a text about one.
+"""Loads the readable frames of a DBC: cantools rejects the file for one bad frame, or one bad statement.
 
-A DBC is taken apart into its frames, each with the statements about it, and what all share. Frames that fail
-are found by halves. Choices, comments and attributes that fail are dropped; what gives a signal its meaning
-(multiplexing, floating-point values) is not, so that a frame is read whole or not at all.
+A DBC is split into its frames, each with the statements about it, and the shared rest. Bad frames are found
+by bisection. Choices, comments and attributes that fail are dropped. Statements that define a signal
+(multiplexing, floating-point values) are not dropped, so a frame is read whole or not at all.
 """
 
 import re
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cantools
 from cantools.database import Database
 
-_MOST_BAD = 100  # frames; more are of no DBC
+_MOST_BAD = 100  # frames left out, after which bisection stops: the text is no DBC
 _TEXT = re.compile(r'"(?:\\"|[^"])*"')
 _STATEMENT = re.compile(
     r"^[ \t]*(?:BO_|CM_|VAL_|BA_|SG_MUL_VAL_|SIG_VALTYPE_|BO_TX_BU_|SIG_GROUP_|BA_DEF_|BA_DEF_DEF_|EV_)\s",
@@ -41,10 +41,10 @@ class _Part(NamedTuple):
 
 
 def load_frames_apart(text: str) -> tuple[Database, Mapping[str, str]]:
-    """A DBC, and why each frame that is left out cannot be loaded.
+    """The readable frames of a DBC, and the reason for each frame left out, by name.
 
     Raises:
-        Exception: whatever cantools raises of a text that is no DBC.
+        Exception: from cantools, if the text is no DBC.
     """
     try:
         return _load(text), {}
@@ -71,8 +71,8 @@ def _load(text: str) -> Database:
 
 
 def _apart(text: str) -> tuple[str, list[_Part]]:
-    """What all frames share, and the frames."""
-    blank = _TEXT.sub(lambda found: '"' + "x" * (len(found[0]) - 2) + '"', text)  # no keyword in a text
+    """(text shared by all frames, the frames)."""
+    blank = _TEXT.sub(lambda found: '"' + "x" * (len(found[0]) - 2) + '"', text)  # hides keywords in strings
     starts = [found.start() for found in _STATEMENT.finditer(blank)]
     pieces = [text[start:end] for start, end in zip([0, *starts], [*starts, len(text)], strict=True)]
     frames: dict[str, tuple[str, str]] = {}
@@ -89,7 +89,7 @@ def _apart(text: str) -> tuple[str, list[_Part]]:
 
 
 def _good(shared: str, parts: Sequence[_Part], left_out: dict[str, str]) -> list[_Part]:
-    """The parts that load, by halves."""
+    """The parts that load, found by bisection; the others are added to ``left_out``."""
     try:
         _load(shared + "\n" + "".join(part.text() for part in parts))
         return list(parts)
@@ -105,7 +105,7 @@ def _good(shared: str, parts: Sequence[_Part], left_out: dict[str, str]) -> list
 
 
 def _without_bad_texts(shared: str, part: _Part) -> _Part | None:
-    """A frame without the choices, comments and attributes that fail; None where it fails itself."""
+    """A frame without the choices, comments and attributes that fail; None if the frame itself fails."""
     kept: list[str] = []
     for piece in (
         *(p for p in part.about if _MEANING.match(p)),

@@ -1,23 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the raw position of an encoder that goes round to a continuous position and a velocity.
+"""Continuous position and velocity from the raw position of an encoder that wraps.
 
     n      raw position                                        steps
-    M      steps after which it is what it was                 steps
-    q      one step at the sprocket (negative: other sense)    rad
+    M      steps until the raw position repeats                steps
+    q      one step at the sprocket (negative: reversed)       rad
     T      time between readings                               s
     N      readings in the velocity window                     1
 
 The velocity is the slope of a least-squares line through the last N positions over the *sender's* time, so
-the jitter of arrival times need not enter. Quantisation (uniform, q²/12 per reading) gives it the variance
-q²/(N (N² − 1) T²), averaged over speeds. It is the velocity of the middle of the window, (N − 1) T/2 before
-the stamp. Distance is conserved: the velocities summed over a run give it.
+jitter of arrival times does not enter. Quantisation (uniform, q²/12 per reading) gives it the variance
+q²/(N (N² − 1) T²), averaged over speeds. The velocity is that of the middle of the window, (N − 1) T/2 before
+the stamp. Distance is conserved: the integral of the velocity over a run equals it.
 
-After a silence in which the encoder may have turned by M/2 or more, it was turned by that one of the
-distances n + k M that is nearest to the silence times the mean of the velocities before and after it. Where
-that is not sure (it fits worse than M/4, or the silence was so long that the mean may be off by 3/4 M),
-nobody knows: one reading has no position, and the next goes on from there. Nothing is invented,
-or lost silently.
+After a silence in which the encoder may turn by M/2 or more, the distance is n + k M with k unknown. The
+distance nearest to the silence times the mean of the velocities before and after is chosen. If the residual
+exceeds M/4, or the mean may be wrong by 3/4 M over the silence, the distance is unknown: one reading has no
+position (BROKEN), and the next continues from there.
 """
 
 import math
@@ -29,37 +28,37 @@ _NS_PER_S = 1e9
 
 
 class EncoderEvent(Enum):
-    """Why a reading gave no motion; or, BROKEN, a velocity only."""
+    """Why a reading gave no motion; BROKEN: a velocity without a position."""
 
     STARTED = "first reading"
-    RESTARTED = "restarted after silence"  # long enough for half a turn of the encoder
-    JUMP = "jump"  # further than the sprocket can have turned
+    RESTARTED = "restarted after silence"  # of a length that allows half a turn of the encoder
+    JUMP = "jump"  # further than the sprocket can turn
     SIMULTANEOUS = "no time since the last"
-    BROKEN = "turned unseen"  # the position before it is not continued
+    BROKEN = "turned unseen"  # the distance from the previous position is unknown
 
 
 class Motion(NamedTuple):
-    """One sprocket; positive drives forward."""
+    """Motion of one sprocket; positive drives forward."""
 
-    position: float  # rad, continuous; nan where what was turned is unknown
+    position: float  # rad, continuous; nan if the distance turned is unknown
     velocity: float  # rad/s
 
 
 class _Silence(NamedTuple):
-    """What is to be found out about a silence, once the velocity after it is known."""
+    """A silence whose whole turns are found once the velocity after it is known."""
 
     elapsed_ns: int
     velocity: float  # before it, steps/ns
-    turned: float  # steps in it, but for whole M
+    turned: float  # steps turned in it, modulo M
 
 
 class SprocketEncoder:
-    """Unwraps one encoder.
+    """Unwraps one encoder, and fits its velocity.
 
     Args:
         rad_per_step: q.
         steps_per_wrap: M.
-        max_speed: fastest the sprocket can turn, rad/s; it bounds what one reading can move.
+        max_speed: highest speed of the sprocket, rad/s; limits the steps between readings.
         window: readings N in the velocity fit, at least 2.
     """
 
@@ -78,7 +77,7 @@ class SprocketEncoder:
         self._history: deque[tuple[int, float]] = deque(maxlen=window)  # (time, unwrapped)
 
     def update(self, raw: float, elapsed_ns: int) -> Motion | EncoderEvent:
-        """One reading, ``elapsed_ns`` of the sender after the previous one given here."""
+        """The motion after a reading, taken ``elapsed_ns`` of the sender's time after the previous one."""
         self._now += elapsed_ns
         self._silent += elapsed_ns
         if self._raw is None:
@@ -107,7 +106,7 @@ class SprocketEncoder:
         return Motion(position, velocity * _NS_PER_S * self._rad_per_step)
 
     def _begin_again(self, raw: float, moved: float) -> EncoderEvent:
-        """After a long silence: what was turned in it shows with the next reading."""
+        """Restart after a long silence; the next reading resolves the distance turned in it."""
         is_certain = self._velocity is not None and self._silence is None and not self._jumped
         if is_certain and self._velocity is not None:
             self._silence = _Silence(self._silent, self._velocity, moved)
@@ -117,13 +116,13 @@ class SprocketEncoder:
         return self._restart(raw, EncoderEvent.RESTARTED)
 
     def _bridge(self, silence: _Silence) -> None:
-        """Choose the whole turns of a silence by the velocities around it."""
+        """Choose the whole turns of a silence from the velocities before and after it."""
         assert self._velocity is not None
         self._silence = None
         expected = 0.5 * (silence.velocity + self._velocity) * silence.elapsed_ns
         turns = round((expected - silence.turned) / self._wrap)
         residual = abs(silence.turned + turns * self._wrap - expected)
-        tolerance = 0.5 * self._steps_per_ns * silence.elapsed_ns  # mean speeds further off are no machine's
+        tolerance = 0.5 * self._steps_per_ns * silence.elapsed_ns  # bound on the error of ``expected``
         if residual > self._wrap / 4 or tolerance > 0.75 * self._wrap:
             self._broken = True
             return
@@ -146,10 +145,10 @@ class SprocketEncoder:
         self._history.append((self._now, self._unwrapped))
 
     def _slope(self) -> float:
-        """Of the least-squares line through the window, steps/ns."""
+        """Slope of the least-squares line through the window, steps/ns."""
         n, now, newest = len(self._history), self._now, self._unwrapped
         x_sum = xx_sum = 0
-        y_sum = xy_sum = 0.0  # from the newest reading: exact for whole steps
+        y_sum = xy_sum = 0.0  # relative to the newest reading: exact for whole steps
         for time, unwrapped in self._history:
             x, y = time - now, unwrapped - newest
             x_sum += x

@@ -1,24 +1,24 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One measurement an epoch, where a receiver sends it in several messages: HDT and THS, GPGGA and GNGGA."""
+"""Selects one message per epoch where a receiver sends several: HDT and THS, GPGGA and GNGGA."""
 
 import math
 
-_TIMEOUT_NS = 3_000_000_000  # of a better message that came before: then the next best is used
-_SAME_NS = 4_000_000  # within which two stamps are of one epoch; receivers send 100 a second at most
-_SHARE = 0.6  # of the time between epochs, after which another message of equal rank is of the next one
+_TIMEOUT_NS = 3_000_000_000  # silence of a better message, after which the next best is used
+_SAME_NS = 4_000_000  # stamps closer than this are of one epoch; receivers send 100 a second at most
+_SHARE = 0.6  # of the epoch period: a message of equal rank that comes later is of the next epoch
 
 
 class EpochSource:
-    """The message that a measurement is taken from: of the best rank, the first of its epoch."""
+    """Selects the message of a measurement: the best rank, and the first of its epoch."""
 
     def __init__(self) -> None:
-        self.repeated = 0  # measurements that another message, or the same one before, had stated
-        self.crowded = 0  # those of them of the same message
+        self.repeated = 0  # measurements dropped as duplicates of an epoch
+        self.crowded = 0  # duplicates from the same message
         self.reset()
 
     def reset(self) -> None:
-        """Any source may come first."""
+        """Forget the selected message; any may come first."""
         self._name = ""
         self._rank = -1
         self._stamp_ns = self._arrival_ns = -math.inf
@@ -28,10 +28,10 @@ class EpochSource:
         """Whether a measurement is used.
 
         Args:
-            name: the message that states it.
-            rank: higher is better, as of a message that states an accuracy.
+            name: the message type.
+            rank: higher is better, such as for a message with an accuracy.
             stamp_ns: its epoch, on a steady clock.
-            arrival_ns: when the message began to arrive.
+            arrival_ns: arrival of the message's first byte.
         """
         after_ns = abs(stamp_ns - self._stamp_ns)
         is_same = name == self._name

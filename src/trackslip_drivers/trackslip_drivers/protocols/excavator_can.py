@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From CAN frames to samples, as the roles say.
+"""Converts CAN frames to samples according to the roles.
 
-A sample is made when all frames with its leading roles have come since the sample before: sprockets when
-both sides have, hydraulics when all pressures have (spools where there is no pressure), the swing with its
-own frame. So an output has the rate of the slowest of its leading frames. What it has from other frames is
-the newest there, not older than ``pairing_timeout``. Its stamp is that of the newest leading frame; a
-sprocket that was read before is carried on to it by its velocity.
+A sample is made when all frames with its leading roles have arrived since the previous sample. Leading are
+both sprockets; all pressures (spools if there is no pressure); the swing. So an output has the rate of its
+slowest leading frame. Other roles contribute their newest value, not older than ``pairing_timeout``. The
+stamp is that of the newest leading frame; an older sprocket position is extrapolated to it by its velocity.
 """
 
 import math
@@ -36,17 +35,17 @@ _LEVELS = (*_PRESSURES, *_SPOOLS, SUPPLY)
 
 
 class PairingRejection(Enum):
-    """Why a good frame gave no sample."""
+    """Why an accepted frame gave no sample."""
 
     TOO_OLD = "nothing recent to go with it"
 
 
 class ExcavatorCan:
-    """Everything between the bus and the records; what it does not use is in ``tally``.
+    """Decodes the frames of the bus to samples; unused frames are counted in ``tally``.
 
     Attributes:
-        kinds: of the samples that the roles make.
-        main_kind: what the driver is there for: sprockets, or the first of the rest.
+        kinds: types of samples that the roles provide.
+        main_kind: the type that the driver monitors: sprockets, or the first of the rest.
     """
 
     def __init__(self, parameters: CanDriverParameters, frames: FrameSet, tally: Tally) -> None:
@@ -69,11 +68,11 @@ class ExcavatorCan:
 
     @property
     def period(self) -> float:
-        """Time between samples of the main kind, s; 0 while it is not known."""
+        """Time between samples of the main kind, s; 0 while unknown."""
         return max(map(self.decoder.cycle_ns, self._outputs[0].leading_frames), default=0.0) / _NS_PER_S
 
     def receive(self, arbitration_id: int, data: bytes, stamp_ns: int) -> list[Sample]:
-        """One frame of the bus, received at ``stamp_ns``; the samples that it completes."""
+        """The samples completed by a frame of the bus received at ``stamp_ns``."""
         frames = self.decoder.decode(arbitration_id, data, stamp_ns)
         if isinstance(frames, Rejection):
             return []
@@ -84,7 +83,7 @@ class ExcavatorCan:
         return samples
 
     def resume(self) -> None:
-        """The bus was reopened: positions go on, by the time that passed."""
+        """After the bus is reopened: continue positions by the elapsed time."""
         self.decoder.resume()
 
 
@@ -95,16 +94,16 @@ class _Reading:
     role: str
     place: Place
     leads: bool
-    encoder: SprocketEncoder | None  # of what turns
-    motion: Motion | EncoderEvent = EncoderEvent.STARTED  # by the encoder
+    encoder: SprocketEncoder | None  # for positions
+    motion: Motion | EncoderEvent = EncoderEvent.STARTED  # from the encoder
     value: Value = math.nan
     stamp_ns: int = _NEVER_NS
-    elapsed_ns: int = 0  # of its senders, since the value in hand
-    is_fresh: bool = False  # whether it has come since the sample before
+    elapsed_ns: int = 0  # sender's time since ``value``
+    is_fresh: bool = False  # received since the previous sample
 
 
 class _Output(ABC):
-    """One kind of sample, made of the newest values of its roles."""
+    """One kind of sample, composed of the newest values of its roles."""
 
     kind: type[Sample]
     leading: tuple[str, ...]
@@ -127,7 +126,7 @@ class _Output(ABC):
         every = [reading for readings in self.readings.values() for reading in readings]
         self._leading = [reading for reading in every if reading.leads]
         self._others = [reading for reading in every if not reading.leads]
-        self._missing = len(self._leading)  # how many of them have not come since the sample before
+        self._missing = len(self._leading)  # leading readings not received since the previous sample
         self.leading_frames = {reading.place.frame for reading in self._leading}
         self._by_frame: defaultdict[str, list[_Reading]] = defaultdict(list)
         for reading in every:
@@ -135,7 +134,7 @@ class _Output(ABC):
         self.frames = self._by_frame.keys()
 
     def receive(self, frame: Frame) -> Sample | None:
-        """Take what is in the frame; the sample, if it completes one."""
+        """Store the values of a frame; returns the sample if the frame completes one."""
         name, source, stamp_ns, elapsed_ns, values = frame
         has_come = False
         for reading in self._by_frame[name]:
@@ -145,7 +144,7 @@ class _Output(ABC):
             reading.elapsed_ns += elapsed_ns
             value = values.get(signal)
             if value is None:
-                continue  # the multiplexer has others
+                continue  # not selected by the multiplexer
             reading.value, reading.stamp_ns = value, stamp_ns
             if reading.encoder is not None:
                 reading.motion = reading.encoder.update(value, reading.elapsed_ns)
@@ -158,7 +157,7 @@ class _Output(ABC):
         return self._completed() if has_come and not self._missing else None
 
     def _completed(self) -> Sample | None:
-        """The sample of the leading values, which are all there."""
+        """The sample of the leading values, all of them present; None if another value is too old."""
         for reading in self._leading:
             reading.is_fresh = False
         self._missing = len(self._leading)
@@ -170,7 +169,7 @@ class _Output(ABC):
         return self.make(stamp_ns)
 
     def si(self, role: str) -> float:
-        """The value of a role; nan where there is none of it."""
+        """The value of a role in SI; nan if the role has no signal."""
         parts = self._parts.get(role)
         if not parts:
             return math.nan
@@ -180,7 +179,7 @@ class _Output(ABC):
         return total
 
     def _count_trouble(self, reading: _Reading) -> None:
-        """Where an encoder gives no motion that continues the one before."""
+        """Count an encoder event, or a motion without a position."""
         event = reading.motion
         if isinstance(event, Motion):
             if not math.isnan(event.position):
@@ -190,7 +189,7 @@ class _Output(ABC):
 
     @abstractmethod
     def make(self, stamp_ns: int) -> Sample | None:
-        """A sample of the values in hand."""
+        """A sample of the present values, or None."""
 
 
 def _encoder(turned: Turned, p: CanDriverParameters) -> SprocketEncoder:
@@ -233,7 +232,7 @@ class _Hydraulics(_Output):
         super().__init__(p, frames, tally)
 
     def make(self, stamp_ns: int) -> HydraulicsSample:
-        """Pressures and what goes with them."""
+        """Pressures and spools."""
         return HydraulicsSample(stamp_ns, *map(self.si, _LEVELS))
 
 
@@ -242,7 +241,7 @@ class _Swing(_Output):
     leading = (SWING,)
 
     def make(self, stamp_ns: int) -> SwingSample | None:
-        """The angle as it is read; None while there is no velocity."""
+        """The absolute angle in [−π, π] and its velocity; None while there is no velocity."""
         (reading,), turned = self.readings[SWING], self.turned[SWING]
         if isinstance(reading.motion, EncoderEvent):
             return None

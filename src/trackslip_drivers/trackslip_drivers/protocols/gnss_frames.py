@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cuts the bytes of a GNSS receiver into sentences and binary messages, and gives the time of each.
+"""Splits the bytes of a GNSS receiver into sentences and binary messages, and determines the time of each.
 
     $ … LF, or CR before the next message                     a sentence of NMEA 0183, printable
     B5 62 class id length(2, LE) payload checksum(2)          UBX
     D3 length(2, BE, of 10 bits) payload CRC(3)               RTCM 3
 
-Binary messages are recognised by their checksum. A byte that begins none of the three is noise: of another
-protocol, or damage. Cutting begins again at the byte after it, so that no noise takes a sentence.
+Binary messages are recognised by their checksum. A byte that begins none of the three is noise: another
+protocol, or damage. The search continues at the byte after it, so noise never hides a sentence.
 """
 
 import re
@@ -25,16 +25,16 @@ _LINE_END = re.compile(rb"\n|\r(?=[$\xb5\xd3])")
 _ENDS_NOISE = re.compile(rb"[$\xb5\xd3\n]")
 _NO_TEXT = re.compile(rb"[^\x20-\x7e\r\t]")
 _ADDRESS = re.compile(rb"\$[A-Z]{2}")  # how a sentence begins
-_LONGEST_UBX = 4096  # bytes of a payload; of raw measurements of a hundred signals 3.2 kB
+_LONGEST_UBX = 4096  # bytes of a payload; raw measurements of a hundred signals take 3.2 kB
 LONGEST = _LONGEST_UBX + 8
-_STALL_NS = 300_000_000  # without a byte, after which a binary message does not go on
+_STALL_NS = 300_000_000  # silence after which a pending binary message is abandoned
 _NS_PER_S = 1_000_000_000
 
 
 class Kind(Enum):
-    """What a piece of the stream is."""
+    """Type of a piece of the stream."""
 
-    SENTENCE = "NMEA"  # from its $ on, without its end
+    SENTENCE = "NMEA"  # from its $ on, without its line end
     UBX = "UBX"
     RTCM = "RTCM"
     TEXT = "text"  # a line without a $
@@ -43,19 +43,19 @@ class Kind(Enum):
 
 
 class Frame(NamedTuple):
-    """One piece."""
+    """One piece of the stream."""
 
     kind: Kind
     content: bytes
-    begun_ns: int  # its first byte left the sender no later
-    ended_ns: int  # its last one did
+    begun_ns: int  # latest time at which the first byte left the sender
+    ended_ns: int  # the same for the last byte
 
 
 class FrameCutter:
-    """Holds at most ``LONGEST`` bytes between reads, so no stream can make it grow.
+    """Splits the stream; holds at most ``LONGEST`` bytes between reads, so its memory is bounded.
 
     Args:
-        baud: line rate; 0: the bytes come over a network, in no time.
+        baud: line rate; 0: a network, without transmission time.
     """
 
     def __init__(self, baud: int) -> None:
@@ -64,19 +64,19 @@ class FrameCutter:
 
     @property
     def bytes_held(self) -> int:
-        """How many bytes wait for the rest of their message."""
+        """Number of bytes of the incomplete message."""
         return len(self._pending)
 
     def reset(self) -> None:
-        """Drop a message that was half received."""
+        """Drop an incomplete message."""
         self._pending = bytearray()
-        self._reads: list[tuple[int, int]] = []  # (bytes of those pending that had come, by when)
+        self._reads: list[tuple[int, int]] = []  # (length of the pending bytes, arrival), of each read
         self._latest_ns = 0  # arrival of the latest read
         self._noise = bytearray()
         self._overlong = False
 
     def feed(self, data: bytes, arrival_ns: int) -> Iterator[Frame]:
-        """What one read returned; its last byte was there by ``arrival_ns``."""
+        """The pieces completed by one read, whose last byte arrived by ``arrival_ns``."""
         if not data:
             return
         if self._reads and arrival_ns - self._reads[-1][1] > _STALL_NS:
@@ -86,7 +86,7 @@ class FrameCutter:
         yield from self._cut()
 
     def resume(self) -> Iterator[Frame]:
-        """The line fell silent: a binary message that is pending has no end; its content is cut again."""
+        """After silence on the line: abandon a pending binary message, and split its content again."""
         while self._pending and self._pending[0] != _SENTENCE:
             yield from self._skip()
             yield from self._cut()
@@ -104,7 +104,7 @@ class FrameCutter:
             yield self._take(kind, size)
 
     def _size(self) -> int | None:
-        """Bytes of the message that begins the pending ones; 0: none does; None: it has not come whole."""
+        """Size of the message at the start of the pending bytes; 0: none starts there; None: incomplete."""
         first = self._pending[0]
         if first == _SENTENCE:
             return self._sentence()
@@ -147,7 +147,7 @@ class FrameCutter:
         return 0 if calc_crc24q(bytes(held[:size])) else size
 
     def _skip(self) -> Iterator[Frame]:
-        """Noise up to where a message may begin, or a line ends."""
+        """Move bytes to the noise, up to the next possible start of a message or end of a line."""
         if self._pending[0] == _SENTENCE:
             yield from self._end_noise(Kind.NOISE)
         if self._pending[0] == _LF:
@@ -165,7 +165,7 @@ class FrameCutter:
             self._noise.clear()
 
     def _end_noise(self, kind: Kind) -> Iterator[Frame]:
-        """What came before a message, or as a line: a sentence that is cut short has no line end."""
+        """Return the collected noise as a piece; a truncated sentence is marked as overlong."""
         is_text = _NO_TEXT.search(self._noise) is None
         if self._overlong or (is_text and _ADDRESS.match(self._noise)):
             kind = Kind.OVERLONG
