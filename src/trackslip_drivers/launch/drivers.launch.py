@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The drivers: CAN, Watson IMU, SICK PLS; with ``gnss:=true`` a GNSS receiver too."""
+"""Launches the drivers: CAN, Watson IMU, SICK PLS; with ``gnss:=true`` also a GNSS receiver."""
 
 from launch.actions import OpaqueFunction
 
@@ -12,6 +12,6 @@ EXECUTABLES = ("can_driver", "watson_imu", "sick_pls", "nmea_gnss")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Defaults are the nodes' own; ``params_file`` goes over them."""
+    """The launch description; ``params_file`` overrides the nodes' own defaults."""
     requested = [Launched(PACKAGE, name) for name in EXECUTABLES]
     return LaunchDescription([*declared(EXECUTABLES), OpaqueFunction(function=nodes, args=[requested])])

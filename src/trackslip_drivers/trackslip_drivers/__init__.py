@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From sensor bytes to messages: protocols, transports, nodes."""
+"""Drivers of the sensors, from bytes to messages: protocols, transports, nodes."""

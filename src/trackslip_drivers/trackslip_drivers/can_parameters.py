@@ -35,25 +35,25 @@ _INTERFACES = (
 
 @dataclass(frozen=True, kw_only=True)
 class CanDriverParameters(WithVehicle):
-    """Bus, contract, roles of its signals, and how they become motion."""
+    """Bus, frames, roles of their signals, and conversion to motion."""
 
     can_interface: str = parameter("python-can interface", choices=_INTERFACES)
     can_channel: str = parameter("device or multicast address, as the interface names it")
     can_port: int = parameter("UDP port of udp_multicast, TCP port of socketcand", ge=1024, le=65535)
-    can_host: str = parameter("host of socketcand; '' names none")
-    can_bitrate: int = parameter("of adapters that python-can sets up; 0: as it is", unit="bit/s", ge=0)
-    can_options: tuple[str, ...] = parameter("further settings of python-can, NAME=VALUE each; '' is none")
-    frame_prefix: str = parameter("before base_link, such as 'one/' where there are several machines")
-    dbc_file: str = parameter("contract of the frames; a path, or a name in config/")
-    roles_file: str = parameter("what its signals are for; a path, or a name in config/")
-    canopen_start: bool = parameter("whether nodes of CANopen that wait for it are started")
+    can_host: str = parameter("host of socketcand; empty: none")
+    can_bitrate: int = parameter("bit rate that python-can sets; 0: as it is", unit="bit/s", ge=0)
+    can_options: tuple[str, ...] = parameter("further settings of python-can, NAME=VALUE each; '' is ignored")
+    frame_prefix: str = parameter("prefix of base_link, such as 'one/' with several machines")
+    dbc_file: str = parameter("DBC file of the frames; a path, or a name in config/")
+    roles_file: str = parameter("file with the roles of the signals; a path, or a name in config/")
+    canopen_start: bool = parameter("whether CANopen nodes that wait for a start are started")
     time_offset: float = parameter("added to the stamp of every frame", unit="s")
-    max_sprocket_speed: float = parameter("a reading that moved faster is refused", unit="rad/s", gt=0.0)
+    max_sprocket_speed: float = parameter("faster readings are rejected", unit="rad/s", gt=0.0)
     velocity_window: int = parameter("readings in the velocity fit", ge=2, le=50)
-    pairing_timeout: float = parameter("oldest value that goes with those of another frame", unit="s", gt=0.0)
+    pairing_timeout: float = parameter("greatest age of a value used with other frames", unit="s", gt=0.0)
 
     def bus_options(self) -> Mapping[str, Any]:
-        """What python-can is given beside interface and channel.
+        """Arguments of python-can's ``Bus`` beside interface and channel.
 
         Raises:
             InputError: an option is not of the form NAME=VALUE.

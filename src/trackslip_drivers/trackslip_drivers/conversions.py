@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the drivers' records to messages, built through ``make`` from type name and fields.
+"""Converts the drivers' records to messages, built by ``make`` from a type name and fields.
 
-``make`` makes rclpy messages in the nodes, and a bag's own where no ROS runs. A driver makes each message
-once, blank, and fills it again for each sample: to make one takes ten times as long.
+``make`` builds rclpy messages in the nodes, and a bag's own without ROS. A driver creates each message once,
+blank, and refills it for each sample: creation takes ten times as long.
 """
 
 import array
@@ -28,7 +28,7 @@ from trackslip_drivers.records import (
 )
 
 _UNOBSERVED = 1e6  # rad², variance of roll and pitch
-_ABSENT = -1.0  # first element of the covariance of what is not measured (REP-145)
+_ABSENT = -1.0  # first element of the covariance of an unmeasured quantity (REP-145)
 
 
 def blank_joint_state(make: Make, frame_id: str) -> Any:
@@ -37,7 +37,7 @@ def blank_joint_state(make: Make, frame_id: str) -> Any:
 
 
 def fill_joint_state(message: Any, sample: SprocketSample) -> Any:
-    """The message with another sample in it; a position that is unknown reads nan, as in ros2_control."""
+    """The message filled with a sample; an unknown position is nan, as in ros2_control."""
     set_stamp(message, sample.stamp_ns)
     message.position[0], message.position[1] = sample.left_position, sample.right_position
     message.velocity[0], message.velocity[1] = sample.left_velocity, sample.right_velocity
@@ -50,7 +50,7 @@ def blank_swing(make: Make, frame_id: str) -> Any:
 
 
 def fill_swing(message: Any, sample: SwingSample) -> Any:
-    """The message with another sample in it."""
+    """The message filled with a sample."""
     set_stamp(message, sample.stamp_ns)
     message.position[0], message.velocity[0] = sample.position, sample.velocity
     return message
@@ -63,7 +63,7 @@ def blank_track_hydraulics(make: Make, frame_id: str) -> Any:
 
 
 def fill_track_hydraulics(message: Any, sample: HydraulicsSample) -> Any:
-    """The message with another sample in it."""
+    """The message filled with a sample."""
     set_stamp(message, sample.stamp_ns)
     message.left_pressure, message.right_pressure = sample.left_pressure, sample.right_pressure
     message.left_spool, message.right_spool = sample.left_spool, sample.right_spool
@@ -88,7 +88,7 @@ def blank_imu(make: Make, frame_id: str, acceleration_stddev: float, rate_stddev
 
 
 def fill_imu(message: Any, sample: ImuSample) -> Any:
-    """The message with another sample in it."""
+    """The message filled with a sample."""
     set_stamp(message, sample.stamp_ns)
     _fill_vector(message.angular_velocity, sample.angular_velocity)
     _fill_vector(message.linear_acceleration, sample.acceleration)
@@ -106,7 +106,7 @@ def blank_magnetic_field(make: Make, frame_id: str, stddev: float) -> Any:
 
 
 def fill_magnetic_field(message: Any, sample: ImuSample) -> Any | None:
-    """The message with another sample in it; None where the unit measured none."""
+    """The message filled with a sample; None if the sample has no magnetic field."""
     if sample.magnetic_field is None:
         return None
     set_stamp(message, sample.stamp_ns)
@@ -131,7 +131,7 @@ def laser_scan(make: Make, sample: ScanSample, frame_id: str) -> Any:
 
 
 def nav_sat_fix(make: Make, sample: FixSample, frame_id: str) -> Any:
-    """sensor_msgs/NavSatFix; no service is named, as sentences of several systems do not tell."""
+    """sensor_msgs/NavSatFix; its service is 0, as sentences of several systems do not state it."""
     return make(
         "sensor_msgs/msg/NavSatFix",
         header=header(make, sample.stamp_ns, frame_id),
@@ -145,7 +145,7 @@ def nav_sat_fix(make: Make, sample: FixSample, frame_id: str) -> Any:
 
 
 def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
-    """sensor_msgs/Imu with an orientation about the vertical alone, as that message has a covariance for it.
+    """sensor_msgs/Imu with an orientation about the vertical alone: this message has a covariance for it.
 
     Rates and accelerations are absent (REP-145); an unknown accuracy is a covariance of zeros.
     """
@@ -167,7 +167,7 @@ def heading(make: Make, sample: HeadingSample, frame_id: str) -> Any:
 
 
 def velocity(make: Make, sample: VelocitySample, frame_id: str) -> Any:
-    """geometry_msgs/TwistWithCovarianceStamped: x east, y north, as receivers have it.
+    """geometry_msgs/TwistWithCovarianceStamped: x east, y north, as in GNSS receivers.
 
     An unknown accuracy is a variance of zero.
     """
@@ -197,5 +197,5 @@ def _fill_vector(vector: Any, values: Vector) -> None:
 
 
 def _isotropic(stddev: float) -> FloatArray:
-    """(9,) row-major."""
+    """Covariance (9,) row-major, with equal variances."""
     return np.diag(np.full(3, stddev**2)).flatten()

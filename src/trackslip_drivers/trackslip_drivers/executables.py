@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Entry points of the drivers: each loads its module only when called (see ``start``)."""
+"""Entry points of the drivers; each loads its module only when called (see ``start``)."""
 
 from trackslip_common.start import start
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors measure, once their bytes are decoded: SI units, FLU axes, stamped in integer ns.
+"""Decoded measurements of the sensors: SI units, FLU axes, stamps in integer ns.
 
 A stamp is the time of the measurement on the host's clock, not of the arrival of its bytes.
 """
@@ -16,7 +16,7 @@ Vector = tuple[float, float, float]
 class SprocketSample(NamedTuple):
     """Both sprockets; positive drives forward. Positions are continuous (unwrapped).
 
-    They are nan where there are none, or where they do not continue those before: what was turned is unknown.
+    They are nan if absent, or if the distance turned since the previous ones is unknown.
     """
 
     stamp_ns: int
@@ -27,7 +27,7 @@ class SprocketSample(NamedTuple):
 
 
 class HydraulicsSample(NamedTuple):
-    """Travel motors: differential pressures, spool positions, supply; nan where there is none."""
+    """Travel motors: differential pressures, spool positions, supply pressure; nan if absent."""
 
     stamp_ns: int
     left_pressure: float  # Pa, positive drives forward
@@ -38,7 +38,7 @@ class HydraulicsSample(NamedTuple):
 
 
 class SwingSample(NamedTuple):
-    """Upper structure against undercarriage, counter-clockwise."""
+    """Angle of the upper structure relative to the undercarriage, counter-clockwise."""
 
     stamp_ns: int
     position: float  # rad, −π … π
@@ -51,7 +51,7 @@ class ImuSample(NamedTuple):
     stamp_ns: int
     acceleration: Vector  # m/s², specific force: level rest reads +g on z
     angular_velocity: Vector  # rad/s
-    magnetic_field: Vector | None  # T; None where the unit sends none
+    magnetic_field: Vector | None  # T; None if not measured
     over_range: bool  # a channel was at its limit
 
 
@@ -69,15 +69,15 @@ class ScanSample(NamedTuple):
 
 
 class FixStatus(IntEnum):
-    """How a position was found; numbers of sensor_msgs/NavSatStatus."""
+    """Kind of a position; values of sensor_msgs/NavSatStatus."""
 
     SINGLE = 0
     DIFFERENTIAL = 1
-    RTK = 2  # carrier phase, fixed or float: the variances tell which
+    RTK = 2  # carrier phase, fixed or float: the variances differ
 
 
 class CovarianceType(IntEnum):
-    """Where the variances of a position come from; numbers of sensor_msgs/NavSatFix."""
+    """Origin of a position's variances; values of sensor_msgs/NavSatFix."""
 
     UNKNOWN = 0
     APPROXIMATED = 1
@@ -106,7 +106,7 @@ class VelocitySample(NamedTuple):
 
 
 class HeadingSample(NamedTuple):
-    """Direction of a pair of antennas about the vertical."""
+    """Heading of an antenna pair."""
 
     stamp_ns: int
     yaw: float  # rad in (−π, π], east = 0, counter-clockwise

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the laser scanner; their values are in ``config/sick_pls.yaml``."""
+"""Parameters of the node ``sick_pls`` (values: ``config/sick_pls.yaml``)."""
 
 from dataclasses import dataclass
 
@@ -11,29 +11,29 @@ from trackslip_drivers.protocols.sick_commands import BAUD_CODES
 
 @dataclass(frozen=True, kw_only=True)
 class SickParameters(Parameters):
-    """What the driver needs to know of one scanner, and of the line to it."""
+    """Properties of a scanner, and of the line to it."""
 
     serial_port: str = parameter("device path or pyserial URL of the scanner")
     serial_baud: int = parameter(
-        "rate that the scanner is switched to; where it refuses, the next lower", unit="Bd", gt=0
+        "rate that the scanner is switched to; if it refuses, the next lower", unit="Bd", gt=0
     )
     parity: str = parameter("parity of the line: N none, E even, O odd", choices=("N", "E", "O"))
-    frame_id: str = parameter("frame that the scan is given in")
+    frame_id: str = parameter("frame of the scan")
     time_offset: float = parameter("added to every stamp", unit="s")
     model: str = parameter("kind of scanner", choices=("pls", "lms"))
-    clockwise: bool = parameter("whether it hangs upside down, so that its rays run clockwise")
-    range_min: float = parameter("nearer is 'too close' (-inf)", unit="m", ge=0.0)
-    range_max: float = parameter("farther is 'no return' (+inf)", unit="m", gt=0.0)
+    clockwise: bool = parameter("whether the scanner hangs upside down, so that its rays run clockwise")
+    range_min: float = parameter("shorter ranges are 'too close' (-inf)", unit="m", ge=0.0)
+    range_max: float = parameter("longer ranges are 'no return' (+inf)", unit="m", gt=0.0)
     glare_is_nan: bool = parameter("whether a ray with the glare flag is invalid (NaN)")
     scan_time: float = parameter("one turn of the mirror", unit="s", gt=0.0)
-    ack_timeout: float = parameter("longest wait for the scanner to acknowledge", unit="s", gt=0.0)
+    ack_timeout: float = parameter("longest wait for an acknowledgement", unit="s", gt=0.0)
     mode_timeout: float = parameter("longest wait for a change of mode", unit="s", gt=0.0)
     baud_pause: float = parameter("silence after a change of rate", unit="s", ge=0.0)
     telegram_timeout: float = parameter(
         "time without a scan after which the start-up is repeated", unit="s", gt=0.0
     )
     silence_timeout: float = parameter(
-        "time without a byte while scans should come after which it is repeated", unit="s", gt=0.0
+        "time without a byte during streaming after which the start-up is repeated", unit="s", gt=0.0
     )
 
     def __post_init__(self) -> None:
@@ -47,5 +47,5 @@ class SickParameters(Parameters):
 
     @property
     def bits_per_char(self) -> int:
-        """Start, eight data, parity where there is one, stop."""
+        """Bits of a character: start, eight data, parity if there is one, stop."""
         return 10 if self.parity == "N" else 11

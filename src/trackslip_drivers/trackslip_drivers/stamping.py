@@ -1,38 +1,39 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From arrivals to stamps, the times of measurement: jitter removed, no clock trusted blindly, in order.
+"""Stamps (times of measurement) from arrival times: jitter removed, clocks checked, in order.
 
-    r_k, s_k  raw and filtered stamp of reading k: its arrival less all that is known to lie between   ns
-    t_k       true stamp; r_k = t_k + d_k with a delay d_k ≥ 0, for nothing arrives before it is sent   ns
+    r_k, s_k  raw and filtered stamp of reading k: its arrival minus all known delays                   ns
+    t_k       true stamp; r_k = t_k + d_k with a delay d_k ≥ 0                                          ns
     n_k       sender's cycles between readings k−1 and k                                                1
-    P, ρ      sender's period on our clock at most P (1 + ρ)                                            ns, 1
+    P, ρ      sender's period on the host's clock is at most P (1 + ρ)                                  ns, 1
 
     s_k = min(r_k, s_{k−1} + n_k P (1 + ρ))
 
-Never worse than raw: t_k ≤ s_k ≤ r_k by induction, as s_{k−1} ≥ t_{k−1} and n_k P (1 + ρ) ≥ t_k − t_{k−1}.
-One prompt reading so corrects all late ones that follow. Where the sender does not count its cycles, n_k is
-the nearest whole number, which is right while the error of s_{k−1} is below half a period.
+The result is never worse than raw: t_k ≤ s_k ≤ r_k by induction, as s_{k−1} ≥ t_{k−1} and
+n_k P (1 + ρ) ≥ t_k − t_{k−1}. One prompt reading thus corrects all late ones that follow. If the sender does
+not count its cycles, n_k is the nearest whole number, which is right while the error of s_{k−1} is below half
+a period.
 
-Arrivals are on the steady clock, which nobody sets; only the finished stamp is put on the host's clock.
+Arrivals are on the steady clock, which is never set. Only the final stamp is converted to the host's clock.
 """
 
 from dataclasses import dataclass
 from enum import Enum
 
-_LONGEST_GAP = 12  # cycles; beyond, the sender may have restarted, or its 4-bit count have gone round
+_LONGEST_GAP = 12  # cycles; beyond, the sender may have restarted, or its 4-bit count may have wrapped
 
 _DAY_NS = 86_400_000_000_000
-_LONGEST_SILENCE_NS = 3_600_000_000_000  # of a sender whose clock is believed to have gone on
-_SAME_READING_NS = 500_000_000  # between what is told of one reading: half of the longest usual period
+_LONGEST_SILENCE_NS = 3_600_000_000_000  # of a sender whose clock is assumed to have continued
+_SAME_READING_NS = 500_000_000  # between messages of one reading: half of the longest usual period
 
-_JUMP_NS = 20_000_000  # a change of the host's clock that no slewing makes
-_SLEWING = 1e-3  # of the time between looks; ntpd and chronyd stay below
-_HELD_NS = 400_000_000  # between two looks at a port that take no longer than 0.1 s
-_PROMPT_NS = 20_000_000  # by which a read may come late and still be prompt
+_JUMP_NS = 20_000_000  # change of the host's clock that exceeds any slewing
+_SLEWING = 1e-3  # relative to the time between checks; ntpd and chronyd stay below
+_HELD_NS = 400_000_000  # between two steps of reading, which take no longer than 0.1 s
+_PROMPT_NS = 20_000_000  # greatest lateness of a prompt read
 
 
 class StampEvent(Enum):
-    """What befell a stamp or the clock."""
+    """Events of a stamp or a clock."""
 
     MOVED = "stamp moved to stay in order"
     CLOCK_JUMPED = "jumped"
@@ -45,8 +46,8 @@ class PeriodicStamps:
     Args:
         period_ns: P.
         tolerance: ρ, of sender and host together.
-        patience: after so many readings in a row that were all later than the model has them, the model is
-            doubted (a longer period, or a sender that restarted), and the next raw stamp is used.
+        patience: after this many consecutive readings later than modelled, the next raw stamp is used: the
+            period may be longer, or the sender may have restarted.
     """
 
     def __init__(self, period_ns: float, tolerance: float, patience: int) -> None:
@@ -57,7 +58,7 @@ class PeriodicStamps:
         self._late = 0
 
     def filter(self, raw_ns: int, cycles: int | None = None) -> int:
-        """The stamp of one reading; ``cycles`` n_k, 0 if unknown as after a start, None: not counted."""
+        """The stamp of one reading; ``cycles`` is n_k: 0 if unknown, as after a start; None: not counted."""
         if self._last_ns is None or self._late >= self._patience:
             return self._restart_from(raw_ns)
         if cycles is None:
@@ -72,7 +73,7 @@ class PeriodicStamps:
         return round(modelled_ns)
 
     def restart(self) -> None:
-        """Start over: what comes next may not continue what was."""
+        """Restart: the next reading may not continue the previous ones."""
         self._last_ns = None
 
     def _restart_from(self, raw_ns: int) -> int:
@@ -82,43 +83,42 @@ class PeriodicStamps:
 
 
 class SenderClock:
-    """The filter for a sender that tells the time u_k of each reading, on a clock of its own.
+    """The filter for a sender that states the time u_k of each reading, on its own clock.
 
-    s_k = min(r_k, s_{k−1} + (u_k − u_{k−1}) (1 + ρ)): n_k P is what the sender's clock says. That clock need
-    not be right, nor know the date: only differences of its time of day count, so that midnight, a wrong week
-    and a wrong year change nothing. Where it goes back (a leap second, another fix of it) all restarts;
-    where it goes ahead, r_k is the smaller. A backlog that arrives at once keeps the times at which it was
-    measured.
+    s_k = min(r_k, s_{k−1} + (u_k − u_{k−1}) (1 + ρ)): the sender's clock replaces n_k P. Only differences of
+    its time of day are used, so an offset, midnight, a wrong week and a wrong year have no effect. If the
+    clock goes back (a leap second, a correction), the filter restarts; if it goes ahead, r_k is the smaller.
+    A backlog that arrives at once keeps its times of measurement.
 
     Args:
         tolerance: ρ, of both clocks together.
-        patience: after so many times in a row that were all later than the model has them, the least late
-            of these is the model.
+        patience: after this many consecutive readings later than modelled, the model is shifted to the least
+            late of them.
     """
 
     def __init__(self, tolerance: float, patience: int) -> None:
         self._pace = 1.0 + tolerance
         self._patience = patience
-        self._stated_ns: int | None = None  # what follows belongs to it
+        self._stated_ns: int | None = None  # of the last reading, as the times below
         self._raw_ns = self._last_ns = 0
         self._late, self._least_late_ns = 0, _DAY_NS
 
     def restart(self) -> None:
-        """Start over: what comes next may not continue what was."""
+        """Restart: the next reading may not continue the previous ones."""
         self._stated_ns = None
 
     def filter(self, raw_ns: int, stated_ns: int) -> int:
-        """The stamp of a reading that the sender says was made at ``stated_ns`` of its day."""
+        """The stamp of a reading that the sender states to be of ``stated_ns``, time of day."""
         if self._stated_ns is None:
             return self._restart_from(raw_ns, stated_ns)
         elapsed_ns = (stated_ns - self._stated_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2
-        if elapsed_ns == 0 and raw_ns - self._raw_ns < _SAME_READING_NS:  # more of the same reading
+        if elapsed_ns == 0 and raw_ns - self._raw_ns < _SAME_READING_NS:  # another message of the reading
             self._last_ns = min(self._last_ns, raw_ns)
             return self._last_ns
         modelled_ns = self._last_ns + round(elapsed_ns * self._pace)
         if not 0 < elapsed_ns < _LONGEST_SILENCE_NS or raw_ns <= modelled_ns:
             return self._restart_from(raw_ns, stated_ns)
-        if raw_ns - self._raw_ns > elapsed_ns // 2:  # else it is catching up
+        if raw_ns - self._raw_ns > elapsed_ns // 2:  # else the sender is catching up
             self._late += 1
             self._least_late_ns = min(self._least_late_ns, raw_ns - modelled_ns)
         self._stated_ns, self._raw_ns, self._last_ns = stated_ns, raw_ns, modelled_ns
@@ -133,10 +133,10 @@ class SenderClock:
 
 
 class Backlog:
-    """Which reads of a line hold what waited while the host was held up (suspended, stopped, starved).
+    """Detects reads of data that waited while the host was held up (suspended, stopped, starved).
 
-    Nothing tells when such bytes came, and there are more than one read returns. The backlog ends with the
-    read that holds no more than the line carries since the one before it.
+    The arrival of such bytes is unknown, and one read does not return all of them. The backlog ends with a
+    read of no more than the line carries since the previous read.
     """
 
     def __init__(self) -> None:
@@ -144,7 +144,7 @@ class Backlog:
         self._waits = False
 
     def includes(self, transfer_ns: int, arrival_ns: int) -> bool:
-        """Whether a read is of it: when, and how long the line takes for its bytes; 0: nothing was there."""
+        """Whether a read is of the backlog; ``transfer_ns``: time of its bytes on the line, 0: no bytes."""
         since_ns = 0 if self._looked_ns is None else arrival_ns - self._looked_ns
         self._looked_ns = arrival_ns
         is_late = since_ns >= _HELD_NS or (self._waits and transfer_ns > since_ns + _PROMPT_NS)
@@ -155,15 +155,15 @@ class Backlog:
 class Look:
     """When a port was last found empty, and whether its reader was held up since.
 
-    What is read has come after the one; after the other it may have waited for long. Every step of reading is
-    told, so that it shows wherever the time was lost.
+    Data read now arrived after ``emptied_ns``; if the reader was held up, they may have waited for long. Each
+    step of reading is registered, so a delay anywhere is detected.
 
     Args:
         opening_ns: steady time before the port was opened.
 
     Attributes:
-        emptied_ns: nothing was there at that steady time.
-        held_up: nothing tells how long what is read now has waited, but a stamp that it brought along.
+        emptied_ns: steady time at which the port was empty.
+        held_up: data read now may have waited for an unknown time, unless they have their own stamp.
     """
 
     def __init__(self, opening_ns: int) -> None:
@@ -172,36 +172,36 @@ class Look:
         self._step_ns: int | None = None
 
     def step(self, now_ns: int) -> None:
-        """The port is about to be read, or has been."""
+        """Register that the port is about to be read, or has been."""
         if self._step_ns is not None:
             self.held_up |= now_ns - self._step_ns >= _HELD_NS
         self._step_ns = now_ns
 
     def found_nothing(self) -> None:
-        """There was nothing: since the last step, at least."""
+        """Register that the port was empty at the last step."""
         if self._step_ns is not None:
             self.emptied_ns, self.held_up = self._step_ns, False
 
     def waited(self, arrived_ns: int, now_ns: int) -> bool:
-        """Whether what seems to have arrived at a steady time shortly before ``now_ns`` may have waited."""
+        """Whether data that seem to have arrived at a steady time just before ``now_ns`` may have waited."""
         return self.held_up and now_ns - arrived_ns < _PROMPT_NS
 
 
 @dataclass
 class HostTime:
-    """The host's clock against the steady one. It may be set while we run.
+    """The host's clock relative to the steady clock; the host's clock may be set at any time.
 
-    A step forward is followed. A step backward is not: stamps stay ahead of the host's clock by ``lead_ns``,
-    until it has been set forward again or the driver is activated again. Slewing is followed.
+    A step forward is followed. After a step backward, stamps stay ahead of the host's clock by ``lead_ns``,
+    until that clock is set forward again or the driver is activated again. Slewing is followed.
     """
 
-    offset_ns: int  # host's clock less steady clock, at the last look
-    looked_ns: int  # steady time of that look
+    offset_ns: int  # host's clock minus steady clock, at the last check
+    looked_ns: int  # steady time of that check
     lead_ns: int = 0
     jumps: int = 0
 
     def look(self, host_ns: int, steady_ns: int) -> bool:
-        """Both clocks, read at the same moment; whether the host's has jumped since the last look."""
+        """Update the offset from both clocks, read together; returns whether the host's clock has jumped."""
         change_ns = host_ns - steady_ns - self.offset_ns
         jumped = abs(change_ns) > _JUMP_NS + _SLEWING * (steady_ns - self.looked_ns)
         self.offset_ns += change_ns
@@ -214,26 +214,26 @@ class HostTime:
     def steady(self, host_ns: int, between_ns: tuple[int, int]) -> int:
         """Steady time of an arrival, stamped by the host's clock between two steady times.
 
-        One from before the first of them was stamped by a clock that has since been set, or by another one:
-        it is as late as can be.
+        A stamp before the first of them is from before a change of the clock, or from another clock: the
+        second one is returned.
         """
         earliest_ns, now_ns = between_ns
         steady_ns = min(host_ns - self.offset_ns, now_ns)
         return steady_ns if steady_ns > earliest_ns - _JUMP_NS else now_ns
 
     def stamp(self, steady_ns: int) -> int:
-        """What to write into a message."""
+        """The stamp of a message, on the host's clock."""
         return steady_ns + self.offset_ns + self.lead_ns
 
 
 class InOrder:
-    """Stamps of one topic never repeat and never go back."""
+    """Makes the stamps of one topic strictly increasing."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
 
     def next(self, stamp_ns: int) -> int:
-        """The stamp, or the earliest that keeps the order."""
+        """The stamp, or the earliest one after the last."""
         if self._last_ns is not None:
             stamp_ns = max(stamp_ns, self._last_ns + 1)
         self._last_ns = stamp_ns

@@ -9,7 +9,7 @@ from trackslip_common.parameters import Parameters, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class WatsonParameters(Parameters):
-    """Port, what the unit was set up to send, and how far it can be trusted."""
+    """Port, output that the unit is set to, and noise."""
 
     serial_port: str = parameter("device path or pyserial URL")
     serial_baud: int = parameter("line rate", unit="baud", gt=0)
@@ -17,7 +17,7 @@ class WatsonParameters(Parameters):
     frame_id: str = parameter("frame of the unit: x forward, y left, z up")
     time_offset: float = parameter("added to the stamp of every line", unit="s")
     channels: tuple[str, ...] = parameter("the unit's labels of its channels, in the order sent")
-    formats: tuple[str, ...] = parameter("how each channel looks in a decimal line at zero, such as +00.0")
+    formats: tuple[str, ...] = parameter("format of each channel in a decimal line at zero, such as +00.0")
     full_scales: tuple[float, ...] = parameter(
         "full scale of each channel in the unit's own units (g, °/s, mG, °, km/h, V)", gt=0.0
     )

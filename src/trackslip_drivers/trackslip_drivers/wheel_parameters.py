@@ -19,23 +19,23 @@ MESSAGES = {
 
 @dataclass(frozen=True, kw_only=True)
 class WheelParameters(WithVehicle):
-    """Where the motion comes from, and how it becomes that of the vehicle's two sprockets."""
+    """Source of the motion, and its conversion to that of the vehicle's two sprockets."""
 
-    topic: str = parameter("to listen to")
+    topic: str = parameter("topic to subscribe to")
     message: str = parameter(
         "joints: JointState; odometry, twist, twist_stamped: speeds of a base controller",
         choices=tuple(MESSAGES),
     )
-    frame_id: str = parameter("of the sprockets' messages")
+    frame_id: str = parameter("frame of the sprockets' messages")
     left_joints: tuple[str, ...] = parameter("joints of the left side; their mean is used")
     right_joints: tuple[str, ...] = parameter("joints of the right side")
     left_sign: int = parameter(
-        "1, or -1 where they turn backward as the machine drives forward", choices=(1, -1)
+        "1, or -1 if the left joints turn backward when the machine drives forward", choices=(1, -1)
     )
-    right_sign: int = parameter("the same of the right side", choices=(1, -1))
+    right_sign: int = parameter("the same for the right joints", choices=(1, -1))
     joint_ratio: float = parameter("turns of a joint per turn of the sprocket, or of the wheel", gt=0.0)
-    uses: str = parameter("what of a JointState", choices=("both", "positions", "velocities"))
-    wheel_separation: float = parameter("as the base controller has it configured", unit="m", gt=0.0)
+    uses: str = parameter("fields of a JointState that are used", choices=("both", "positions", "velocities"))
+    wheel_separation: float = parameter("wheel separation set in the base controller", unit="m", gt=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()

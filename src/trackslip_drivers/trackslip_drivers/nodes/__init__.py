@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Driver nodes: thin shells that own a port and publish what the protocols make of its bytes."""
+"""Driver nodes: each owns a port, and publishes the records that the protocols decode."""

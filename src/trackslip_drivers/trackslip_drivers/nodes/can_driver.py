@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``can_driver``: sprockets, hydraulics and swing from the CAN bus, as the roles file says."""
+"""``can_driver``: publishes sprockets, hydraulics and swing from the CAN bus, by the roles file."""
 
 import sys
 from typing import Any
@@ -29,21 +29,21 @@ _MESSAGES = {
 
 
 class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
-    """Frames in, ``sprockets``, ``hydraulics`` and ``swing`` out: those that have roles."""
+    """Receives frames; publishes those of ``sprockets``, ``hydraulics`` and ``swing`` that have roles."""
 
     carries, advice = "frames", "check power, wiring and bitrate"
     period = 0.01
     silence = 2.0
-    realtime_priority = 10  # a message takes 0.5 ms; odometry, for which others wait, begins here
+    realtime_priority = 10  # a message takes 0.5 ms, and odometry starts with it
 
     def __init__(self) -> None:
         super().__init__(NODE, CanDriverParameters, *DEFAULT_FILES)
 
     def configure(self) -> None:
-        """Read the contract of the frames, and the roles of their signals.
+        """Read the DBC and the roles file, and create the publishers.
 
         Raises:
-            InputError: there is none, they do not fit, or an option of the bus is none.
+            InputError: a file is missing or invalid, the files do not match, or a bus option is invalid.
         """
         super().configure()
         self._options = self.settings.bus_options()
@@ -56,27 +56,27 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
             self._outputs[kind] = (self.advertise_packed(topic, blank(make, frame_id)), fill)
 
     def where(self) -> str:
-        """The bus."""
+        """The bus, for messages."""
         return f"CAN on {self.settings.can_channel}"
 
     def open_port(self) -> CanBus:
-        """The bus."""
+        """Open the bus."""
         return CanBus(self.settings.can_interface, self.settings.can_channel, self._options)
 
     def begin(self) -> None:
-        """Positions go on over the time in which the bus was closed; encoders of CANopen are started."""
+        """After opening: continue positions over the time without a bus, and start CANopen nodes."""
         self._can.resume()
         if self.settings.canopen_start and self._link is not None:
             self._link.write(START_ALL)
 
     def receive(self, data: CanFrame, arrival_ns: int) -> None:
-        """One frame."""
+        """Decode one frame, and publish the samples that it completes."""
         if self.settings.canopen_start and (start := start_of(*data)) and self._link is not None:
             self._link.write(start)
         if data[0] & ERROR_FLAG:
             self._bus_state = bus_state(*data) or self._bus_state
         elif self._bus_state is BusState.OFF:
-            self._bus_state = BusState.ACTIVE  # it was restarted, without an error frame
+            self._bus_state = BusState.ACTIVE  # restarted without an error frame
         arrived_ns = self.arrived(arrival_ns)
         if self.waited(arrived_ns):
             self.tally.add(BUS, StampEvent.WAITED)
@@ -90,7 +90,7 @@ class CanDriverNode(DriverNode[CanDriverParameters, CanFrame]):
                 self.count()
 
     def lack(self) -> str:
-        """Why no frame that comes has a role."""
+        """Reason why no received frame has a role; empty if unknown."""
         return self._can.decoder.hint()
 
     def health(self) -> list[Health]:

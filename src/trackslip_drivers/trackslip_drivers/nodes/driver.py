@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the drivers share: one link to a sensor, stamps on the host's clock, and its health."""
+"""Base of the driver nodes: one link to a sensor, stamps on the host's clock, and health."""
 
 import math
 import time
@@ -30,7 +30,7 @@ from trackslip_drivers.transports.host_clock import HostClock
 from trackslip_drivers.transports.link import Handlers, Link, Port
 
 P = TypeVar("P", bound=Parameters)
-D = TypeVar("D")  # what the port gives: bytes, or a frame
+D = TypeVar("D")  # data of the port: bytes, or a frame
 S = TypeVar(
     "S",
     SprocketSample,
@@ -44,61 +44,61 @@ S = TypeVar(
 )
 
 _STALE_PERIODS = 10
-_LOOK = 0.1  # s between looks at whether the link's condition has changed
-_OPENING = 2.0  # s, for which a port that was opened need not deliver
-RECENT = 5.0  # s for which a rejection shows
-_PAUSE = 5.0  # s without data after which nothing is said of what they lacked
-_SETTLING = 1.0  # s for which what is of no use may be what a pause left behind
-_RATE_OVER = 0.5  # s, the least that a rate is counted over
+_LOOK = 0.1  # s between checks for a change of the link's condition
+_OPENING = 2.0  # s after opening in which a port need not deliver
+RECENT = 5.0  # s for which a rejection is reported
+_PAUSE = 5.0  # s without data, after which ``lack`` is not reported
+_SETTLING = 1.0  # s beyond the limit in which unusable data are only a warning
+_RATE_OVER = 0.5  # s, shortest interval of a measured rate
 _HOST_CLOCK = "host clock"
 
 
 def _date(seconds: float) -> str:
-    """Of a system time, s since 1970; empty for 0."""
+    """Text of a system time, s since 1970; empty for 0."""
     return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if seconds else ""
 
 
 class DriverNode(TrackslipNode[P], Generic[P, D]):
     """Opens its link while active; subclasses override ``open_port``, ``begin``, ``receive``, ``on_silence``.
 
-    Reports whether data come, how fast, and what was rejected: at 1 Hz, and at once when data begin or cease.
+    Health reports whether data arrive, their rate and rejections: at 1 Hz, and when data begin or cease.
     """
 
-    device = "sensor"  # what the crew calls it
+    device = "sensor"  # name for users
     carries = "bytes"
-    advice = "check power and port"  # where nothing comes
-    passing: Mapping[str, str] = MappingProxyType({})  # reasons that are no fault of the link → what to do
-    period = 1.0  # s between messages when all is well
+    advice = "check power and port"  # if no data arrive
+    passing: Mapping[str, str] = MappingProxyType({})  # reasons that are no fault of the link → remedy
+    period = 1.0  # s between messages in normal operation
     silence = math.inf  # s without a byte or frame after which the port is reopened
 
     def configure(self) -> None:
-        """Start counting."""
+        """Reset the counters, and start the check of the link's condition."""
         self._published = 0
         self._rate = 0.0
         self._looked_at = (time.monotonic(), 0)
         self._last_s = -math.inf
         self._link: Link[D] | None = None
         self._reported: bytes | None = None  # level
-        self._rejected = ("", -math.inf, "")  # why most were, when (steady, s), and its date
+        self._rejected = ("", -math.inf, "")  # most frequent reason, its time (steady, s) and date
         self.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def hardware(self) -> str:
-        """The serial port, where it has one."""
+        """The serial port; without one, the node's name."""
         return str(getattr(self.settings, "serial_port", self.full_name))
 
     def open_port(self) -> Port[D]:
-        """Open the port to the sensor, or raise; in the link's thread, as all that follow."""
+        """Open the port to the sensor, or raise; runs in the link's thread, as the next three methods do."""
         raise NotImplementedError
 
     def begin(self) -> None:
-        """A port was opened, or decoding failed: what was half received is not continued."""
+        """Drop half-received data, after a port was opened or decoding failed."""
 
     def receive(self, data: D, arrival_ns: int) -> None:
         """Decode what the port received, and publish."""
         raise NotImplementedError
 
     def on_silence(self) -> None:
-        """A read has found nothing."""
+        """React to a read that found no data."""
 
     def activate(self) -> None:
         """Set the clocks, and open the link."""
@@ -116,7 +116,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             self._link.stop()
 
     def arrived(self, host_ns: int) -> int:
-        """Steady time of what a port has just received; notes whether somebody set the host's clock."""
+        """Steady time of data that a port received at ``host_ns``; counts jumps of the host's clock."""
         assert self._link is not None
         steady_ns, has_jumped = self._host.arrival(host_ns, self._link.look.emptied_ns)
         if has_jumped:
@@ -124,12 +124,12 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         return steady_ns
 
     def waited(self, steady_ns: int) -> bool:
-        """Whether what seems to have arrived just then may have waited for a host that was held up."""
+        """Whether data that seem to have arrived just now may have waited while the host was held up."""
         assert self._link is not None
         return self._link.look.waited(steady_ns, time.monotonic_ns())
 
     def stamped(self, sample: S) -> S:
-        """The sample as it is published: on the host's clock, later than the one before it."""
+        """The sample with the stamp to publish: on the host's clock, later than the previous one."""
         host_ns = self._host.stamp(sample.stamp_ns)
         stamp_ns = self._order[type(sample)].next(host_ns)
         if stamp_ns != host_ns:
@@ -137,7 +137,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         return sample._replace(stamp_ns=stamp_ns)
 
     def count(self) -> None:
-        """One more message published."""
+        """Count a published message."""
         self._published += 1
         self._last_s = time.monotonic()
 
@@ -146,7 +146,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         assert self._link is not None
         state, now_s = self._link.state(), time.monotonic()
         if news := self.tally.since_last_look():
-            often = max(news, key=lambda key: news[key])  # the latest would change from look to look
+            often = max(news, key=lambda key: news[key])  # the latest would change at each report
             self._rejected = (self.tally.words(often), now_s, _date(time.time()))
         then_s, then = self._looked_at
         if now_s - then_s >= _RATE_OVER:
@@ -171,19 +171,19 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         return [Health(level, message, values)]
 
     def where(self) -> str:
-        """The device as the crew calls it, and its port."""
+        """Device and port, for messages."""
         return f"{self.device} on {self.hardware()}"
 
     def talk(self) -> str:
-        """Where the talk with the device has got to, while no data come; empty where there is none."""
+        """State of the dialogue with the device while no data come; empty without a dialogue."""
         return ""
 
     def lack(self) -> str:
-        """What comes whole but is of no use, and what to do; empty where nothing does."""
+        """Message about valid data that cannot be used, with the remedy; empty if there are none."""
         return ""
 
     def _condition(self, link: Link[D]) -> tuple[bytes, str]:
-        """Whether data come, or why not and what to do; numbers that change are in the values."""
+        """(level, message): whether data arrive, or the reason and remedy; without numbers that change."""
         state, where = link.state(), self.where()
         if not state.openings and not state.errors:
             return WARN, f"{where}: opening"
@@ -210,6 +210,6 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         return ERROR, f"{what}; check rate and format"
 
     def _look(self) -> None:
-        """What has changed is reported at once."""
+        """Publish health at once if its level has changed."""
         if self.active and self._link is not None and self._reported != self._condition(self._link)[0]:
             self.publish_health()

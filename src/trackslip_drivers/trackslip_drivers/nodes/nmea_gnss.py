@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``nmea_gnss``: a GNSS receiver that speaks NMEA 0183 or UBX, on a serial line or a network."""
+"""``nmea_gnss``: a GNSS receiver with NMEA 0183 or UBX, on a serial line or a network."""
 
 import math
 import sys
@@ -34,30 +34,30 @@ _QUALITY = {FixStatus.SINGLE: 1, FixStatus.DIFFERENTIAL: 2, FixStatus.RTK: 4}
 
 
 class NmeaNode(DriverNode[NmeaParameters, bytes]):
-    """Bytes in, ``fix``, ``fix_velocity`` and ``heading`` out."""
+    """Receives bytes; publishes ``fix``, ``fix_velocity`` and ``heading``."""
 
     device = "GNSS receiver"
     passing = MappingProxyType({"no fix": "give the antenna sight of the sky"})
-    silence = 10.0  # a receiver that is told to start cold needs longer, but then speaks of no fix
+    silence = 10.0  # a cold start takes longer, but the receiver then reports no fix
 
     def __init__(self) -> None:
         super().__init__("nmea_gnss", NmeaParameters, "nmea_gnss.yaml")
 
     def configure(self) -> None:
-        """Make the publishers."""
+        """Create publishers and decoder, and read the caster's credentials."""
         super().configure()
         self.period = 1.0 / self.settings.rate
         self._fixes = self.advertise(topic_class(FIX), FIX)
         self._headings = self.advertise(topic_class(HEADING), HEADING)
         self._velocities = self.advertise(topic_class(VELOCITY), VELOCITY)
         self._stream = self._new_stream()
-        self._position: bytes | None = None  # GGA, for a caster
+        self._position: bytes | None = None  # GGA sentence, for a caster
         file = self.settings.ntrip.credentials_file
         self._credentials = read_credentials(Path(file)) if self.settings.ntrip.host and file else None
         self._caster: NtripClient | None = None
 
     def activate(self) -> None:
-        """Open the link, and ask the caster, where there is one."""
+        """Open the link, and connect to the caster if there is one."""
         super().activate()
         p = self.settings
         if p.ntrip.host:
@@ -70,35 +70,35 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
             self._caster.start()
 
     def deactivate(self) -> None:
-        """Close the link, and leave the caster."""
+        """Close the link and the connection to the caster."""
         if self._caster is not None:
             self._caster.stop()
             self._caster = None
         super().deactivate()
 
     def _pass_on(self, message: bytes) -> None:
-        """A correction to the receiver."""
+        """Send a correction to the receiver."""
         if self._link is not None:
             self._link.write(message)
 
     def open_port(self) -> SerialPort:
-        """The serial port, or a socket."""
+        """Open the serial port or socket."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
     def begin(self) -> None:
-        """Drop a half-received line."""
+        """Drop half-received messages."""
         self._stream.reset()
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
-        """Bytes of some lines."""
+        """Decode received bytes, and publish."""
         self._publish(self._stream.feed(data, self.arrived(arrival_ns)))
 
     def on_silence(self) -> None:
-        """A fix that waits for more waits in vain."""
+        """Publish a fix that waits for further sentences."""
         self._publish(self._stream.flush())
 
     def health(self) -> list[Health]:
-        """The driver's, with how old answers are."""
+        """The driver's health, with latency and counters of the stream; and that of the corrections."""
         (entry, *others) = super().health()
         entry.values["latency (s)"] = f"{self._stream.latency_ns * 1e-9:.3f}"
         entry.values["sentences of other kinds"] = self._stream.others
@@ -124,7 +124,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         return [Health(WARN, message, values, part="corrections")]
 
     def lack(self) -> str:
-        """Whole sentences, but none with a position."""
+        """Message if valid sentences come, but none with a position."""
         kinds = self._stream.kinds
         if not kinds or POSITIONS & set(kinds):
             return ""
@@ -151,7 +151,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
 
 
 def _gga_of(fix: FixSample) -> bytes:
-    """Where the receiver is, for a caster."""
+    """GGA sentence of a fix, for a caster."""
     altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
     return gga(Position(time.time_ns(), fix.latitude, fix.longitude, altitude, _QUALITY[fix.status]))
 

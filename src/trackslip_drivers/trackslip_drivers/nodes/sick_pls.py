@@ -18,13 +18,13 @@ from trackslip_drivers.protocols.sick_session import Phase, SickSession, scan_pe
 from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.transports.serial_port import SerialPort
 
-_STEP = 0.01  # s between looks at the dialogue's time-outs
-_WATCH = 0.1  # s while scans come: only a scanner that falls silent is to be noticed
-_STOP = 0.3  # s that the scanner is given to stop streaming
+_STEP = 0.01  # s between steps of the dialogue
+_WATCH = 0.1  # s between steps while scans come, which only detect a silent scanner
+_STOP = 0.3  # s for the scanner to stop streaming
 
 
 class SickNode(DriverNode[SickParameters, bytes]):
-    """Bytes in, ``scan`` out; the dialogue with the scanner is the session's."""
+    """Receives bytes; publishes ``scan``. A ``SickSession`` runs the dialogue with the scanner."""
 
     device = "SICK"
 
@@ -35,17 +35,17 @@ class SickNode(DriverNode[SickParameters, bytes]):
         """Prepare the dialogue."""
         super().configure()
         self.period = scan_period(self.settings, self.settings.serial_baud)
-        self._lock = threading.Lock()  # the session is fed by the link's thread and stepped by one of ours
+        self._lock = threading.Lock()  # the link's thread feeds the session, another thread steps it
         self._session = SickSession(self.settings, self.tally)
         self._scans = self.advertise(topic_class("scan"), "scan")
         self._scan_status = DeviceStatus.from_byte(0)  # of the last scan
 
     def open_port(self) -> SerialPort:
-        """The serial port. Silent while the scanner boots: the session alone decides what is too long."""
+        """Open the serial port; the session alone detects silence, as a booting scanner is silent."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
     def activate(self) -> None:
-        """Open the link and begin to talk, in a thread: a timer of rclpy costs ten times as much."""
+        """Open the link, and run the dialogue in a thread: an rclpy timer costs ten times as much."""
         super().activate()
         self._ending = threading.Event()
         talk = self.callback_failures.guard(self._talk, "dialogue", recover=self.begin)
@@ -53,7 +53,7 @@ class SickNode(DriverNode[SickParameters, bytes]):
         self._talker.start()
 
     def deactivate(self) -> None:
-        """Have the scanner stop streaming, then close the port."""
+        """Stop the scanner's stream, then close the port."""
         self._ending.set()
         self._talker.join()
         self._session.stop()
@@ -80,7 +80,7 @@ class SickNode(DriverNode[SickParameters, bytes]):
         return "" if self._session.phase is Phase.STREAMING else self._session.phase.value
 
     def _status_health(self) -> list[Health]:
-        """What the scanner said of itself with its last scan."""
+        """Status that the scanner reported with its last scan."""
         status, entries = self._scan_status, []
         if status.severity >= Severity.WARNING:
             level = WARN if status.severity == Severity.WARNING else ERROR
@@ -94,7 +94,7 @@ class SickNode(DriverNode[SickParameters, bytes]):
         return entries
 
     def begin(self) -> None:
-        """A port was opened: the dialogue starts from nothing."""
+        """Restart the dialogue, after a port was opened."""
         with self._lock:
             self._session = SickSession(self.settings, self.tally)
             self._scan_status = DeviceStatus.from_byte(0)
@@ -104,7 +104,7 @@ class SickNode(DriverNode[SickParameters, bytes]):
             talk()
 
     def _talk(self) -> None:
-        """Give the session the time, and do what it asks of the port."""
+        """Step the session, and carry out its action on the port."""
         now_ns = time.monotonic_ns()
         with self._lock:
             action = self._session.step(now_ns)
@@ -119,11 +119,11 @@ class SickNode(DriverNode[SickParameters, bytes]):
             link.write(action.write)
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
-        """Bytes of some telegrams."""
+        """Decode received bytes, and publish."""
         self._receive(data, self.arrived(arrival_ns))
 
     def on_silence(self) -> None:
-        """So that a telegram cut short is given up."""
+        """Let the session discard a truncated telegram."""
         self._receive(b"", time.monotonic_ns())
 
     def _receive(self, data: bytes, steady_ns: int) -> None:

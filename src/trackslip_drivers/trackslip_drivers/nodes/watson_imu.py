@@ -18,17 +18,17 @@ from trackslip_drivers.watson_parameters import WatsonParameters
 
 
 class WatsonNode(DriverNode[WatsonParameters, bytes]):
-    """Bytes in, ``imu/data_raw`` and ``imu/mag`` out."""
+    """Receives bytes; publishes ``imu/data_raw`` and ``imu/mag``."""
 
     device = "Watson"
     period = 1.0 / 11.85
-    silence = 8.0  # starting up takes the unit 5 s
+    silence = 8.0  # the unit takes 5 s to start
 
     def __init__(self) -> None:
         super().__init__("watson_imu", WatsonParameters, "watson_imu.yaml")
 
     def configure(self) -> None:
-        """Lay out the unit's channels."""
+        """Create decoder and publishers for the unit's channels."""
         super().configure()
         p = self.settings
         layout = Layout(p.channels, p.formats, p.full_scales)
@@ -43,11 +43,11 @@ class WatsonNode(DriverNode[WatsonParameters, bytes]):
         self._mag = self.advertise_packed("imu/mag", field)
 
     def open_port(self) -> SerialPort:
-        """The serial port."""
+        """Open the serial port."""
         return SerialPort(self.settings.serial_port, self.settings.serial_baud, self.settings.parity)
 
     def health(self) -> list[Health]:
-        """The link's health, and whether the unit was moved or turned faster than it can measure."""
+        """The link's health, and whether a motion exceeded the unit's range."""
         entries, total = super().health(), self._over_range
         entries[0].values["over range"] = total
         if total > self._over_range_reported:
@@ -61,11 +61,11 @@ class WatsonNode(DriverNode[WatsonParameters, bytes]):
         self._stream.reset()
 
     def receive(self, data: bytes, arrival_ns: int) -> None:
-        """Bytes of some lines."""
+        """Decode received bytes, and publish."""
         self._receive(data, self.arrived(arrival_ns))
 
     def on_silence(self) -> None:
-        """So that only the host's own pauses count as such."""
+        """Pass the empty read to the stream, which then counts only the host's own pauses."""
         self._receive(b"", time.monotonic_ns())
 
     def _receive(self, data: bytes, steady_ns: int) -> None:

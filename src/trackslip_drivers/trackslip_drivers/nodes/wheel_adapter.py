@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``wheel_adapter``: joint states or a base controller's speeds in, ``sprockets`` out."""
+"""``wheel_adapter``: converts joint states or a base controller's speeds to ``sprockets``."""
 
 import sys
 from typing import Any
@@ -19,13 +19,13 @@ SPROCKETS = "sprockets"
 
 
 class WheelAdapterNode(TrackslipNode[WheelParameters]):
-    """Converts; a message without a stamp (Twist) has that of its arrival."""
+    """Converts messages; one without a stamp (Twist) is stamped at its arrival."""
 
     def __init__(self) -> None:
         super().__init__(NODE, WheelParameters, f"{NODE}.yaml")
 
     def configure(self) -> None:
-        """Listen and advertise."""
+        """Create the subscription and the publisher."""
         p = self.settings
         self._joints = JointMotion(p)
         self._received = self._published = 0
@@ -34,7 +34,7 @@ class WheelAdapterNode(TrackslipNode[WheelParameters]):
         self.subscribe(message_class(MESSAGES[p.message]), p.topic, self._on_message)
 
     def health(self) -> list[Health]:
-        """Messages in and out, and why some were not used."""
+        """Counts of messages received and published, and of rejections by reason."""
         (received, published), self._news = self._news, (self._received, self._published)
         refused = {f"{source}: {why}": n for (source, why), n in sorted(self.tally.total.items())}
         values = {"received": self._received, "published": self._published, **refused}

@@ -279,7 +279,7 @@ def _check_signals(where: str, message: Message) -> None:
 
 
 def _check_protection(where: str, message: Message, protection: Protection) -> None:
-    """Raise ``InputError`` unless counter and checksum are unsigned signals of the frame, of the right size."""
+    """Raise ``InputError`` unless counter and checksum are unsigned signals of the right size."""
     signals = {signal.name: signal for signal in message.signals}
     for key, name in (("counter", protection.counter), ("checksum", protection.checksum)):
         if name and name not in signals:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cuts the bytes of a serial line into lines, and says when each began."""
+"""Splits the bytes of a serial line into lines, and determines when each began."""
 
 import math
 from collections.abc import Iterator
@@ -10,21 +10,21 @@ _NS_PER_S = 1_000_000_000
 
 
 class Line(NamedTuple):
-    """One line, without its terminator; None where it was longer than any line is."""
+    """One line, without its terminator; None if it exceeded the limit."""
 
     text: bytes | None
-    begun_ns: int  # its first character left the sender no later
-    ended_ns: int  # its last one did
+    begun_ns: int  # latest time at which its first character left the sender
+    ended_ns: int  # the same for the last one
 
 
 class LineCutter:
-    """Holds at most one line's worth of bytes (``limit``), so no stream can make it grow.
+    """Splits lines; holds at most one line (``limit`` bytes), so its memory is bounded.
 
     Args:
         terminator: one byte that ends a line.
         limit: longest line, bytes.
         bits_per_char: start, data, parity and stop bits.
-        baud: line rate; 0: the bytes come over a network, in no time.
+        baud: line rate; 0: a network, without transmission time.
     """
 
     def __init__(self, terminator: bytes, limit: int, bits_per_char: int, baud: int) -> None:
@@ -36,20 +36,20 @@ class LineCutter:
 
     @property
     def bytes_held(self) -> int:
-        """How many bytes wait for the rest of their line."""
+        """Number of bytes of the incomplete line."""
         return len(self._pending)
 
     def reset(self) -> None:
         """Drop a half-received line."""
         self._pending = bytearray()
-        self._begun_ns = math.inf  # the line that is pending began no later
+        self._begun_ns = math.inf  # upper bound on the begin of the pending line
         self._overlong = False
 
     def feed(self, data: bytes, arrival_ns: int) -> Iterator[Line]:
-        """What one read returned, and when: its last byte was there by ``arrival_ns``.
+        """The lines completed by one read, whose last byte arrived by ``arrival_ns``.
 
-        A line began no later than any of its reads leaves time for, at the line's rate. One prompt read
-        among them is enough. An empty line is none.
+        Each read of a line bounds the line's begin from above, at the line rate. The lowest bound is used, so
+        one prompt read is enough. Empty lines are skipped.
         """
         *ended, rest = data.split(self._terminator)
         left = len(data)
@@ -68,13 +68,13 @@ class LineCutter:
             self._bound(arrival_ns)
 
     def _bound(self, arrived_ns: int) -> None:
-        """What is pending had come by then."""
+        """Bound the begin of the pending line, whose bytes arrived by ``arrived_ns``."""
         self._begun_ns = min(self._begun_ns, arrived_ns - self.transfer_ns(len(self._pending)))
 
     def _hold(self, part: bytes) -> None:
-        """Keep bytes of an unfinished line, unless it has grown past any line's length.
+        """Append bytes to the pending line, unless it exceeds the limit.
 
-        White space before it is not part of it: it may have come long before.
+        Leading white space is dropped: it may have come long before.
         """
         part = part if self._pending else part.lstrip()
         if self._overlong or len(self._pending) + len(part) > self.limit:
@@ -84,5 +84,5 @@ class LineCutter:
             self._pending += part
 
     def transfer_ns(self, count: int) -> int:
-        """How long ``count`` characters occupy the line."""
+        """Time that ``count`` characters take on the line, ns."""
         return count * self._bits_per_char * _NS_PER_S // self._baud if self._baud else 0

@@ -4,13 +4,13 @@
 
     $GNGGA,101530.20,3352.1234567,S,15112.7654321,E,4,18,0.6,41.20,M,22.10,M,1.0,0021*5C
 
-    u     time of day that the receiver states, UTC                                   ns
+    u     time of day stated by the receiver, UTC                                       ns
     h     heading of the pair of antennas, clockwise from true north                  °
     ψ     the same east = 0, counter-clockwise: ψ = 90° − h                           rad
 
-Fields are read by pynmeagps. Checksums, validity fields, ranges and empty fields are checked here; angles and
-times, whose width varies between makes, are read here. A sentence is accepted or has a reason why not; kinds
-that are not used are left aside.
+pynmeagps reads the fields. Checksums, validity fields, ranges and empty fields are checked here. Angles and
+times, whose width varies between makes, are parsed here. A sentence is accepted, or has a reason for its
+rejection; unused kinds are ignored.
 """
 
 import math
@@ -35,24 +35,24 @@ STATUS_OF_QUALITY = {
     3: FixStatus.SINGLE,  # the military code
     RTK_FIXED: FixStatus.RTK,
     RTK_FLOAT: FixStatus.RTK,
-    9: FixStatus.DIFFERENTIAL,  # by satellite, as one make has it
+    9: FixStatus.DIFFERENTIAL,  # corrections by satellite, of one make
 }
 _NO_FIX, _DEAD_RECKONING = 0, 6
 _QUALITY_OF_MODE = {"N": 0, "A": 1, "D": 2, "P": 2, "R": 4, "F": 5, "E": 6, "M": 7, "S": 8}  # of GNS
 _BEST_FIRST = (RTK_FIXED, RTK_FLOAT, 2, 1, 6, 7, 8)
 _WORST_STDDEV = 1e4  # m
-_HIGHEST = 1e5  # m, of an altitude either way
+_HIGHEST = 1e5  # m, largest magnitude of an altitude
 _FASTEST = 100.0  # m/s
-_COURSELESS = 0.2  # m/s, up to which receivers leave out the course
+_COURSELESS = 0.2  # m/s, up to which receivers omit the course
 _KNOT, _KM_PER_H = 1852.0 / 3600.0, 1.0 / 3.6  # m/s
 _NS_PER_S = 1_000_000_000
-_TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s, leading zeros left out by some makes
+_TIME = re.compile(r"(\d{1,6})(?:\.(\d*))?")  # hhmmss.s; some makes omit leading zeros
 _CHECKSUM = re.compile(rb"\s*([0-9A-Fa-f]{2})(?![0-9A-Za-z])")
-_ANGLE = re.compile(r"(\d{1,5})(?:\.(\d*))?")  # dddmm.m, the same
+_ANGLE = re.compile(r"(\d{1,5})(?:\.(\d*))?")  # dddmm.m; some makes omit leading zeros
 
 
 class Rejection(Enum):
-    """Why a sentence was not used."""
+    """Reason for the rejection of a sentence."""
 
     OVERLONG = "no line end"
     NOT_NMEA = "no sentence"
@@ -73,7 +73,7 @@ class Rejection(Enum):
 
 
 class Gga(NamedTuple):
-    """Position and how it was found."""
+    """Position with its quality."""
 
     time_ns: int | None
     latitude: float  # °, north
@@ -84,7 +84,7 @@ class Gga(NamedTuple):
 
     @property
     def status(self) -> FixStatus:
-        """By its quality."""
+        """Status of the quality."""
         return STATUS_OF_QUALITY[self.quality]
 
 
@@ -98,24 +98,24 @@ class Gst(NamedTuple):
 
 
 class Velocity(NamedTuple):
-    """Of the antenna over the ground."""
+    """Velocity of the antenna over the ground."""
 
     time_ns: int | None
     east: float  # m/s
     north: float
     stddev: float  # m/s, of each; 0: unknown
-    unseen: float = 0.0  # m/s, speed whose direction is unknown: it is no part of east and north
+    unseen: float = 0.0  # m/s, speed of unknown direction, not part of east and north
 
 
 class Rmc(NamedTuple):
-    """That the receiver finds its position valid, and how fast the antenna moves."""
+    """Validity of a position, and velocity of the antenna."""
 
     time_ns: int | None
-    velocity: Velocity | Rejection | None = None  # None: the sentence leaves it out
+    velocity: Velocity | Rejection | None = None  # None: absent from the sentence
 
 
 class Heading(NamedTuple):
-    """Of the pair of antennas."""
+    """Heading of the antenna pair."""
 
     time_ns: int | None
     yaw: float  # rad, ψ
@@ -127,15 +127,15 @@ Reading = Gga | Gst | Rmc | Heading | Velocity
 
 
 class Sentence(NamedTuple):
-    """One line whose checksum is right."""
+    """One line with a correct checksum."""
 
     talker: str  # GN, GP, …; P of proprietary sentences
     kind: str  # GGA, …; PASHR, PTNL,AVR, … of proprietary ones
-    reading: Reading | Rejection | None  # None: a kind that is not used
+    reading: Reading | Rejection | None  # None: an unused kind
 
 
 def read(line: bytes) -> Sentence | Rejection:
-    """One line, from its ``$`` on, without its end; what a logger wrote behind the checksum is left aside."""
+    """Decode one line, from its ``$`` on, without its end; text after the checksum is ignored."""
     content, star, behind = line.rstrip(b"\r").removeprefix(b"$").partition(b"*")
     stated = _CHECKSUM.match(behind)
     checksum = stated[1].upper() if stated else b""
@@ -156,9 +156,9 @@ def read(line: bytes) -> Sentence | Rejection:
 
 
 def decode(line: bytes) -> Reading | Rejection | None:
-    """What one line states, without its end; None for a kind of sentence that is not used.
+    """The reading of one line without its end; None for an unused kind of sentence.
 
-    What comes before the last ``$`` is noise, or a binary message on the same line.
+    Bytes before the last ``$`` are ignored: noise, or a binary message on the same line.
     """
     _, start, content = line.rpartition(b"$")
     if not start:
@@ -168,12 +168,12 @@ def decode(line: bytes) -> Reading | Rejection | None:
 
 
 def yaw_of_heading(heading: float) -> float:
-    """ψ of h in °; in (−π, π]."""
+    """ψ in (−π, π] of h in °."""
     return math.pi - math.radians((heading + 90.0) % 360.0)
 
 
 def heading_of_yaw(yaw: float) -> float:
-    """h of ψ in rad; in [0, 360) °."""
+    """h in [0, 360) ° of ψ in rad."""
     return (90.0 - math.degrees(yaw)) % 360.0
 
 
@@ -189,7 +189,7 @@ def _address(fields: Sequence[str]) -> tuple[str, str]:
 
 
 def _parsed(kind: str, content: bytes, checksum: bytes) -> Any:
-    """The fields by pynmeagps, which reads no PASHR without a time."""
+    """The fields parsed by pynmeagps, which cannot parse a PASHR without a time."""
     if content.startswith(b"PASHR,,"):
         content = content.replace(b",,", b",000000.00,", 1)
     return NMEAReader.parse(b"$" + content + b"*" + checksum, validate=VALNONE)
@@ -202,7 +202,7 @@ def _gga(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 
 
 def _gns(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    """Its mode has a letter for each system of satellites, of which the best one counts.
+    """GNS: the mode has one letter for each satellite system; the best of them is used.
 
     The status is S safe, C caution, U unsafe, or V of receivers that state none, which are most.
     """
@@ -224,7 +224,7 @@ def _refused_quality(quality: Any) -> Rejection | None:
 def _place(
     quality: Any, fields: Sequence[str], dilution: Any, heights: tuple[Any, Any]
 ) -> Reading | Rejection:
-    """``fields`` begin with time, latitude and longitude; ``heights``: above the geoid, and of that, m."""
+    """A position; ``fields``: time, latitude, longitude, …; ``heights``: over the geoid, and of that, m."""
     if (refused := _refused_quality(quality)) is not None:
         return refused
     latitude, longitude = _angle(fields[1], fields[2], "NS", 90.0), _angle(fields[3], fields[4], "EW", 180.0)
@@ -239,7 +239,7 @@ def _place(
 
 
 def _gst(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    """A standard deviation of 0 is none that a receiver can have: it states nothing."""
+    """GST: a standard deviation of 0 is impossible, and counts as unknown."""
     stated = [_number(value) for value in (found.stdLong, found.stdLat, found.stdAlt)]
     if any(value < 0.0 or value >= _WORST_STDDEV for value in stated):
         return Rejection.OUT_OF_RANGE
@@ -256,7 +256,7 @@ def _rmc(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 
 
 def _vtg(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    """Course and speed; old receivers leave out units and mode."""
+    """VTG: course and speed; old receivers omit units and mode."""
     if len(fields) < 8 or fields[1] not in ("T", "") or fields[7] not in ("K", ""):
         return Rejection.MALFORMED
     speed, knots = _number(fields[6]) * _KM_PER_H, _number(fields[4]) * _KNOT
@@ -267,7 +267,7 @@ def _vtg(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 
 
 def _velocity(time_ns: int | None, speed: float, course: float) -> Velocity | Rejection:
-    """From m/s and ° clockwise from true north; nan: unknown."""
+    """Velocity of a speed in m/s and a course in ° clockwise from true north; nan: unknown."""
     if math.isnan(speed) or (math.isnan(course) and speed > _COURSELESS):
         return Rejection.NO_VELOCITY
     if not 0.0 <= speed < _FASTEST or course < 0.0 or course > 360.0:
@@ -279,7 +279,7 @@ def _velocity(time_ns: int | None, speed: float, course: float) -> Velocity | Re
 
 
 def _rejected_mode(mode: str, invalid: Rejection) -> Rejection | None:
-    """Why a mode forbids the use of a sentence: N, V invalid, E estimated, M manual, S simulated."""
+    """Rejection by a mode: N, V invalid, E estimated, M manual, S simulated; None for any other."""
     reasons = {"N": invalid, "V": invalid, "E": Rejection.DEAD_RECKONING}
     return reasons.get(mode) or (Rejection.NOT_MEASURED if mode in ("M", "S") else None)
 
@@ -328,7 +328,7 @@ def _hpr(found: Any, fields: Sequence[str]) -> Reading | Rejection:
 
 
 def _ksxt(found: Any, fields: Sequence[str]) -> Reading | Rejection:
-    """Unicore: quality of the heading 3 is fixed, 0 none; the time has a date before it."""
+    """Unicore: heading quality 3 is fixed, 0 none; a date precedes the time."""
     if fields[10] in ("", "0"):
         return Rejection.NO_HEADING
     if fields[10] != "3":
@@ -349,7 +349,7 @@ def _heading(
 
 
 def _accuracy(degrees: Any) -> float:
-    """A standard deviation in rad; 0 where it is unknown."""
+    """A standard deviation in rad; 0 if unknown."""
     stddev = _number(degrees)
     return math.radians(stddev) if 0.0 < stddev < 180.0 else 0.0
 
@@ -371,13 +371,13 @@ _DECODERS: dict[str, Callable[[Any, Sequence[str]], Reading | Rejection]] = {
 
 
 def _number(value: Any) -> float:
-    """nan for an empty field."""
+    """The number of a field; nan if it is empty."""
     number = math.nan if value == "" else float(value)
     return number if math.isfinite(number) else math.nan
 
 
 def _angle(text: str, letter: str, letters: str, limit: float) -> float:
-    """Degrees of dddmm.m, positive on the side of the first letter; nan where no place has them."""
+    """Degrees of dddmm.m, positive for the first of ``letters``; nan if out of range."""
     found = _ANGLE.fullmatch(text)
     if found is None or len(letter) != 1 or letter not in letters:
         raise ValueError(text)
@@ -388,10 +388,10 @@ def _angle(text: str, letter: str, letters: str, limit: float) -> float:
 
 
 def time_of_day_ns(text: str) -> int | None:
-    """u; None where the receiver does not know it, or in the leap second itself.
+    """u; None if the receiver does not know it, or in the leap second itself.
 
     Raises:
-        ValueError: no clock shows such a time.
+        ValueError: the text is no time of day.
     """
     if text == "":
         return None

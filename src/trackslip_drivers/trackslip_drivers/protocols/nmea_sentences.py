@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The receiver's half of NMEA 0183: sentences as it sends them, for the emulator and tests."""
+"""NMEA 0183 sentences as a receiver sends them, for the emulator and tests."""
 
 import math
 from typing import NamedTuple
@@ -12,9 +12,9 @@ _NS_PER_CENTISECOND = 10_000_000
 
 
 class Position(NamedTuple):
-    """What a receiver knows of one epoch; without a fix ``quality`` is 0 and the rest has no meaning."""
+    """A receiver's data of one epoch; without a fix ``quality`` is 0 and the rest has no meaning."""
 
-    time_ns: int | None  # UTC, of any day; None: its clock is not set
+    time_ns: int | None  # UTC, of any day; None: the clock is not set
     latitude: float = 0.0  # °
     longitude: float = 0.0  # °
     altitude: float = 0.0  # m above the ellipsoid
@@ -29,12 +29,12 @@ class Position(NamedTuple):
 
 
 def sentence(content: str) -> bytes:
-    """With its checksum and end."""
+    """The content with ``$``, checksum and line end."""
     return f"${content}*{calc_checksum(content)}\r\n".encode("ascii")
 
 
 def gga(at: Position, geoid: float = 20.0) -> bytes:
-    """Position; minutes have 7 decimals, 0.2 mm."""
+    """GGA: position; minutes have 7 decimals, 0.2 mm."""
     time = _time(at.time_ns)
     if at.quality == 0:
         return sentence(f"GNGGA,{time},,,,,0,00,99.9,,,,,,")
@@ -44,7 +44,7 @@ def gga(at: Position, geoid: float = 20.0) -> bytes:
 
 
 def gst(at: Position) -> bytes:
-    """Standard deviations."""
+    """GST: standard deviations."""
     if at.quality == 0:
         return sentence(f"GNGST,{_time(at.time_ns)},,,,,,,")
     both = f"{at.stddev:.4f},{at.stddev:.4f}"
@@ -52,7 +52,7 @@ def gst(at: Position) -> bytes:
 
 
 def rmc(at: Position) -> bytes:
-    """Whether the position is valid, speed in knots and course; without a date."""
+    """RMC: validity of the position, speed in knots and course; without a date."""
     if at.quality == 0:
         return sentence(f"GNRMC,{_time(at.time_ns)},V,,,,,,,,,,N,V")
     north, east = _angle(at.latitude, 2, "NS"), _angle(at.longitude, 3, "EW")
@@ -61,7 +61,7 @@ def rmc(at: Position) -> bytes:
 
 
 def pashr(at: Position) -> bytes:
-    """Heading with accuracy."""
+    """PASHR: heading with accuracy."""
     if at.heading is None:
         return sentence(f"PASHR,{_time(at.time_ns)},,T,,,,,,,{at.quality},0")
     angles = f"{at.heading:.4f},T,+0.00,+0.00,+0.00,0.100,0.100,{at.heading_stddev:.4f}"
@@ -69,7 +69,7 @@ def pashr(at: Position) -> bytes:
 
 
 def _time(time_ns: int | None) -> str:
-    """hhmmss.ss."""
+    """hhmmss.ss; empty if unknown."""
     if time_ns is None:
         return ""
     seconds, centiseconds = divmod(time_ns % _DAY_NS // _NS_PER_CENTISECOND, 100)
@@ -79,7 +79,7 @@ def _time(time_ns: int | None) -> str:
 
 
 def _angle(degrees: float, digits: int, letters: str) -> str:
-    """Whole degrees and minutes, and the letter of its side."""
+    """Degrees and minutes as NMEA writes them, with the letter of the side."""
     units = round(abs(degrees) * 60e7)
     whole, minutes = divmod(units, 60 * 10**7)
     letter = letters[math.copysign(1.0, degrees) < 0.0]

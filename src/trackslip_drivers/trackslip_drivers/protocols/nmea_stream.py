@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes of a GNSS receiver to positions, velocities and headings with stamps and variances.
+"""Decodes the bytes of a GNSS receiver to positions, velocities and headings with stamps and variances.
 
-A receiver states one moment, its epoch, in a burst of sentences. GGA, GST, RMC and PASHR hold the time of
-the epoch; VTG, HDT and THS do not, and have that of the burst they come in. A fix waits for its GST where the
-one before had its GST behind it; it is out with the next sentence of another epoch, or as the line falls
-silent. UBX messages may come between sentences, or alone. A NAV-PVT waits for NAV-HPPOSLLH and NAV-COV of its
-epoch, where the one before had them. Of several messages that state one measurement of an epoch, one is used.
+A receiver sends the sentences of one epoch in a burst. GGA, GST, RMC and PASHR contain the time of the epoch;
+VTG, HDT and THS do not, and get the epoch of their burst. A fix waits for its GST if the previous GST came
+after its fix. It is released by the next sentence of another epoch, or by silence. UBX messages may come
+between sentences, or alone. A NAV-PVT waits for NAV-HPPOSLLH and NAV-COV of its epoch, if the previous one
+had them. Of several messages with the same measurement of an epoch, one is used.
 """
 
 import math
@@ -42,19 +42,19 @@ from trackslip_drivers.records import (
 from trackslip_drivers.stamping import SenderClock
 
 FIX, HEADING, VELOCITY = "fix", "heading", "fix_velocity"
-POSITIONS = frozenset(("GGA", "GNS", "NAV-PVT"))  # kinds of messages that state one
+POSITIONS = frozenset(("GGA", "GNS", "NAV-PVT"))  # kinds of messages with a position
 NO_POSITION = "switch GGA on at the receiver (of UBX NAV-PVT)"
 RECEIVER_CLOCK = "receiver's clock"
 
-_CLOCK_TOLERANCE = 5e-5  # of a host's quartz
+_CLOCK_TOLERANCE = 5e-5  # relative, of a host's quartz
 _PATIENCE = 300  # fixes
-_BURST_GAP_NS = 10_000_000  # of silence that ends a burst
-_GST_AGE_NS = 1_500_000_000  # of the oldest GST that a fix of the same quality may use
+_BURST_GAP_NS = 10_000_000  # silence that ends a burst
+_GST_AGE_NS = 1_500_000_000  # greatest age of a GST used for a fix of the same quality
 _DAY_NS = 86_400_000_000_000
-_EARLY_NS, _LATE_NS = -50_000_000, 1_000_000_000  # an answer's age, if both clocks are on UTC
+_EARLY_NS, _LATE_NS = -50_000_000, 1_000_000_000  # bounds on a sentence's age, if both clocks are on UTC
 
-_MOST_KINDS = 64  # of sentences, that are told apart
-_BY_ACCURACY = 2  # rank of a position that states its accuracy itself
+_MOST_KINDS = 64  # kinds of sentences that are distinguished
+_BY_ACCURACY = 2  # rank of a position that states its accuracy
 _RECENT_NS = 10_000_000_000
 _HEADINGS = ("HDT", "THS", "PASHR", "PTNL,AVR", "PSSN,HRP", "PSAT,HPR", "KSXT")
 _TOPICS = {**dict.fromkeys(_HEADINGS, HEADING), "VTG": VELOCITY}
@@ -64,78 +64,78 @@ Sample = FixSample | HeadingSample | VelocitySample
 
 
 class ClockEvent(Enum):
-    """What is wrong with a time that the receiver states."""
+    """Fault of a time that the receiver states."""
 
     NOT_UTC = "not the host's UTC: latency assumed"
 
 
 class NmeaStream:
-    """Bytes in, samples out; everything else is counted.
+    """Decodes bytes to samples; counts everything else.
 
     Args:
-        p: line rate, latency, variances where the receiver states none.
-        tally: counts what was rejected, and what its clock did.
-        utc: time on the host's clock of a steady time, where that clock is kept on UTC.
+        p: line rate, latency, and variances where the receiver states none.
+        tally: counts rejections, and events of the receiver's clock.
+        utc: time on the host's clock of a steady time, if the host's clock is kept on UTC.
     """
 
     def __init__(self, p: NmeaParameters, tally: Tally, utc: Callable[[int], int] | None = None) -> None:
         self.tally = tally
-        self.others = 0  # sentences of kinds that are not used
-        self.binary = 0  # bytes between sentences that are none
-        self.latency_ns = 0  # from the latest epoch to the first byte of the sentence that stated it
+        self.others = 0  # sentences of unused kinds
+        self.binary = 0  # bytes between sentences
+        self.latency_ns = 0  # from the latest epoch to the first byte of its sentence
         self._p = p
         self._latency_ns = round(p.latency * 1e9)
-        self._gst_quality: int | None = None  # of the fix that the latest GST belonged to
+        self._gst_quality: int | None = None  # of the fix of the latest GST
         self._utc = utc
         self._frames = FrameCutter(0 if "://" in p.serial_port else p.serial_baud)
         self._clock = SenderClock(_CLOCK_TOLERANCE, _PATIENCE)
         self._position, self._direction, self._speed = EpochSource(), EpochSource(), EpochSource()
-        self._kinds: dict[str, int] = {}  # kind of sentence → when the latest one ended
+        self._kinds: dict[str, int] = {}  # kind of sentence → end of the latest one
         self.reset()
 
     @property
     def bytes_held(self) -> int:
-        """How many bytes wait for the rest of their message."""
+        """Number of bytes of the incomplete message."""
         return self._frames.bytes_held
 
     @property
     def repeated(self) -> int:
-        """Measurements that another message of the same epoch had stated."""
+        """Measurements dropped as duplicates of an epoch."""
         return self._position.repeated + self._direction.repeated + self._speed.repeated
 
     @property
     def crowded(self) -> int:
-        """Those of one kind of message that has come more than once in an epoch."""
+        """Duplicates from the same kind of message."""
         return self._position.crowded + self._direction.crowded + self._speed.crowded
 
     @property
     def kinds(self) -> list[str]:
-        """Kinds of sentences that have come of late, whole."""
+        """Kinds of complete sentences received recently."""
         latest_ns = max(self._kinds.values(), default=0)
         return sorted(kind for kind, ended_ns in self._kinds.items() if latest_ns - ended_ns <= _RECENT_NS)
 
     def reset(self) -> None:
-        """Drop what was half received: the port was reopened."""
+        """Drop incomplete messages and all memory of earlier ones: the port was reopened."""
         self._frames.reset()
         self._clock.restart()
         self._position.reset()
         self._direction.reset()
         self._speed.reset()
         self._kinds.clear()
-        self._burst_ns: int | None = None  # the epoch of this burst
+        self._burst_ns: int | None = None  # epoch of the present burst
         self._burst_end_ns: int | None = None
-        self._last: tuple[Gga, int] | None = None  # the latest position, and its moment
-        self._has_fix = True  # but for receivers that state otherwise
+        self._last: tuple[Gga, int] | None = None  # latest position, and its stamp
+        self._has_fix = True  # until a sentence states otherwise
         self._gst: tuple[Gst, int] | None = None
         self._gst_follows = False
-        self._waiting = False  # the latest position for its GST
-        self._pvt: tuple[ubx.Pvt, int, int] | None = None  # of UBX: a position, its moment, its arrival
-        self._pvt_parts: set[str] = set()  # messages that have come for it
-        self._pvt_follow: set[str] = set()  # that came for the one before
-        self._pvt_out_ns = -1  # time of the latest that is out
+        self._waiting = False  # whether the latest position waits for its GST
+        self._pvt: tuple[ubx.Pvt, int, int] | None = None  # UBX position, its stamp, its arrival
+        self._pvt_parts: set[str] = set()  # messages received for it
+        self._pvt_follow: set[str] = set()  # messages received for the previous one
+        self._pvt_out_ns = -1  # time of the latest one released
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Sample]:
-        """What one read returned, and when: its last byte was there by ``arrival_ns``."""
+        """The samples completed by one read, whose last byte arrived by ``arrival_ns``."""
         return [sample for frame in self._frames.feed(data, arrival_ns) for sample in self._on_frame(frame)]
 
     def _on_frame(self, frame: Frame) -> list[Sample]:
@@ -171,7 +171,7 @@ class NmeaStream:
             self._pvt = reading, self._stamp(reading.time_ns, begun_ns), begun_ns
             self._pvt_parts = set()
         elif self._pvt is None or self._pvt[0].time_ns != reading.time_ns:
-            if reading.time_ns == self._pvt_out_ns:  # too late for it: the next one waits
+            if reading.time_ns == self._pvt_out_ns:  # too late for its position; the next one waits
                 self._pvt_follow.add(kind)
             return []
         else:
@@ -184,7 +184,7 @@ class NmeaStream:
         return samples + (self._pvt_out() if self._pvt_follow <= self._pvt_parts else [])
 
     def _release_pvt(self) -> list[Sample]:
-        """The position of UBX whose other messages do not come."""
+        """The UBX position that waits for other messages, which have not come."""
         if self._pvt is None:
             return []
         self._pvt_follow = set(self._pvt_parts)
@@ -222,12 +222,12 @@ class NmeaStream:
         return self._on_reading(reading, talker + kind, frame.begun_ns)
 
     def flush(self) -> list[Sample]:
-        """The line has fallen silent: what is pending goes on no more, and what still waits is out."""
+        """The samples that still wait, after the line fell silent; an incomplete message ends."""
         samples = [sample for frame in self._frames.resume() for sample in self._on_frame(frame)]
         return samples + self._release() + self._release_pvt()
 
     def _release(self) -> list[Sample]:
-        """The position whose GST does not come: the line is silent, or goes on with another epoch."""
+        """The position whose GST has not come: the line is silent, or another epoch has begun."""
         if not self._waiting:
             return []
         self._gst_follows = False
@@ -275,11 +275,11 @@ class NmeaStream:
         return self._out() if self._waiting else []
 
     def _has_gst(self, gga: Gga) -> bool:
-        """Whether the GST of its own epoch has come."""
+        """Whether the GST of the same epoch has come."""
         return self._gst is not None and self._gst[0].time_ns == gga.time_ns is not None
 
     def _out(self) -> list[Sample]:
-        """The latest position, with the variances that are known of it."""
+        """The latest position with its variances."""
         assert self._last is not None
         gga, stamp_ns = self._last
         self._waiting = False
@@ -289,7 +289,7 @@ class NmeaStream:
         return [FixSample(stamp_ns, *gga[1:4], gga.status, variances, kind)]
 
     def _variances(self, gga: Gga, stamp_ns: int) -> tuple[Vector, CovarianceType]:
-        """m², east, north, up, and what they are from."""
+        """(variances east, north, up in m², their origin)."""
         if self._gst is not None and gga.quality == self._gst_quality:
             (_, east, north, up), gst_ns = self._gst
             if abs(stamp_ns - gst_ns) <= _GST_AGE_NS and not (math.isnan(east) or math.isnan(north)):
@@ -307,7 +307,7 @@ class NmeaStream:
         return errors.differential if gga.status is FixStatus.DIFFERENTIAL else errors.single
 
     def _stamp(self, stated_ns: int | None, begun_ns: int) -> int:
-        """The moment of a reading, on the steady clock."""
+        """The stamp of a reading on the steady clock, ns."""
         if stated_ns is not None:
             self._burst_ns = self._epoch(stated_ns, begun_ns)
             self.latency_ns = begun_ns - self._burst_ns
@@ -315,7 +315,7 @@ class NmeaStream:
         return moment_ns + round(self._p.time_offset * 1e9)
 
     def _epoch(self, stated_ns: int, begun_ns: int) -> int:
-        """When it was at the receiver what it says it was."""
+        """Steady time of the epoch that the receiver states, ns."""
         first_byte_ns = self._clock.filter(begun_ns, stated_ns)
         if self._utc is not None:
             late_ns = (self._utc(begun_ns) - stated_ns + _DAY_NS // 2) % _DAY_NS - _DAY_NS // 2

@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the host may send to a SICK scanner, and what the scanner's short replies mean.
+"""Commands to a SICK scanner, and decoding of its short replies.
 
-Payloads only; ``sick_telegram.frame`` wraps them. A reply's code is its command's plus 0x80, and its
-last byte is the scanner's status. Scans (B0) are decoded in ``sick_scan``.
+Payloads only; ``sick_telegram.frame`` wraps them. A reply's code is the command's plus 0x80, and its last
+byte is the scanner's status. ``sick_scan`` decodes scans (B0).
 """
 
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 # Commands, host to scanner. 0x20 changes the mode of operation.
-STREAM_ALL = b"\x20\x24"  # all values, without end
-STREAM_MINIMA = b"\x20\x20"  # the nearest value of each degree, without end
+STREAM_ALL = b"\x20\x24"  # all values, continuously
+STREAM_MINIMA = b"\x20\x20"  # the nearest value of each degree, continuously
 STOP = b"\x20\x25"  # values on request only
 REQUEST_VALUES_LMS = b"\x30\x01"
 REQUEST_VALUES_PLS = b"\x30\x05\xb4"
@@ -39,7 +39,7 @@ class ReplyCode(IntEnum):
 
 
 class ModeResult(IntEnum):
-    """What came of a change of mode."""
+    """Result of a change of mode."""
 
     OK = 0
     WRONG_PASSWORD = 1
@@ -57,7 +57,7 @@ class Severity(IntEnum):
 
 
 class ReplyFault(Enum):
-    """Why a whole telegram of the scanner was not understood."""
+    """Reason why a complete telegram was not decoded."""
 
     UNKNOWN_CODE = "unknown reply"
     BAD_STRUCTURE = "reply with the wrong structure"
@@ -65,7 +65,7 @@ class ReplyFault(Enum):
 
 @dataclass(frozen=True)
 class PowerOn:
-    """The scanner has started; it now runs at its own rate and in no measuring mode."""
+    """The scanner has started; it is at its power-on rate and in no measuring mode."""
 
     identity: str
 
@@ -82,14 +82,14 @@ class Refused:
 
 @dataclass(frozen=True)
 class ModeChanged:
-    """Answer to a change of mode, of rate included."""
+    """Reply to a change of mode, including one of rate."""
 
     result: ModeResult
 
 
 @dataclass(frozen=True)
 class StatusReport:
-    """The scanner's own description; its layout differs from model to model, so it stays bytes."""
+    """The scanner's description of itself; its layout depends on the model, so it stays bytes."""
 
     content: bytes
 
@@ -105,12 +105,12 @@ Reply = PowerOn | ResetDone | Refused | ModeChanged | StatusReport | ErrorReport
 
 
 def installation_mode(password: bytes) -> bytes:
-    """Open the scanner's settings; every other change of mode closes them."""
+    """Command that opens the scanner's settings; every other change of mode closes them."""
     return bytes((_MODE, _INSTALLATION)) + password
 
 
 def set_baud(baud: int) -> bytes:
-    """Change the scanner's rate.
+    """Command that changes the scanner's rate.
 
     Raises:
         KeyError: the scanner has no such rate.
@@ -119,7 +119,7 @@ def set_baud(baud: int) -> bytes:
 
 
 def parse_reply(payload: bytes) -> Reply | ReplyFault:
-    """Understand any telegram of the scanner but a scan. ``payload`` is not empty."""
+    """Decode any telegram of the scanner except a scan. ``payload`` is not empty."""
     code, content = payload[0], payload[1:-1]
     if code == ReplyCode.POWER_ON:
         return PowerOn(content.decode("ascii", errors="replace").strip())

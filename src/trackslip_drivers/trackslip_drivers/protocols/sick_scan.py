@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scans of SICK scanners: ``B0 | count LE16 | count values LE16 | status``, and what they measure.
+"""Decodes scans of SICK scanners: ``B0 | count LE16 | count values LE16 | status``.
 
-    count   bits 0-8 number of values, 11-12 quarter of a degree that an interlaced scan starts at,
-            14-15 unit (LMS: 0 cm, 1 mm, 2 or 3 dm; the PLS measures in cm whatever the field holds)
+    count   bits 0-8 number of values, 11-12 start of an interlaced scan in quarters of a degree,
+            14-15 unit (LMS: 0 cm, 1 mm, 2 or 3 dm; the PLS measures in cm whatever the field is)
     value   bits 0-12 distance, 13 glare, 14 warning field, 15 safety field
-    status  bits 0-2 severity, 5 restart, 6 implausible, 7 pollution (the listing is the LMS')
+    status  bits 0-2 severity, 5 restart, 6 implausible, 7 pollution (documented for the LMS)
 
-The first value is the ray at -90 degrees (LMS with a field of 100 degrees: at -50), the others follow
-counter-clockwise; clockwise where the scanner hangs upside down, which is turned round here.
+The first value is the ray at -90 degrees (LMS with a field of 100 degrees: at -50); the others follow
+counter-clockwise. A scanner that hangs upside down sends them clockwise; they are reversed here.
 """
 
 import math
@@ -47,18 +47,18 @@ _GLARE = 0x2000
 _LMS_UNITS = (0.01, 0.001, 0.1, 0.1)  # m
 _PLS_UNIT = 0.01  # m
 
-# The LMS reserves its highest distances for reasons why there is none; all but one mean 'invalid'.
+# The LMS reserves its highest distances for rays without a distance; all but one mean 'invalid'.
 _LMS_FIRST_RESERVED = 8183
 _LMS_BEYOND_RANGE = 8183
 _LMS_DAZZLED = 8190
-_PLS_BEYOND_RANGE = 8191  # what our encoder writes: anything above the PLS' range would do
+_PLS_BEYOND_RANGE = 8191  # written by our encoder; any value above the PLS' range is valid
 
 _SEVERITY_MASK, _RESTART, _IMPLAUSIBLE, _POLLUTION = 0x07, 0x20, 0x40, 0x80
 _NS_PER_S = 1_000_000_000
 
 
 class ScanFault(Enum):
-    """Why a whole scan telegram was thrown away."""
+    """Reason for the rejection of a complete scan telegram."""
 
     BAD_STRUCTURE = "scan with the wrong length"
     UNKNOWN_COUNT = "scan with an unknown number of rays"
@@ -69,20 +69,20 @@ class ScanFault(Enum):
 class DeviceStatus:
     """The status byte, decoded."""
 
-    severity: int  # as ``sick_commands.Severity``
+    severity: int  # see ``sick_commands.Severity``
     restart: bool
     implausible: bool
     pollution: bool
 
     @property
     def severity_text(self) -> str:
-        """In words."""
+        """The severity in words."""
         known = self.severity in set(Severity)
         return Severity(self.severity).name.lower() if known else f"severity {self.severity}"
 
     @staticmethod
     def from_byte(byte: int) -> "DeviceStatus":
-        """Read the flags."""
+        """Decode a status byte."""
         return DeviceStatus(
             byte & _SEVERITY_MASK, bool(byte & _RESTART), bool(byte & _IMPLAUSIBLE), bool(byte & _POLLUTION)
         )
@@ -90,7 +90,7 @@ class DeviceStatus:
 
 @dataclass(frozen=True, eq=False)
 class RawScan:
-    """A scan telegram's content, numbers as sent."""
+    """Content of a scan telegram, numbers as sent."""
 
     values: UintArray  # (n,) with their flags
     status: int
@@ -116,7 +116,7 @@ class RawScan:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A decoded scan, and how the scanner felt."""
+    """A decoded scan with the scanner's status."""
 
     sample: ScanSample
     status: DeviceStatus
@@ -149,7 +149,7 @@ def ranges_of(raw: RawScan, parameters: SickParameters) -> FloatArray:
 
 
 def values_of(ranges: FloatArray, parameters: SickParameters) -> UintArray:
-    """What a scanner measuring in cm would send for these ranges (m); the inverse of ``ranges_of``."""
+    """The values that a scanner measuring in cm sends for these ranges (m); inverse of ``ranges_of``."""
     is_lms = parameters.model == "lms"
     beyond = _LMS_BEYOND_RANGE if is_lms else _PLS_BEYOND_RANGE
     invalid = _LMS_DAZZLED if is_lms else _GLARE
@@ -160,8 +160,8 @@ def values_of(ranges: FloatArray, parameters: SickParameters) -> UintArray:
 def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFault:
     """The scan in a telegram, stamped with the time of its first ray.
 
-    The scanner sends a scan when the mirror has completed its turn: the turn began one scan time before
-    the telegram did.
+    The scanner sends a scan when the mirror has completed its turn. The turn begins one scan time before the
+    telegram.
     """
     raw = parse_scan(telegram.payload)
     if isinstance(raw, ScanFault):
@@ -184,7 +184,7 @@ def decode_scan(telegram: Telegram, parameters: SickParameters) -> Scan | ScanFa
 
 
 def _mirrored(sample: ScanSample) -> ScanSample:
-    """As seen from the other side: its last ray is the first counter-clockwise."""
+    """The scan in reverse order: its last ray is the first counter-clockwise."""
     steps = len(sample.ranges) - 1
     return sample._replace(
         stamp_ns=sample.stamp_ns + round(steps * sample.time_increment * _NS_PER_S),

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The host's side of the talk with a SICK scanner, from any state it may be in to streaming scans.
+"""Host side of the dialogue with a SICK scanner, from any state of the scanner to streaming scans.
 
     stop (0x25) at each rate until it answers → installation mode → set the rate → switch the host
-    → pause → stop → stream all values (0x24); from the start again when the scanner falls silent, and
+    → pause → stop → stream all values (0x24); repeated from the start if the scanner falls silent, and
     a while after it refused the password.
 
-The owner has the port and the clock. It gives what it read to ``receive``, then calls ``step`` and does
-what that requests, at least every 20 ms. No bytes are received only where a read has waited in vain:
+The owner has the port and the clock. It passes the bytes of each read to ``receive``, then calls ``step`` and
+carries out the returned action, at least every 20 ms. Empty bytes mean that a read timed out:
 
     scans = session.receive(port.read(), now_ns)
     action = session.step(now_ns)
@@ -48,22 +48,22 @@ from trackslip_drivers.sick_parameters import SickParameters
 from trackslip_drivers.stamping import Backlog, PeriodicStamps, StampEvent
 
 T = TypeVar("T")
-Script = Generator[None, None, T]  # resumed by each step; returns what came of it
-Answer = Reply | Control | None  # ACK: acknowledged, but no reply came; None: nothing came
+Script = Generator[None, None, T]  # resumed by each step; returns its result
+Answer = Reply | Control | None  # ACK: acknowledged, but no reply came; None: no answer
 
 _SOURCE = "scan"
 _OK = ModeChanged(ModeResult.OK)
 _INBOX = 16
 _ALL_VALUES = 732  # bytes of a telegram with 361 values
-_MIRROR_TOLERANCE = 0.01  # of the time of one turn
+_MIRROR_TOLERANCE = 0.01  # relative, of the time of one turn
 _PATIENCE = 50  # scans
-_REFUSALS = 2  # of a rate, one of which may be a wrong byte
-_PASSWORD_PAUSE = 10.0  # s from a refusal, which may be a wrong scanner or a wrong byte, to the next attempt
+_REFUSALS = 2  # of a rate; one of them may be a wrong byte
+_PASSWORD_PAUSE = 10.0  # s from a refusal (by a wrong scanner, or a wrong byte) to the next attempt
 _NS_PER_S = 1_000_000_000
 
 
 class Phase(Enum):
-    """Where the talk has got to."""
+    """State of the dialogue."""
 
     PROBING = "looking for the scanner's rate"
     INSTALLING = "entering installation mode"
@@ -76,7 +76,7 @@ class Phase(Enum):
 
 
 class SessionFault(Enum):
-    """Why the start-up had to begin again."""
+    """Reason for a restart of the dialogue."""
 
     NO_ANSWER = "no answer at any rate"
     REFUSED = "start-up refused or not answered"
@@ -87,14 +87,14 @@ class SessionFault(Enum):
 
 
 class Action(NamedTuple):
-    """What the port must do now: first change its rate, where one is given, then write."""
+    """Action for the port: first change its rate if one is given, then write."""
 
     baud: int | None
     write: bytes
 
 
 def scan_period(parameters: SickParameters, baud: int) -> float:
-    """Between scans of all values, s: whole turns of the mirror, as many as a telegram occupies."""
+    """Time between scans of all values, s: the whole turns of the mirror that one telegram takes."""
     transfer = _ALL_VALUES * parameters.bits_per_char / baud
     return math.ceil(transfer / parameters.scan_time) * parameters.scan_time
 
@@ -102,9 +102,9 @@ def scan_period(parameters: SickParameters, baud: int) -> float:
 class SickSession:
     """Brings a scanner to streaming and keeps it there.
 
-    ``baud`` is the rate the port must have; open it at that. A rate refused twice is given up for the next
-    lower one, until the scanner falls silent. Nothing more happens once ``phase`` is STOPPED. ``tally``
-    counts what was rejected, and each new start.
+    ``baud`` is the rate that the port must have, also at its opening. After two refusals of a rate the next
+    lower one is used, until the scanner falls silent. Nothing more happens once ``phase`` is STOPPED.
+    ``tally`` counts rejections and restarts.
     """
 
     def __init__(self, parameters: SickParameters, tally: Tally) -> None:
@@ -115,8 +115,8 @@ class SickSession:
         self._parser = TelegramParser(FROM_SENSOR, self.baud, parameters.bits_per_char, self.tally, _SOURCE)
         self._backlog = Backlog()
         self._starts: PeriodicStamps | None = None
-        self._requested_baud = parameters.serial_baud  # or less, where the scanner refuses that
-        self._refusals = 0  # of it, in a row
+        self._requested_baud = parameters.serial_baud  # or lower, if the scanner refuses it
+        self._refusals = 0  # consecutive, of that rate
         self._inbox: deque[Reply | Control] = deque(maxlen=_INBOX)
         self._now_ns = 0
         self._last_byte_ns = 0
@@ -126,13 +126,13 @@ class SickSession:
         self._script: Script[None] = self._run()
 
     def receive(self, data: bytes, arrival_ns: int) -> list[Scan]:
-        """Process what one read returned (also nothing) and when; gives the scans that are now complete."""
+        """The scans completed by one read (which may be empty) at ``arrival_ns``."""
         if data:
             self._last_byte_ns = arrival_ns
         if self._backlog.includes(self._transfer_ns(len(data)), arrival_ns):
             self.tally.add(_SOURCE, StampEvent.WAITED, len(data))
             self._parser.cut()
-            self._last_scan_ns = arrival_ns  # it was not the scanner that fell silent
+            self._last_scan_ns = arrival_ns  # the host was held up, the scanner was not silent
             return []
         scans: list[Scan] = []
         for event in self._parser.feed(data, arrival_ns):
@@ -146,7 +146,7 @@ class SickSession:
         return scans
 
     def step(self, now_ns: int) -> Action:
-        """Go on with the talk, as far as it gets by now."""
+        """Advance the dialogue to ``now_ns``; returns the action for the port."""
         self._now_ns = now_ns
         next(self._script, None)
         action = Action(self._new_baud, self._write)
@@ -154,7 +154,7 @@ class SickSession:
         return action
 
     def stop(self) -> None:
-        """Have the scanner stop streaming; go on stepping until ``phase`` is STOPPED, then close the port."""
+        """Begin to stop the stream; continue to step until ``phase`` is STOPPED, then close the port."""
         self._script = self._shut_down()
 
     def _understand(self, telegram: Telegram) -> Scan | ScanFault | Reply | ReplyFault:
@@ -179,7 +179,7 @@ class SickSession:
                 yield from self._pause(_PASSWORD_PAUSE)
 
     def _start_up(self) -> Script[SessionFault | None]:
-        """From anything to streaming; gives why that did not work, None when it did."""
+        """From any state to streaming; returns the fault, or None on success."""
         self.phase = Phase.PROBING
         if not (yield from self._find_baud()):
             return SessionFault.NO_ANSWER
@@ -198,10 +198,10 @@ class SickSession:
         return None
 
     def _find_baud(self) -> Script[bool]:
-        """Send stop at each rate until one is answered.
+        """Send stop at each rate until one is answered; returns whether one was.
 
-        First the present one, then by turns another and that of power-on, so that a scanner that has just
-        started is found soon.
+        The present rate comes first, then alternately another one and that of power-on. A scanner that has
+        just started is thus found soon.
         """
         slow = commands.POWER_ON_BAUD
         rates = [slow] if self.baud == slow else [self.baud, slow]
@@ -217,7 +217,7 @@ class SickSession:
         return False
 
     def _change_baud(self) -> Script[SessionFault | None]:
-        """Bring scanner and host to the rate wanted; the scanner still acknowledges at the old one."""
+        """Set scanner and host to the requested rate; the scanner acknowledges at the old one."""
         if self._parameters.model == "pls":
             self.phase = Phase.INSTALLING
             password = commands.PASSWORDS[self._parameters.model]
@@ -228,7 +228,7 @@ class SickSession:
                 return SessionFault.REFUSED
         self.phase = Phase.CHANGING_RATE
         command = commands.set_baud(self._requested_baud)
-        # Whether its reply, too, comes at the old rate is not certain: wait for it no longer than the pause.
+        # The reply, too, may come at the old rate: wait for it no longer than the pause.
         answer = yield from self._request(command, self._parameters.baud_pause)
         if answer not in (_OK, Control.ACK):
             return SessionFault.BAUD
@@ -237,16 +237,16 @@ class SickSession:
         return None if (yield from self._request(commands.STOP)) == _OK else SessionFault.BAUD
 
     def _refuse(self, found: int) -> None:
-        """The scanner, or the line, cannot do the rate wanted; the next lower, or that ``found``, it may."""
+        """Count a refusal of the rate; after ``_REFUSALS``, request the next lower one, or else ``found``."""
         self._refusals += 1
         if self._refusals >= _REFUSALS:
             lower = [baud for baud in commands.BAUD_CODES if baud < self._requested_baud]
             self._requested_baud, self._refusals = max(lower, default=found), 0
 
     def _steady_starts(self) -> PeriodicStamps | None:
-        """Where the line keeps up with the mirror, telegrams start a turn apart.
+        """Filter of the telegrams' starts, a turn apart, if the line keeps up with the mirror; else None.
 
-        Where it does not, a telegram takes many reads, one of which was prompt.
+        Without the filter, a telegram takes many reads, one of which is prompt.
         """
         turn = self._parameters.scan_time
         if scan_period(self._parameters, self.baud) > turn:
@@ -254,7 +254,7 @@ class SickSession:
         return PeriodicStamps(turn * _NS_PER_S, _MIRROR_TOLERANCE, _PATIENCE)
 
     def _stream(self) -> Script[SessionFault]:
-        """Stay while scans come; gives why they do no more."""
+        """Wait while scans come; returns the fault that ends them."""
         self._last_scan_ns = self._last_byte_ns = self._now_ns
         while (
             self._now_ns - self._last_scan_ns < self._parameters.telegram_timeout * _NS_PER_S
@@ -272,14 +272,14 @@ class SickSession:
         self.phase = Phase.STOPPED
 
     def _request(self, command: bytes, reply_timeout: float | None = None) -> Script[Answer]:
-        """Send a command; wait for its acknowledgement, then for its reply."""
+        """Send a command, wait for its acknowledgement, then for its reply; returns the answer."""
         self._inbox.clear()
         self._write = frame(command, TO_SENSOR)
         ack_ns = round(self._parameters.ack_timeout * _NS_PER_S)
         reply_ns = round((reply_timeout or self._parameters.mode_timeout) * _NS_PER_S)
         answer: Answer = None
         deadline_ns = self._now_ns + self._transfer_ns(len(self._write)) + ack_ns
-        # A scanner that is sending acknowledges when it has finished its telegram.
+        # A streaming scanner acknowledges after the end of its present telegram.
         latest_ns = deadline_ns + self._transfer_ns(MAX_TELEGRAM)
         while True:
             yield

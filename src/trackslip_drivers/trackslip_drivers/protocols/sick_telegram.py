@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Telegrams of SICK scanners, both directions: ``02 | address | length LE16 | payload | CRC LE16``.
 
-Between telegrams stand the bare bytes ACK and NAK. Whatever else comes is garbage, and counted.
+Single bytes ACK and NAK come between telegrams. All other bytes are garbage, and are counted.
 """
 
 from collections import deque
@@ -15,18 +15,18 @@ from trackslip_drivers.protocols.sick_crc import sick_crc
 STX = 0x02
 TO_SENSOR = 0x00
 FROM_SENSOR = 0x80
-MAX_PAYLOAD = 812  # the scanners send nothing longer; all 361 values take 726
+MAX_PAYLOAD = 812  # longest one of the scanners; all 361 values take 726
 _HEADER = 4
 _OVERHEAD = _HEADER + 2
 MAX_TELEGRAM = MAX_PAYLOAD + _OVERHEAD
 
-# A telegram comes without gaps, but a busy host may pause in reading. After this long its rest is lost.
+# A telegram has no gaps, but a busy host may read late. After this time, the rest is lost.
 SILENCE_NS = 400_000_000
 _NS_PER_S = 1_000_000_000
 
 
 class Control(Enum):
-    """The bare bytes that precede a reply."""
+    """Single bytes that precede a reply."""
 
     ACK = 0x06
     NAK = 0x15
@@ -36,9 +36,9 @@ _CONTROLS = {control.value: control for control in Control}
 
 
 class TelegramFault(Enum):
-    """Why bytes were thrown away."""
+    """Reason for discarding bytes."""
 
-    GARBAGE_BYTE = "garbage byte"  # every discarded byte, also those of the telegrams below
+    GARBAGE_BYTE = "garbage byte"  # every discarded byte, including those of the faults below
     BAD_LENGTH = "bad length"
     BAD_CRC = "bad CRC"
     TRUNCATED = "truncated telegram"
@@ -46,7 +46,7 @@ class TelegramFault(Enum):
 
 @dataclass(frozen=True)
 class Telegram:
-    """One whole telegram, and when it was on the line."""
+    """A complete telegram, and its time on the line."""
 
     payload: bytes
     start_ns: int  # when its first byte (STX) began to arrive
@@ -66,17 +66,17 @@ def frame(payload: bytes, address: int) -> bytes:
 
 
 class TelegramParser:
-    """Cuts a stream of bytes into telegrams, ACKs and NAKs; holds less than one telegram's bytes.
+    """Splits a stream of bytes into telegrams, ACKs and NAKs; holds less than one telegram's bytes.
 
-    A telegram that turns out to be none costs its first byte only: the search goes on behind it, so no
-    whole telegram is lost to the garbage before it. Within garbage an ACK or NAK is not accepted: it
-    counts behind a telegram, behind another ACK or NAK, or after a silence.
+    A false telegram costs its first byte only: the search continues after it, so garbage never hides a
+    telegram. Within garbage, ACK and NAK are not accepted. They are accepted after a telegram, after another
+    ACK or NAK, or after a silence.
 
     Args:
-        address: that of the telegrams to accept (``FROM_SENSOR`` on the host's side).
+        address: of the telegrams to accept (``FROM_SENSOR`` on the host's side).
         baud: rate of the line.
         bits_per_char: 11 for 8E1, 10 for 8N1.
-        tally: where rejections are counted, under ``source``.
+        tally: counts rejections, under ``source``.
     """
 
     def __init__(self, address: int, baud: int, bits_per_char: int, tally: Tally, source: str) -> None:
@@ -88,30 +88,30 @@ class TelegramParser:
         self._buffer = bytearray()
         self._consumed = 0  # bytes of the stream before buffer[0]
         self._reads: deque[tuple[int, int]] = deque()  # (bytes of the stream up to its end, arrival_ns)
-        self._hunting = False  # in garbage
+        self._hunting = False  # within garbage
         self._last_arrival_ns: int | None = None
 
     @property
     def bytes_held(self) -> int:
-        """How many bytes wait for the rest of their telegram."""
+        """Number of bytes of the incomplete telegram."""
         return len(self._buffer)
 
     def set_baud(self, baud: int) -> None:
-        """Follow a change of the line's rate: what is held came at the old one and is dropped."""
+        """Change the line's rate; drops the bytes held, which came at the old one."""
         self._char_ns = self._bits_per_char * _NS_PER_S / baud
         self.cut()
         self._hunting = False
 
     def cut(self) -> None:
-        """Bytes were left out: what is held has no rest, and what comes may be the rest of another."""
+        """After a loss of bytes: drop the incomplete telegram, and treat the next bytes as garbage."""
         self._reject(TelegramFault.GARBAGE_BYTE, len(self._buffer))
         self._drop(len(self._buffer))
         self._hunting = True
 
     def feed(self, data: bytes, arrival_ns: int) -> list[Telegram | Control]:
-        """Parse the bytes that one read returned, and the time at which it returned.
+        """The telegrams and controls completed by one read, which returned at ``arrival_ns``.
 
-        Feeding no bytes means that a poll found none: that ends a telegram whose rest does not come.
+        Empty data mean that a poll found none; after a silence this ends an incomplete telegram.
         """
         events: list[Telegram | Control] = []
         silent = self._last_arrival_ns is None or arrival_ns - self._last_arrival_ns >= SILENCE_NS
@@ -131,7 +131,7 @@ class TelegramParser:
         return events
 
     def _scan(self, events: list[Telegram | Control]) -> None:
-        """Move everything that is complete from the buffer to the events."""
+        """Move all complete items from the buffer to the events."""
         at = 0
         while at < len(self._buffer):
             found = self._next_at(at)
@@ -150,7 +150,7 @@ class TelegramParser:
         self._drop(at)
 
     def _next_at(self, at: int) -> Telegram | Control | TelegramFault | None:
-        """What begins at an index of the buffer; None: its rest has not come yet."""
+        """The item at an index of the buffer; None: it is incomplete."""
         buffer, held = self._buffer, len(self._buffer) - at
         if buffer[at] != STX:
             control = _CONTROLS.get(buffer[at])
@@ -172,10 +172,10 @@ class TelegramParser:
         return Telegram(telegram[_HEADER:-2], start_ns, start_ns + round(size * self._char_ns))
 
     def _start_ns(self, index: int) -> int:
-        """When a byte of the stream began to arrive: the latest time that no read contradicts.
+        """When a byte of the stream began to arrive: the latest time that is consistent with all reads.
 
-        A read proves that all it ended with had come by then, and the line is no faster than its rate.
-        So late reads do no harm while one of the reads of a telegram was prompt.
+        All bytes of a read had arrived when it returned, and the line is no faster than its rate. Late reads
+        do no harm if one of the reads of a telegram was prompt.
         """
         bounds = (arrival - (end - index) * self._char_ns for end, arrival in self._reads if end > index)
         return round(min(bounds))

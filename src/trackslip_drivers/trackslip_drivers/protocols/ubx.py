@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""UBX messages of u-blox receivers: NAV-PVT, NAV-HPPOSLLH, NAV-COV and NAV-RELPOSNED, read by pyubx2.
+"""UBX messages of u-blox receivers: NAV-PVT, NAV-HPPOSLLH, NAV-COV and NAV-RELPOSNED, parsed by pyubx2.
 
     NAV-PVT         position, its quality and accuracy, velocity
-    NAV-HPPOSLLH    the same position to 0.1 mm, with an accuracy as fine
-    NAV-COV         its covariance, north, east, down
-    NAV-RELPOSNED   from the moving base to the rover: the heading of a pair of antennas
+    NAV-HPPOSLLH    the same position, and its accuracy, to 0.1 mm
+    NAV-COV         covariance of the position, north, east, down
+    NAV-RELPOSNED   vector from the moving base to the rover: the heading of an antenna pair
 
-A message is accepted or has a reason why not; other messages are left aside.
+A message is accepted, or has a reason for its rejection; other messages are ignored.
 """
 
 import math
@@ -31,20 +31,20 @@ _LEAP_MS = 18_000  # GPS ahead of UTC since 2017
 _DAY_MS = 86_400_000
 _NAV = 0x01
 _KINDS = {0x07: "NAV-PVT", 0x14: "NAV-HPPOSLLH", 0x36: "NAV-COV", 0x3C: "NAV-RELPOSNED"}
-_DEAD_RECKONING, _TWO_D, _THREE_D, _COMBINED = 1, 2, 3, 4  # kinds of a fix
-_FIXED = 2  # carrier phase; 1: float
+_DEAD_RECKONING, _TWO_D, _THREE_D, _COMBINED = 1, 2, 3, 4  # types of a fix
+_FIXED = 2  # carrier-phase ambiguities; 1: float
 
 Stddevs = tuple[float, float, float]  # m, east, north, up; nan: unknown
 
 
 class Pvt(NamedTuple):
-    """Position and how it was found."""
+    """Position with quality, accuracy and velocity."""
 
     time_ns: int  # of day, UTC
     latitude: float  # °, north
     longitude: float  # °, east
     altitude: float  # m above the ellipsoid; nan: unknown
-    quality: int  # as that of GGA
+    quality: int  # as in GGA
     stddevs: Stddevs
     velocity: Velocity | Rejection
 
@@ -70,17 +70,17 @@ Reading = Pvt | FinePosition | Accuracy | Heading
 
 
 def kind_of(frame: bytes) -> str:
-    """Which message a whole frame is; empty for those that are not used."""
+    """Name of a complete frame's message; empty for unused ones."""
     return _KINDS.get(frame[3], "") if frame[2] == _NAV else ""
 
 
 def name_of(frame: bytes) -> str:
-    """Of any whole frame."""
+    """Name of any complete frame's message."""
     return str(UBX_MSGIDS.get(frame[2:4], "UBX"))
 
 
 def decode(frame: bytes) -> Reading | Rejection | None:
-    """A whole frame, whose checksum is right; None for messages that are not used."""
+    """Decode a complete frame with a correct checksum; None for unused messages."""
     kind = kind_of(frame)
     if not kind:
         return None
@@ -105,7 +105,7 @@ def _pvt(found: Any) -> Reading | Rejection:
 
 
 def _velocity(found: Any) -> Velocity | Rejection:
-    """An accuracy of 0 is unknown."""
+    """The velocity; an accuracy of 0 means unknown."""
     east, north, stddev = found.velE * _MM, found.velN * _MM, found.sAcc * _MM
     if math.hypot(east, north) >= _FASTEST or stddev >= _WORST_SPEED:
         return Rejection.OUT_OF_RANGE
@@ -151,7 +151,7 @@ def _place(found: Any, altitude: float) -> Rejection | None:
 
 
 def _accuracy(found: Any) -> Stddevs:
-    """hAcc of each horizontal axis, which is on the safe side; 0 is unknown."""
+    """(east, north, up): hAcc for each horizontal axis, which is conservative; 0 means unknown."""
     horizontal, up = (
         value * _MM if 0.0 < value * _MM < _WORST_STDDEV else math.nan for value in (found.hAcc, found.vAcc)
     )
@@ -159,7 +159,7 @@ def _accuracy(found: Any) -> Stddevs:
 
 
 def _time_ns(time_of_week_ms: int) -> int:
-    """Time of day, UTC."""
+    """Time of day in UTC, ns."""
     return (time_of_week_ms - _LEAP_MS) % _DAY_MS * 1_000_000
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Units as a DBC writes them, and what they are in SI. What is not in the table is refused, never guessed."""
+"""Units in the notation of a DBC, and their SI values; a unit that is not in the table is rejected."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Quantity(Enum):
-    """What a unit measures."""
+    """Physical quantity of a unit."""
 
     PRESSURE = "pressure"
     ANGLE = "angle"
@@ -21,7 +21,7 @@ class Quantity(Enum):
 
 
 class Unit(NamedTuple):
-    """A unit; ``factor`` is one of it in SI (Pa, rad, rad/s, m/s, m³/s, 1; counts as they are)."""
+    """A unit; ``factor`` is its SI value (in Pa, rad, rad/s, m/s, m³/s, 1; counts are unchanged)."""
 
     quantity: Quantity
     factor: float

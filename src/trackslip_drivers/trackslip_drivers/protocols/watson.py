@@ -1,20 +1,21 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The serial output of Watson inertial units: decimal lines and binary frames, both halves.
+"""Serial output of Watson inertial units: decoding and encoding of decimal lines and binary frames.
 
 A decimal line is a label letter and one field per channel, ended by CR alone:
 
     R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -0041 -0466<CR>
 
-    I inertial, R reference (gyros and accelerometers without closed-loop bias correction); in lower case the
-    unit found its error over range. A field of asterisks is not valid. A text banner precedes the first line.
+    I inertial, R reference (gyros and accelerometers without closed-loop bias correction). A lower-case label
+    means that the unit found its error over range. A field of asterisks is invalid. A text banner precedes
+    the first line.
 
 A binary frame is two bytes with bit 7 set per channel, most significant first, 7 bits each, ended by CR:
 14 bits in two's complement, value = raw/8192 × full scale. No byte of a line has bit 7 and every byte of a
-frame has, so the unit's present format shows in its bytes. Neither form has a checksum; the fixed width of
-the fields is the check against lost characters. A digit or a sign that became another one cannot be seen: of
-12000 lines with 1 % of all bytes changed at random 52 % came through unharmed, 47.6 % were rejected, and
-0.7 % were accepted wrong (0.1 % of bytes: 0.1 % of lines). A frame has even less to check than a line.
+frame has, so the bytes show the format. Neither format has a checksum; the fixed width of the fields detects
+lost characters. A changed digit or sign is not detected: of 12000 lines with 1 % of all bytes changed at
+random, 52 % were unharmed, 47.6 % were rejected, and 0.7 % were accepted wrong (0.1 % of bytes: 0.1 % of
+lines). A frame has even fewer checks than a line.
 
 Axes of the unit are forward, right, down (specific force: level z reads −1 g); records are forward, left, up.
 """
@@ -52,7 +53,7 @@ _FLU_FROM_FRD = (1.0, -1.0, -1.0)
 
 
 class Rejection(Enum):
-    """Why a line, a frame or a part of it was not used."""
+    """Reason for the rejection of a line, a frame or a part of it."""
 
     OVERLONG = "no line end"
     GARBLED = "bytes of both formats"
@@ -75,7 +76,7 @@ class Channel:
     full_scale: float  # in the unit's own unit
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be parsed later."""
+        """Reject names and formats that cannot be parsed."""
         known = _ACCELERATION + _RATE + _FIELD + _ANGLES + _OTHER
         if self.name not in known:
             raise InputError(f"channels: '{self.name}' is unknown; accepted: {', '.join(known)}")
@@ -89,17 +90,17 @@ class Channel:
 
     @cached_property
     def largest(self) -> float:
-        """The largest magnitude that can be sent: full scale, or all digits 9 if that is less."""
+        """Largest magnitude of a field: full scale, or all digits 9 if that is less."""
         return min(self.full_scale, float(re.sub("0", "9", self.format)))
 
     def field(self, value: float) -> str:
-        """The value as the unit prints it, limited to what fits."""
+        """The value as the unit prints it, clamped to the field."""
         largest = self.largest
         return format(min(max(value, -largest), largest), self._printed)
 
     @cached_property
     def _printed(self) -> str:
-        """How ``format`` prints it."""
+        """Format specification of the field."""
         sign = "+" if self.format.startswith("+") else ""
         return f"{sign}0{len(self.format)}.{self.decimals}f"
 
@@ -149,13 +150,13 @@ class Reading:
 
 
 def encode_line(label: str, values: Mapping[str, float], layout: Layout) -> bytes:
-    """A decimal line; channels not given are zero, values beyond what a field holds are limited."""
+    """A decimal line; missing channels are zero, values beyond their field are clamped."""
     fields = [channel.field(values.get(channel.name, 0.0)) for channel in layout.channels]
     return " ".join([label, *fields]).encode("ascii") + TERMINATOR
 
 
 def encode_frame(values: Mapping[str, float], layout: Layout) -> bytes:
-    """A binary frame; channels not given are zero, values beyond full scale are limited."""
+    """A binary frame; missing channels are zero, values beyond full scale are clamped."""
     frame = bytearray()
     for channel in layout.channels:
         raw = round(values.get(channel.name, 0.0) / channel.full_scale * _HALF_RANGE)
@@ -165,7 +166,7 @@ def encode_frame(values: Mapping[str, float], layout: Layout) -> bytes:
 
 
 def decode_line(line: bytes, layout: Layout) -> Reading | Rejection:
-    """One line without its CR."""
+    """Decode one line without its CR."""
     label, *fields = b" ".join(line.split()).decode("latin-1").split(" ")
     if len(label) != 1 or label.upper() not in _LABELS:
         return Rejection.TEXT
@@ -185,7 +186,7 @@ def decode_line(line: bytes, layout: Layout) -> Reading | Rejection:
 
 
 def decode_frame(frame: bytes, layout: Layout) -> Reading | Rejection:
-    """One binary frame without its CR."""
+    """Decode one binary frame without its CR."""
     if len(frame) != 2 * len(layout.channels):
         return Rejection.WRONG_COUNT
     values: dict[str, float] = {}
@@ -199,14 +200,14 @@ def decode_frame(frame: bytes, layout: Layout) -> Reading | Rejection:
 
 
 def wrong_count(line: bytes, layout: Layout) -> str:
-    """How much a line or a frame of the wrong length has, and how much was expected."""
+    """Text with the length of a line or frame, and the expected length."""
     if line and line[0] < _BIT_7:
         return f"{len(line.split()) - 1} fields, {len(layout.channels)} expected"
     return f"frame of {len(line)} bytes, {2 * len(layout.channels)} expected"
 
 
 def to_sample(reading: Reading, stamp_ns: int) -> ImuSample | Rejection:
-    """In SI units and FLU axes; an invalid magnetometer costs the field alone."""
+    """The sample in SI units and FLU axes; an invalid magnetometer removes the field only."""
     acceleration = _vector(reading.values, _ACCELERATION, GRAVITY)
     angular_velocity = _vector(reading.values, _RATE, math.pi / 180.0)
     if acceleration is None or angular_velocity is None:

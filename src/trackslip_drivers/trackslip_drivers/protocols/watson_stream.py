@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cuts the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
+"""Splits the byte stream of a Watson unit into lines or frames, stamps and decodes them."""
 
 from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.lines import Line, LineCutter
@@ -23,19 +23,19 @@ FIELD = "imu/mag"
 
 _BIT_7 = 0x80
 _LINE_PERIOD_NS = 6e9 / 71.11  # of decimal lines: every sixth tick of the unit
-_CLOCK_TOLERANCE = 0.01  # its manuals state "about"
+_CLOCK_TOLERANCE = 0.01  # relative; the manuals give the rate as "about"
 _PATIENCE = 24  # lines
 
 
 class WatsonStream:
-    """Bytes in, samples out; everything else is counted.
+    """Decodes bytes to samples; counts everything else.
 
     Args:
         layout: channels of the unit.
-        baud: line rate; a line was measured when its first character left, so the transfer time of what
-            has come is subtracted from its arrival.
+        baud: line rate; a line is measured when its first character leaves, so the transfer time of the
+            received bytes is subtracted from their arrival.
         time_offset_ns: added to each stamp.
-        tally: counts what was rejected.
+        tally: counts rejections.
     """
 
     def __init__(self, layout: Layout, baud: int, time_offset_ns: int, tally: Tally) -> None:
@@ -49,16 +49,16 @@ class WatsonStream:
 
     @property
     def bytes_held(self) -> int:
-        """How many bytes wait for the rest of their line."""
+        """Number of bytes of the incomplete line."""
         return self._lines.bytes_held
 
     @property
     def limit(self) -> int:
-        """Most bytes held."""
+        """Largest number of bytes held."""
         return self._lines.limit
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ImuSample]:
-        """What one read returned (also nothing), and when: its last byte was there by ``arrival_ns``."""
+        """The samples completed by one read (which may be empty); its last byte arrived by ``arrival_ns``."""
         if self._backlog.includes(self._lines.transfer_ns(len(data)), arrival_ns):
             self.tally.add(IMU, StampEvent.WAITED, len(data))
             self._lines.reset()
@@ -67,13 +67,13 @@ class WatsonStream:
         return [sample for sample in decoded if sample is not None]
 
     def reset(self) -> None:
-        """Drop a half-received line: the port was reopened."""
+        """Drop an incomplete line, and restart the stamps: the port was reopened."""
         self._backlog = Backlog()
         self._lines.reset()
         self._stamps.restart()
 
     def _finish(self, line: Line) -> ImuSample | None:
-        """A CR has arrived: decode what it ends."""
+        """The sample of a complete line; None if it is rejected, which is counted."""
         if line.text is None:
             self.tally.add(IMU, Rejection.OVERLONG)
             return None
@@ -91,7 +91,7 @@ class WatsonStream:
         return result
 
     def _decode(self, line: bytes) -> Reading | Rejection:
-        """By the format that the bytes show."""
+        """Decode a line or frame, whichever the bytes show."""
         if line.isascii():
             return decode_line(line, self._layout)
         is_marked = min(line) >= _BIT_7

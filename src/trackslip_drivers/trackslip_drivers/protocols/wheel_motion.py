@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sprockets from what other machines have: several joints a side, or speeds of a base controller.
+"""Sprocket motion of other machines, from several joints per side or speeds of a base controller.
 
-    q_k, n   angle or speed of a joint, sprocket turns per turn of it, with its sign   rad or rad/s, 1
+    q_k, n   angle or speed of a joint, sprocket turns per joint turn with its sign    rad or rad/s, 1
     v, ω     speeds that a base controller reports                                     m/s, rad/s
-    b        separation of the wheels that it reckons with                             m
+    b        wheel separation configured in the base controller                        m
     r        rolling radius of the vehicle                                             m
 
-Joints: q_j = n mean(q_k) of each side. Speeds: ω_j = (v ∓ ω b/2)/r, left and right; they are measured by the
-tracks all the same, so that slips remain to be estimated.
+Joints: q_j = n mean(q_k) of each side. Speeds: ω_j = (v ∓ ω b/2)/r, left and right. The speeds, too, are
+measured at the tracks, so slips remain to be estimated.
 """
 
 import math
@@ -21,7 +21,7 @@ from trackslip_drivers.wheel_parameters import WheelParameters
 
 
 class Rejection(Enum):
-    """Why a message was not used."""
+    """Reason for the rejection of a message."""
 
     JOINTS = "lacks a joint"
     LENGTHS = "names and values differ in number"
@@ -30,9 +30,9 @@ class Rejection(Enum):
 
 
 class JointMotion:
-    """Samples of joint states in order; positions are differenced where there are no velocities.
+    """Samples of consecutive joint states; positions are differenced if there are no velocities.
 
-    Positions may restart after each turn of a joint; those of a sample are continuous.
+    Positions may wrap after each turn of a joint; those of a sample are continuous.
     """
 
     def __init__(self, p: WheelParameters) -> None:
@@ -44,14 +44,14 @@ class JointMotion:
         self.restart()
 
     def restart(self) -> None:
-        """What comes next does not continue what was."""
+        """Forget earlier messages: the next one does not continue them."""
         self._last: tuple[int, tuple[float, float]] | None = None
         self._turns = {name: TurnCounter() for joints, _ in self._sides for name in joints}
 
     def sample(
         self, stamp_ns: int, names: Sequence[str], positions: Sequence[float], velocities: Sequence[float]
     ) -> SprocketSample | Rejection:
-        """Of one message; its arrays may be empty. Positions that it has not are nan."""
+        """The sample of one message, whose arrays may be empty; missing positions are nan."""
         positions = positions if self._uses != "velocities" else ()
         velocities = velocities if self._uses != "positions" else ()
         if {len(positions), len(velocities)} - {0, len(names)}:
@@ -72,7 +72,7 @@ class JointMotion:
     def _continuous(
         self, stamp_ns: int, positions: Sequence[float], velocities: Sequence[float], at: Mapping[str, int]
     ) -> Sequence[float]:
-        """The positions, those of the sides' joints without their jumps after a turn."""
+        """The positions; those of the sides' joints without the jumps of a wrap."""
         found = list(positions)
         for name, turns in self._turns.items() if found else ():
             k = at[name]
@@ -89,7 +89,7 @@ class JointMotion:
         return left, right
 
     def _differenced(self, stamp_ns: int, angles: tuple[float, float]) -> tuple[float, float]:
-        """Zero for the first; the estimator prefers positions, and takes these as they are."""
+        """Differenced positions, rad/s; zero for the first. The estimator prefers the positions."""
         last, self._last = self._last, (stamp_ns, angles)
         if last is None or stamp_ns <= last[0]:
             return 0.0, 0.0
@@ -98,7 +98,7 @@ class JointMotion:
 
 
 def of_speeds(stamp_ns: int, v: float, rate: float, p: WheelParameters) -> SprocketSample | Rejection:
-    """Of a base controller's speeds; without positions (nan)."""
+    """The sample of a base controller's speeds; its positions are nan."""
     if not (math.isfinite(v) and math.isfinite(rate)):
         return Rejection.NOT_A_NUMBER
     half = rate * p.wheel_separation / 2.0

@@ -27,12 +27,12 @@ class CanBus:
     """An open bus (a ``link.Port`` of frames).
 
     Args:
-        interface: python-can's name of it.
+        interface: its name in python-can.
         channel: device, or multicast address.
-        options: its further settings, by python-can's names of them.
+        options: further settings, by their names in python-can.
 
     Raises:
-        can.CanError, OSError, ImportError, TypeError, ValueError: it cannot be opened so.
+        can.CanError, OSError, ImportError, TypeError, ValueError: the bus cannot be opened.
     """
 
     def __init__(self, interface: str, channel: str, options: Mapping[str, Any]) -> None:
@@ -48,20 +48,20 @@ class CanBus:
                 raise
 
     def read(self) -> Iterable[tuple[CanFrame, int]]:
-        """The frames that are there, once there is one, each with its time of reception.
+        """The available frames, after a wait for the first, each with its time of reception.
 
         Raises:
-            can.CanError, OSError: the bus failed, or an error frame of the read before reported it off.
+            can.CanError, OSError: the bus failed, or an error frame of the previous read reported bus off.
         """
         if self._is_off:
             raise can.CanOperationError("bus off")
         return self._frames()
 
     def write(self, data: CanFrame) -> None:
-        """Send one frame: of 29 bits, of 11 where ``STANDARD_FLAG`` is set, an error where ``ERROR_FLAG`` is.
+        """Send one frame: 29-bit, 11-bit with ``STANDARD_FLAG``, an error frame with ``ERROR_FLAG``.
 
         Raises:
-            can.CanError: the bus did not accept it.
+            can.CanError: the bus did not accept the frame.
         """
         name, payload = data
         message = can.Message(
@@ -74,7 +74,7 @@ class CanBus:
         self._bus.send(message, timeout=_SEND_TIMEOUT_S)
 
     def _frames(self) -> Iterator[tuple[CanFrame, int]]:
-        """One by one: a frame is returned before the next is looked for."""
+        """Yield each frame before the next is looked for."""
         message = self._bus.recv(READ_TIMEOUT_S)
         while message is not None:
             frame = (flagged_id(message), bytes(message.data))
@@ -89,7 +89,7 @@ class CanBus:
 
 
 def _keep_on_host(descriptor: int, group: str) -> None:
-    """Send and receive on the loopback device alone: nobody on the network can speak as the machine."""
+    """Bind the socket to the loopback device: no host of the network can send frames of the machine."""
     with socket.socket(fileno=os.dup(descriptor)) as shared:
         home = socket.inet_aton("127.0.0.1")
         shared.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
@@ -106,5 +106,5 @@ def flagged_id(message: can.Message) -> int:
 
 
 def _stamp_ns(message: can.Message) -> int:
-    """The kernel's time stamp where there is one: it does not suffer from a busy host."""
+    """The kernel's time stamp if there is one, as a busy host does not delay it; else the present time."""
     return round(message.timestamp * _NS_PER_S) if message.timestamp > 0.0 else time.time_ns()

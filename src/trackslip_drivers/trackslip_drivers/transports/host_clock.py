@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the host's clock and the steady one together, for whichever thread asks."""
+"""Reads the host's clock and the steady clock together; safe to call from any thread."""
 
 import threading
 import time
 
 from trackslip_drivers.stamping import HostTime
 
-_TOGETHER_NS = 1_000_000  # two readings further apart were interrupted, and prove nothing
+_TOGETHER_NS = 1_000_000  # readings further apart were interrupted, and are not used
 
 
 class HostClock:
-    """Steady time for arrivals and time-outs, stamps for messages."""
+    """Gives steady times of arrivals and time-outs, and stamps of messages."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -20,14 +20,14 @@ class HostClock:
 
     @property
     def lead_ns(self) -> int:
-        """How far stamps are ahead of the host's clock, since that was set back."""
+        """Lead of stamps over the host's clock since that was set back, ns."""
         return self._time.lead_ns
 
     def arrival(self, host_ns: int, emptied_ns: int) -> tuple[int, bool]:
-        """Steady time of an arrival, and whether the host's clock has jumped since the last one.
+        """(steady time of an arrival, whether the host's clock has jumped since the last one).
 
-        It came after ``emptied_ns`` (steady), when nothing was there. An interrupted look at the clocks tells
-        nothing of them; the arrival was before its end all the same.
+        The arrival is after ``emptied_ns`` (steady), when the port was empty. An interrupted reading of the
+        clocks does not update the offset; the arrival is before its end in any case.
         """
         has_jumped = False
         with self._lock:
@@ -38,6 +38,6 @@ class HostClock:
             return self._time.steady(host_ns, (emptied_ns, after_ns)), has_jumped
 
     def stamp(self, steady_ns: int) -> int:
-        """Time on the host's clock, as it goes into a message."""
+        """Time on the host's clock, for a message."""
         with self._lock:
             return self._time.stamp(steady_ns)

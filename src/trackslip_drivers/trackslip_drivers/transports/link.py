@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The connect–read–back-off loop of every sensor, in a thread of its own.
+"""Connect–read–back-off loop of a sensor, in its own thread.
 
-Whatever goes wrong with a sensor ends here: the port is closed, the error is counted and kept as text for
-diagnostics, and the port is opened again: at once where it was only silent, else after a pause. The process
-goes on.
+Every failure of a sensor is handled here: the port is closed, and the error is counted and kept as text for
+diagnostics. The port is then reopened, at once if it was only silent, else after a pause. The process
+continues.
 """
 
 import math
@@ -18,21 +18,21 @@ from trackslip_drivers.stamping import Look
 
 T = TypeVar("T")
 
-READ_TIMEOUT_S = 0.1  # longest wait of a port: how soon ``stop`` is noticed
+READ_TIMEOUT_S = 0.1  # longest wait of a read; limits the delay of ``stop``
 FIRST_PAUSE_S = 0.1
-LONGEST_PAUSE_S = 0.5  # a sensor that is back is read again within a second
+LONGEST_PAUSE_S = 0.5  # a sensor that returns is read again within a second
 _STOP_S = 0.4
 
 
 class Port(Protocol[T]):
-    """An open transport. Any exception from it means that it is to be closed and opened again."""
+    """An open transport. After any exception from it, it is closed and opened again."""
 
-    note: str  # what differs from what was asked for; empty when nothing does
+    note: str  # deviation from the requested settings; empty: none
 
     def read(self) -> Iterable[tuple[T, int]]:
-        """What has arrived, each with its arrival in ns of system time; empty after READ_TIMEOUT_S.
+        """The received data, each with its arrival in ns of system time; empty after READ_TIMEOUT_S.
 
-        It may go on for as long as more arrives.
+        The iteration may continue while more data arrive.
         """
 
     def write(self, data: T) -> None:
@@ -44,27 +44,28 @@ class Port(Protocol[T]):
 
 @dataclass(frozen=True)
 class LinkState:
-    """A look at a link, for diagnostics."""
+    """State of a link, for diagnostics."""
 
     connected: bool
-    since_s: float  # for how long connected or disconnected
+    since_s: float  # time connected or disconnected
     openings: int  # times the port was opened; reconnections are one less
     errors: int
     last_error: str
-    was_silent: bool  # it was closed because nothing came
-    last_error_s: float  # system time of it, s since 1970; 0 where there was none
+    was_silent: bool  # the port was closed because nothing came
+    last_error_s: float  # system time of it, s since 1970; 0: none
     note: str
-    silent_s: float  # s since something was received, or the port was opened
-    has_received: bool  # something has come since the driver was started
+    silent_s: float  # s since data were received, or since the link was created
+    has_received: bool  # data were received since the link was created
 
 
 @dataclass(frozen=True)
 class Handlers(Generic[T]):
-    """What a link calls, in its own thread.
+    """Callbacks of a link, in its own thread.
 
-    on_data: with what arrived and its arrival in ns. on_open: after each opening, before any data, the moment
-    to drop half-received messages and to start a dialogue. on_silence: after a read that found nothing for
-    READ_TIMEOUT_S; only such a read proves that nothing is there: on a busy host, bytes wait in the kernel.
+    on_data: called with received data and their arrival in ns. on_open: called after each opening, before any
+    data; drops half-received messages and starts a dialogue. on_silence: called after a read that found
+    nothing for READ_TIMEOUT_S. Only such a read shows that no data are left: on a busy host, bytes wait in
+    the kernel.
     """
 
     on_data: Callable[[T, int], None]
@@ -73,17 +74,17 @@ class Handlers(Generic[T]):
 
 
 class Link(Generic[T]):
-    """Keeps one port open and passes on what it receives.
+    """Keeps one port open, and passes on received data.
 
     Args:
         name: of the thread.
         open_port: opens the port, or raises.
-        handlers: what to call.
-        silence_s: a port that stays silent for longer is closed and opened again, as a line that hangs
-            half-open reports no error; infinite to wait for ever.
+        handlers: the callbacks.
+        silence_s: a port that is silent for longer is closed and opened again, as a half-open line reports
+            no error; infinite: never.
 
     Attributes:
-        look: how long what is handed on may have waited in the port; for the link's own thread.
+        look: how long data may have waited in the port; for the link's own thread.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Link(Generic[T]):
         self._handlers = handlers
         self._silence_s = silence_s
         self.look = Look(time.monotonic_ns())
-        self._lock = threading.Lock()  # guards what follows
+        self._lock = threading.Lock()  # guards the attributes below
         self._port: Port[T] | None = None
         self._changed_s = time.monotonic()
         self._openings = 0
@@ -112,7 +113,7 @@ class Link(Generic[T]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin connecting."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -122,13 +123,13 @@ class Link(Generic[T]):
             self._thread.join(_STOP_S)
 
     def write(self, data: T) -> bool:
-        """Send, from any thread; False when there is no port or it refused."""
+        """Send, from any thread; False if there is no port or it failed."""
         return self.use(lambda port: port.write(data))
 
     def use(self, action: Callable[[Any], None]) -> bool:
-        """Do something with the open port, from any thread; False when there is none or it failed.
+        """Call ``action`` with the open port, from any thread; False if there is none or it failed.
 
-        A failure is counted; a port that is truly gone fails in the loop as well, which then sees to it.
+        A failure is counted. A port that is gone also fails in the loop, which opens it again.
         """
         with self._lock:
             port = self._port
@@ -142,7 +143,7 @@ class Link(Generic[T]):
         return True
 
     def state(self) -> LinkState:
-        """How the link is doing."""
+        """The state of the link."""
         with self._lock:
             return LinkState(
                 connected=self._port is not None,
@@ -158,7 +159,7 @@ class Link(Generic[T]):
             )
 
     def _run(self) -> None:
-        """The loop; leaves only when stopped."""
+        """Connect, read and back off until stopped."""
         pause_s = FIRST_PAUSE_S
         while not self._stopping.is_set():
             received = False
@@ -177,15 +178,15 @@ class Link(Generic[T]):
                     port.close()
             except Exception as error:  # noqa: BLE001 (whatever a library raises, the sensor is what failed)
                 self._note_error(error)
-            if self._was_silent:  # it was waited for already: what is sent to a closed port is lost
+            if self._was_silent:  # reopen without a pause: data sent to a closed port are lost
                 continue
-            if received:  # a port that opens but never delivers is not tried more often
+            if received:  # a port that opens but never delivers keeps the longer pause
                 pause_s = FIRST_PAUSE_S
             self._stopping.wait(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _arrivals(self, port: Port[T]) -> Iterator[tuple[T, int]]:
-        """Everything that arrives until the link is stopped."""
+        """Yield everything that arrives until the link is stopped."""
         received_s = time.monotonic()
         while not self._stopping.is_set():
             is_silent = True
@@ -222,7 +223,7 @@ class Link(Generic[T]):
 
 
 def _reason(error: Exception) -> str:
-    """The system's own words, which libraries wrap into the name of the port, twice; else the error's."""
+    """The system's error text, without the port names that libraries add; else type and text of the error."""
     inner = error.__cause__ if error.__suppress_context__ else error.__context__
     for cause in (inner, error):
         if isinstance(cause, OSError) and cause.strerror:
@@ -231,4 +232,4 @@ def _reason(error: Exception) -> str:
 
 
 class _Silence(Exception):
-    """Nothing comes from a port that is open."""
+    """An open port delivered nothing for too long."""

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Corrections from an NTRIP caster, in a thread of its own: RTCM 3 messages of one mountpoint.
+"""Corrections from an NTRIP caster: RTCM 3 messages of one mountpoint, received in their own thread.
 
-NTRIP 2 is HTTP, which ``http.client`` speaks; a caster of version 1 answers ``ICY 200 OK``, and where it has
-no such mountpoint a list of those that it has. Whatever the caster does ends here: the fault is kept as text
-for diagnostics, and the caster is asked again after a pause. User and password are in the request alone.
+NTRIP 2 is HTTP, by ``http.client``. A caster of version 1 answers ``ICY 200 OK``, or a list of its
+mountpoints if the requested one is missing. Every fault of the caster is handled here: it is kept as text for
+diagnostics, and the connection is tried again after a pause. User and password are in the request alone.
 """
 
 import base64
@@ -26,31 +26,31 @@ from trackslip_drivers.nmea_parameters import NtripParameters
 from trackslip_drivers.protocols.gnss_frames import FrameCutter, Kind
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
-STALL_S = 10.0  # without a byte, after which the caster is asked again
-MOST_RATE = 50_000  # B/s of a caster over a network; corrections of all satellites are 4 kB/s
-_BURST = 64_000  # bytes beyond the rate, as casters send at first
-_RATE_OVER_S = 2.0  # the time that a rate is counted over
-_AHEAD_S = 0.4  # of what the line takes, that may be written to it at once
-_STEADY_S = 60.0  # of corrections, after which the next fault is the first one again
+STALL_S = 10.0  # without a byte, after which the connection is made again
+MOST_RATE = 50_000  # B/s over a network; corrections of all satellites are 4 kB/s
+_BURST = 64_000  # bytes beyond the rate, which casters send at first
+_RATE_OVER_S = 2.0  # interval over which the rate is counted
+_AHEAD_S = 0.4  # of the line's capacity that may be written at once
+_STEADY_S = 60.0  # of corrections, after which the pause is the first one again
 _PIECE = 4096  # bytes
-_MOST_SILENT = 20_000  # bytes without a whole message that are no corrections
+_MOST_SILENT = 20_000  # bytes without a complete message, which are no corrections
 _LONGEST_FILE = 1024  # bytes
-_LOOK_S = 0.2  # between two looks for a position
+_LOOK_S = 0.2  # between checks for a position
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """Of a user of the caster; no text of the object has them."""
+    """User and password for the caster; hidden from ``repr``."""
 
     user: str = field(repr=False)
     password: str = field(repr=False)
 
 
 def read_credentials(path: Path) -> Credentials:
-    """A file of two lines, user and password, that only its owner may read.
+    """The credentials in a file of two lines, user and password, that only its owner may read.
 
     Raises:
-        InputError: it is none, or others may read it.
+        InputError: the file is missing or invalid, or others may read it.
     """
     where = f"nmea_gnss: ntrip.credentials_file '{path}'"
     try:
@@ -75,22 +75,22 @@ def read_credentials(path: Path) -> Credentials:
 
 @dataclass(frozen=True)
 class CorrectionState:
-    """A look at the corrections, for diagnostics."""
+    """State of the corrections, for diagnostics."""
 
-    fault: str  # why none come; empty where they do
-    age_s: float  # since the latest; infinite before the first
+    fault: str  # reason why none come; empty if they do
+    age_s: float  # of the latest; infinite before the first
     messages: int
     bytes: int
-    left_out: int  # messages that came faster than the line takes them
+    left_out: int  # messages dropped because they exceeded the line's capacity
     connections: int
 
 
 class _Fault(Exception):
-    """What is wrong with the caster, in words."""
+    """A fault of the caster, as text for users."""
 
 
 class _Line:
-    """What the receiver's line takes of a stream that comes in bursts."""
+    """Limits a stream that comes in bursts to the capacity of the receiver's line."""
 
     def __init__(self, rate: int) -> None:
         self._rate = rate  # B/s
@@ -98,10 +98,10 @@ class _Line:
         self._counted, self._since_s, self._burst = 0, self._at_s, _BURST
 
     def check(self, size: int, now_s: float) -> None:
-        """More bytes from the caster.
+        """Count bytes from the caster.
 
         Raises:
-            _Fault: it sends more than the line takes, and not only at first.
+            _Fault: the caster sends more than the line carries, and not only at first.
         """
         if now_s - self._since_s > _RATE_OVER_S:
             self._counted, self._since_s, self._burst = 0, now_s, 0
@@ -110,7 +110,7 @@ class _Line:
             raise _Fault(f"sends more than the {self._rate / 1e3:g} kB/s that the receiver's line takes")
 
     def takes(self, size: int, now_s: float) -> bool:
-        """Whether a message may be sent now: a part of one is of no use."""
+        """Whether a whole message may be sent now, and reserve its capacity: a part of one is useless."""
         free = min(self._free + (now_s - self._at_s) * self._rate, self._rate * _AHEAD_S)
         taken = size <= free
         self._free, self._at_s = free - size if taken else free, now_s
@@ -118,7 +118,7 @@ class _Line:
 
 
 class _Response(HTTPResponse):
-    """Of a caster of version 1, too."""
+    """Response of a caster, also of version 1."""
 
     def _read_status(self) -> tuple[str, int, str]:
         line = self.fp.peek(32)[:32] if hasattr(self.fp, "peek") else b""
@@ -132,14 +132,14 @@ class _Response(HTTPResponse):
 
 
 class NtripClient:
-    """Asks the caster again and again, and hands on whole messages.
+    """Keeps a connection to the caster, and passes on complete messages.
 
     Args:
         p: the caster.
-        credentials: None where it wants none.
-        most_rate: bytes a second that the receiver takes.
-        on_message: called in the client's thread with each message of RTCM 3.
-        gga: the receiver's position as a sentence, for a caster that makes corrections for it; None: unknown.
+        credentials: None: no authentication.
+        most_rate: capacity of the receiver's line, B/s.
+        on_message: called in the client's thread with each RTCM 3 message.
+        gga: the receiver's position as a sentence, for position-dependent corrections; None: unknown.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class NtripClient:
         self.where = f"NTRIP caster {p.host}:{p.port}, mountpoint {p.mountpoint}"
         self._p, self._credentials, self._most_rate = p, credentials, most_rate
         self._on_message, self._gga = on_message, gga
-        self._lock = threading.Lock()  # guards what follows
+        self._lock = threading.Lock()  # guards the attributes below
         self._fault = "not asked yet"
         self._latest_s = -math.inf
         self._messages = self._bytes = self._left_out = self._connections = 0
@@ -162,11 +162,11 @@ class NtripClient:
         self._thread = threading.Thread(target=self._run, name="ntrip", daemon=True)
 
     def start(self) -> None:
-        """Begin asking."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End; a read that hangs ends with its socket."""
+        """Stop; the shutdown of the socket ends a blocked read."""
         self._stopping.set()
         with self._lock:
             line = self._socket
@@ -175,7 +175,7 @@ class NtripClient:
                 line.shutdown(socket.SHUT_RDWR)
 
     def state(self) -> CorrectionState:
-        """How the corrections are doing."""
+        """The state of the corrections."""
         with self._lock:
             age_s = time.monotonic() - self._latest_s
             return CorrectionState(
@@ -183,7 +183,7 @@ class NtripClient:
             )
 
     def _run(self) -> None:
-        """The loop; leaves only when stopped."""
+        """Connect and receive until stopped."""
         pause_s = FIRST_PAUSE_S
         while not self._stopping.is_set():
             begun_s = time.monotonic()
@@ -198,14 +198,14 @@ class NtripClient:
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _receive(self) -> None:
-        """One connection, until it ends."""
+        """Receive over one connection, until it ends."""
         position = self._position()
         if self._stopping.is_set():
             return
         connection, response = self._connection(), None
         try:
             connection.connect()
-            line = connection.sock  # which the connection forgets with the answer
+            line = connection.sock  # the connection drops it with the response
             with self._lock:
                 self._socket = line
             response = self._ask(connection, position)
@@ -220,7 +220,7 @@ class NtripClient:
             connection.close()
 
     def _position(self) -> bytes | None:
-        """The sentence for the caster, once there is one; None where it wants none."""
+        """The sentence for the caster, as soon as there is one; None if positions are switched off."""
         while self._p.gga_interval > 0.0 and not self._stopping.is_set():
             if (sentence := self._gga()) is not None:
                 return sentence
@@ -290,7 +290,7 @@ class NtripClient:
 
     @staticmethod
     def _words(error: Exception) -> str:
-        """Of a fault, without anything that was sent or received."""
+        """Text of a fault, without any data sent or received."""
         if isinstance(error, _Fault):
             return str(error)
         if isinstance(error, TimeoutError):

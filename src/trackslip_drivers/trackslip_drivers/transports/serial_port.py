@@ -13,16 +13,16 @@ import serial
 
 from trackslip_drivers.transports.link import READ_TIMEOUT_S
 
-_MOST_BYTES = 4096  # handed on at once
-_GATHER_S = 0.005  # from the first byte to the read, or a dripping line would wake the process for each drop
+_MOST_BYTES = 4096  # returned at once
+_GATHER_S = 0.005  # from the first byte to the read, so that a slow line does not wake the process per byte
 _WRITE_TIMEOUT_S = 0.5
 
 
 class SerialPort:
     """An open port (a ``link.Port`` of bytes).
 
-    A pty carries no parity bit: the kernel refuses or ignores the setting. Then the port works without, and
-    ``note`` states it.
+    A pty has no parity bit: the kernel refuses or ignores the setting. The port then works without parity,
+    which ``note`` states.
 
     Args:
         url: device path or pyserial URL.
@@ -30,7 +30,7 @@ class SerialPort:
         parity: N, E or O.
 
     Raises:
-        serial.SerialException, OSError, termios.error: it cannot be opened, or another program has it open.
+        serial.SerialException, OSError, termios.error: the port cannot be opened, or another program has it.
     """
 
     def __init__(self, url: str, baud: int, parity: str) -> None:
@@ -49,17 +49,17 @@ class SerialPort:
         self._descriptor: int | None = self._serial.fileno() if is_terminal else None
 
     def read(self) -> Sequence[tuple[bytes, int]]:
-        """All that is there a moment after the first of it; the time is that of the read.
+        """All bytes available a moment after the first of them, with the time of the read.
 
-        By then the last byte has been there for up to that moment, where the line fell silent in it. Who
-        needs to know better looks at several reads: one in the midst of a telegram is prompt.
+        If the line fell silent during that moment, the last byte arrived earlier, by up to that moment. For
+        better times, use several reads: one in the midst of a telegram is prompt.
         """
         data = self._read_any() if self._descriptor is None else self._read_terminal(self._descriptor)
         return [(data, time.time_ns())] if data else []
 
     @staticmethod
     def _read_terminal(descriptor: int) -> bytes:
-        """From a terminal: two calls of the system where pyserial makes six."""
+        """Read from a terminal: two system calls where pyserial makes six."""
         ready, _, _ = select.select([descriptor], [], [], READ_TIMEOUT_S)
         if not ready:
             return b""
@@ -70,7 +70,7 @@ class SerialPort:
         return data
 
     def _read_any(self) -> bytes:
-        """From whatever pyserial can open."""
+        """Read from any port that pyserial can open."""
         data = bytes(self._serial.read(1))
         if data:
             time.sleep(_GATHER_S)
@@ -87,7 +87,7 @@ class SerialPort:
         self._serial.write(data)
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate of the open port, once what was written has left."""
+        """Change the rate of the open port, after all written bytes have left."""
         self._serial.flush()
         self._serial.baudrate = baud
 
@@ -104,15 +104,15 @@ class SerialPort:
                 parity=parity,
                 timeout=READ_TIMEOUT_S,
                 write_timeout=_WRITE_TIMEOUT_S,
-                exclusive=True,  # two that read one device get half of its bytes each
+                exclusive=True,  # two readers of one device would each get half of its bytes
             )
         except serial.SerialException as error:
-            if error.errno == errno.EAGAIN:  # of the lock
+            if error.errno == errno.EAGAIN:  # the lock is taken
                 raise OSError(errno.EBUSY, "locked: another program has it open") from None
             raise
 
     def _parity_was_ignored(self) -> bool:
-        """Whether the kernel left the parity off silently; false where there is no terminal."""
+        """Whether the kernel silently ignored the parity; False if the port is no terminal."""
         try:
             attributes = termios.tcgetattr(self._serial.fileno())
         except (termios.error, OSError):  # a socket; pyserial's UnsupportedOperation is an OSError
