@@ -8,7 +8,7 @@ NAME = "trackslip_common"
 
 
 def config_files() -> list[str]:
-    """All files below ``config/`` (a link to the checkout's), by their names within the package."""
+    """All files below ``config/`` (a link to the checkout's), by their paths within the package."""
     package = Path(NAME)
     return [
         str(file.relative_to(package)) for file in sorted((package / "config").glob("**/*")) if file.is_file()

@@ -1,5 +1,5 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every Trackslip package shares: validated parameters, errors, counts, and the base of the nodes."""
+"""Shared by all Trackslip packages: validated parameters, errors, counts, and the base of the nodes."""
 
 __version__ = "0.1.0"

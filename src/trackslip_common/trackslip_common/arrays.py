@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of numpy arrays; what their axes are is in the docstrings of those who take them."""
+"""Types of numpy arrays; the functions that take them document the axes."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether stamps go on as they did: by stamps and counts alone, so that a replay finds the same.
+"""Checks whether stamps continue, from stamps and counts alone, so that a replay gives the same result.
 
-The samples of one source are the clock: the sprockets' of the slip estimator, machine states and pressures of
-the soil estimator, scans of the box localizer. A sample out of line is a bad stamp; many in a row that agree
-with each other are another time. Agreeing stamps are no further apart than the gap, or come at equal steps.
-Once confirmed, samples at a slow pace are in line up to two of their steps apart, until they are faster.
+The samples of one source are the clock: sprockets for the slip estimator, machine states and pressures for
+the soil estimator, scans for the box localizer. A sample out of line is a bad stamp; many consecutive ones
+that agree with each other are a change of time. Agreeing stamps are no further apart than the gap, or come at
+equal steps. Once such slow samples are confirmed, steps up to twice theirs are in line until they get faster.
 
-Other sources carry the clock on only while the first is silent: when their stamps, one behind the other, have
-gone on for its timeout without a sample of it.
+Other sources advance the clock only while the first is silent: when their stamps, in sequence, span its
+timeout without a sample of it.
 
-A step back into the history leaves stamps that look like late data. Late data agree with the history, while
-samples with new stamps have the positions that the sprockets had elsewhere in it.
+After a step back into the history, new samples look like late data. Late data agree with the history; new
+samples have sprocket positions that the history has at other stamps.
 
-``CLOCK`` is all that is remembered: compiled code keeps it in a record; ``ClockMonitor`` is for Python.
+``CLOCK`` is the whole state: compiled code keeps it in a record; ``ClockMonitor`` is for Python.
 """
 
 from enum import IntEnum
@@ -25,7 +25,7 @@ from trackslip_common.record_types import Record, Table, dtype_of, make_table
 
 
 class StampStreak(Record):
-    """Stamps in a row."""
+    """Consecutive stamps."""
 
     count: int
     first_ns: int
@@ -33,20 +33,20 @@ class StampStreak(Record):
 
 
 class Clock(Record):
-    """All that is remembered of a clock."""
+    """State of a clock."""
 
     running: bool  # whether there was a sample
     head_ns: int  # newest stamp in line
-    pace_ns: int  # two steps of samples that come more slowly than the gap; else 0
+    pace_ns: int  # two steps of samples that are slower than the gap; else 0
     ahead: StampStreak
-    ahead_step_ns: int  # its last step
+    ahead_step_ns: int  # last step of ``ahead``
     behind: StampStreak
     late: StampStreak
     others: StampStreak  # of other sources, since the last sample
 
 
 class ClockLimits(Record):
-    """Of a clock."""
+    """Limits of a clock."""
 
     gap_ns: int
     confirmations: int
@@ -58,22 +58,22 @@ NEVER_NS = -(2**62)  # before all stamps
 
 
 class StampStatus(IntEnum):
-    """Where a stamp lies."""
+    """Position of a stamp relative to the clock."""
 
     IN_LINE = 0
     AHEAD = 1  # further ahead than the gap, and not (yet) confirmed
     BEHIND = 2  # before the history, and not (yet) confirmed
-    BACK = 3  # the clock has gone back: all restarts
+    BACK = 3  # the clock has gone back: everything restarts
 
 
-_CARRIERS = 3  # measurements in a row that carry the clock on
-_EQUAL = 2  # ratio up to which two steps count as equal
+_CARRIERS = 3  # consecutive measurements that advance the clock
+_EQUAL = 2  # ratio below which two steps count as equal
 _IN_LINE, _AHEAD, _BEHIND, _BACK = map(int, StampStatus)
 
 
 @compiled
 def _add(streak: StampStreak, stamp_ns: int, gap_ns: int, counts: bool) -> int:
-    """How many in a row by now; a stamp that does not follow on the last one restarts."""
+    """Length of the streak with this stamp; a stamp that does not follow the last one restarts it."""
     if not 0 < stamp_ns - streak.last_ns <= gap_ns:
         streak.count, streak.first_ns = 0, stamp_ns
     streak.count, streak.last_ns = streak.count + (1 if counts else 0), stamp_ns
@@ -84,8 +84,8 @@ def _add(streak: StampStreak, stamp_ns: int, gap_ns: int, counts: bool) -> int:
 def check_sample(clock: Clock, limits: ClockLimits, stamp_ns: int, oldest_ns: int, contradicts: bool) -> int:
     """Status of a sample of the source that is the clock.
 
-    ``oldest_ns``: older ones have no place in the history (``NEVER_NS``: there is none); ``contradicts``:
-    its content is not what the history has at its stamp.
+    ``oldest_ns``: start of the history (``NEVER_NS``: there is none); ``contradicts``: whether the sample
+    differs from the history at its stamp.
     """
     clock.others.count = 0
     if not clock.running:
@@ -114,7 +114,7 @@ def check_sample(clock: Clock, limits: ClockLimits, stamp_ns: int, oldest_ns: in
 
 @compiled
 def _add_ahead(clock: Clock, stamp_ns: int, gap_ns: int) -> int:
-    """How many in a row are ahead by now: no further apart than the gap, or at equal steps."""
+    """Length of the streak ahead: stamps no further apart than the gap, or at equal steps."""
     step_ns = stamp_ns - clock.ahead.last_ns
     is_equal = step_ns < _EQUAL * clock.ahead_step_ns and clock.ahead_step_ns < _EQUAL * step_ns
     clock.ahead_step_ns = step_ns
@@ -123,19 +123,19 @@ def _add_ahead(clock: Clock, stamp_ns: int, gap_ns: int) -> int:
 
 @compiled
 def _end_ahead(clock: Clock) -> None:
-    """The next one ahead is the first, one step from the head."""
+    """End the streak ahead: the next stamp ahead is its first, one step from the head."""
     clock.ahead.count, clock.ahead.last_ns, clock.ahead_step_ns = 0, clock.head_ns, 0
 
 
 @compiled
 def check_other(clock: Clock, limits: ClockLimits, stamp_ns: int) -> int:
-    """Status of a measurement of any other source."""
+    """Status of a measurement of another source."""
     if not clock.running or stamp_ns <= clock.head_ns:
         return _IN_LINE
     streak = clock.others
     if (
         not -limits.gap_ns <= stamp_ns - streak.last_ns <= 0 or streak.count == 0
-    ):  # sources overtake each other
+    ):  # stamps of several sources may be out of order
         _add(streak, stamp_ns, limits.gap_ns, True)
     carries = streak.count >= _CARRIERS and stamp_ns - streak.first_ns >= limits.silence_ns
     if carries:
@@ -156,7 +156,7 @@ def _check_other(clock: Table[Clock], limits: Table[ClockLimits], stamp_ns: int)
 
 
 class ClockMonitor:
-    """Checks stamps as they come."""
+    """Checks stamps one by one, for Python."""
 
     def __init__(self, gap_ns: int, confirmations: int, silence_ns: int = 500_000_000) -> None:
         self._clock = make_table(Clock, CLOCK, 1)
@@ -165,20 +165,20 @@ class ClockMonitor:
 
     @property
     def head_ns(self) -> int | None:
-        """Newest stamp in line."""
+        """Newest stamp in line; None before the first sample."""
         return int(self._clock["head_ns"][0]) if self._clock["running"][0] else None
 
     def sample(
         self, stamp_ns: int, oldest_ns: int | None = None, *, contradicts: bool = False
     ) -> StampStatus:
-        """A sample of the source that is the clock; see ``check_sample``."""
+        """Status of a sample of the source that is the clock; see ``check_sample``."""
         horizon_ns = NEVER_NS if oldest_ns is None else oldest_ns
         return StampStatus(_check_sample(self._clock, self._limits, stamp_ns, horizon_ns, contradicts))
 
     def later_sample(self, stamp_ns: int) -> StampStatus:
-        """The same of a source whose samples are each later than the one before."""
+        """The same for a source whose stamps increase strictly."""
         return self.sample(stamp_ns, None if self.head_ns is None else self.head_ns + 1)
 
     def other(self, stamp_ns: int) -> StampStatus:
-        """A measurement of any other source; see ``check_other``."""
+        """Status of a measurement of another source; see ``check_other``."""
         return StampStatus(_check_other(self._clock, self._limits, stamp_ns))

@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The one door to the compiler: machine code kept on disk, released from the interpreter's lock.
+"""Decorators that compile functions: machine code is kept on disk, and runs without the interpreter's lock.
 
-``compiled`` is for kernels and for what several of them call. Each such function is optimised together with
-all that it calls, so a chain of them is optimised over and over. ``inlined`` is for the parts of a longer
-function, which have one caller: they become part of it.
+``compiled`` is for kernels and for functions that several of them call. Each such function is optimised
+together with all that it calls, so a chain of them is optimised repeatedly. ``inlined`` is for parts of a
+longer function, which have one caller: they become part of it.
 """
 
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
-os.environ.setdefault("NUMBA_OPT", "1")  # compiles in 60 % of the time, and what it makes is as fast here
+os.environ.setdefault("NUMBA_OPT", "1")  # compiles in 60 % of the time, to code that is as fast here
 
 import llvmlite.binding
 import numba
@@ -19,7 +19,7 @@ from numba.core.types import unliteral
 
 from trackslip_common.machine_code import KernelCache
 
-# Loops go over a dozen elements; unrolled for any number of passes they are a third of all code, not faster.
+# Loops have a dozen elements; unrolled for any number of passes they are a third of all code, not faster.
 llvmlite.binding.set_option("trackslip", "--unroll-runtime=false")
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -28,7 +28,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """Compile at the first call and keep the result (strict IEEE arithmetic).
 
-    Numba names it by the path of the file; colcon and ``make setup`` import the same file by two.
+    Numba names the result by the file's path; colcon and ``make setup`` import the same file by two paths.
     """
     file = os.path.realpath(function.__code__.co_filename)
     function.__code__ = function.__code__.replace(co_filename=file)
@@ -40,12 +40,12 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile as part of the one function that calls it."""
+    """Compile as part of the single function that calls it."""
     return cast(F, numba.njit(nogil=True, error_model="numpy", inline="always")(function))
 
 
 def _forget_constants(kernel: Any) -> None:
-    """Compile once for arguments of a type, not again for each constant that a caller writes there."""
+    """Compile once per argument type, not again for each constant that a caller passes."""
     template = kernel.get_call_template
 
     def of_types(args: Sequence[Any], names: Mapping[str, Any]) -> Any:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reports that kernels are being compiled, once after an installation, and about how long it still takes."""
+"""Reports that kernels are being compiled, once after an installation, and estimates the time left."""
 
 import sys
 import threading
@@ -11,23 +11,23 @@ from typing import Any
 
 TEXT = "compiling, about a minute: once after an installation"
 DESK_TEXT = "compiling for this processor, once after an installation: about two minutes"
-NODE_S, DESK_S = 60.0, 120.0  # of a processor, that what a node or a replay needs is in compiling
+NODE_S, DESK_S = 60.0, 120.0  # processor time to compile the kernels of a node, of a replay
 _PERIOD, _STEP = 1.0, 5.0  # s
-_LEAST_USED_S = 10.0  # s, of a free processor, before what others take of it counts
-_CLEAR = "\r\x1b[2K"  # the line of a terminal
+_LEAST_USED_S = 10.0  # s, added to both times: the load by others counts little at first
+_CLEAR = "\r\x1b[2K"  # clears the line of a terminal
 
 
 def show_in_place(text: str) -> None:
-    """On the line of the cursor of a terminal."""
+    """Show a text in place of the terminal's present line."""
     print(f"{_CLEAR}{text}", end="", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def compilation_announced(show: Callable[[str], None] = show_in_place) -> Iterator[None]:
-    """What is done inside compiles: a countdown on a terminal, elsewhere one line on stderr.
+    """Announce compilations inside the block: a countdown on a terminal, else one line on stderr.
 
-    ``show`` puts the countdown in place, and takes it away for an empty text. The one line comes at once,
-    though other lines are collected.
+    ``show`` shows the countdown in place, and removes it for an empty text. The one line is printed at once,
+    even while other lines are collected.
     """
     is_terminal = sys.stderr.isatty()
     log, report = (_ignore, show) if is_terminal else (_print_desk_text, _ignore)
@@ -39,15 +39,15 @@ def compilation_announced(show: Callable[[str], None] = show_in_place) -> Iterat
 def compilation_reported(
     log: Callable[[str], None], report: Callable[[str], None], expected_s: float = NODE_S
 ) -> Iterator[None]:
-    """Where what is done inside compiles, ``log`` gets one line, and ``report`` a countdown once a second.
+    """If code in the block compiles, ``log`` gets one line, and ``report`` a countdown once a second.
 
-    Kernels that are on the disk are only loaded: then nothing is reported. ``report`` is called by a thread;
-    it gets an empty text where a kernel is done.
+    Kernels that are only loaded from disk are not reported. A thread calls ``report``; the text is empty at
+    the end of a kernel.
     """
     if "numba" not in sys.modules:  # a node without kernels
         yield
         return
-    from numba.core import event  # not loaded for others
+    from numba.core import event  # loaded only with kernels
 
     countdown = _Countdown(log, report, expected_s)
 
@@ -66,16 +66,16 @@ def compilation_reported(
 
 
 class _Countdown:
-    """By the processor time that compilation has taken, for other programs may hold it up."""
+    """Countdown by the processor time of the compilation, as other programs may delay it."""
 
     def __init__(self, log: Callable[[str], None], report: Callable[[str], None], expected_s: float) -> None:
         self._log, self._report, self._expected_s = log, report, expected_s
-        self._depth = 0  # of kernels that are compiled as parts of others
+        self._depth = 0  # nested compilations of kernels
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="compiling", daemon=True)
 
     def begin(self) -> None:
-        """A kernel begins."""
+        """Register the begin of a kernel's compilation."""
         self._depth += 1
         if self._thread.ident is None:
             self._begun = time.monotonic(), time.process_time()
@@ -83,11 +83,11 @@ class _Countdown:
             self._thread.start()
 
     def end(self) -> None:
-        """A kernel ends; another may follow."""
+        """Register the end of a kernel's compilation; another may follow."""
         self._depth -= 1
 
     def stop(self) -> None:
-        """Nothing is compiled any more."""
+        """End the countdown."""
         self._stopped.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -112,7 +112,7 @@ class _Countdown:
 
 
 def _ignore(_: str) -> None:
-    """For where nothing is shown."""
+    """Discard a text."""
 
 
 def _print_desk_text(_: str) -> None:

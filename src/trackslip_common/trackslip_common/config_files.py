@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finds and reads the YAML files of ``config/``: the one place where defaults live."""
+"""Finds and reads the YAML files of ``config/``, which has all defaults."""
 
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
@@ -17,12 +17,12 @@ P = TypeVar("P", bound=Parameters)
 
 
 def config_directory() -> Path:
-    """``config/`` beside this module: in the checkout a link to that at its root, else installed as data."""
+    """``config/`` beside this module: in the checkout a link to the one at its root, else installed data."""
     return Path(str(files(__package__))) / "config"
 
 
 def config_file(name: str) -> Path:
-    """A file given by its name in ``config/``, or by a path of the user's own.
+    """The path of a file in ``config/`` by its name, or of a file of the user by its path.
 
     Raises:
         InputError: there is no such file.
@@ -34,10 +34,10 @@ def config_file(name: str) -> Path:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file whose top level is a mapping.
+    """Contents of a YAML file whose top level is a mapping.
 
     Raises:
-        InputError: the file is missing, is not YAML, or holds no mapping.
+        InputError: the file is missing, is not YAML, or has no mapping.
     """
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: no regular file; accepted: a YAML file")
@@ -52,7 +52,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def node_parameters(tree: Mapping[str, Any], node: str, where: str) -> dict[str, Any]:
-    """What a ROS parameter file gives one node, as dotted names: its own section over ``/**``.
+    """A node's parameters in a ROS parameter file, as dotted names: its own section over ``/**``.
 
     Raises:
         InputError: the file is not in the form ``<node>: {ros__parameters: {…}}``.
@@ -69,7 +69,7 @@ def node_parameters(tree: Mapping[str, Any], node: str, where: str) -> dict[str,
 
 
 def node_defaults(node: str, *files: str) -> dict[str, Any]:
-    """What these files of ``config/`` give one node together, as dotted names."""
+    """A node's parameters in these files of ``config/`` together, as dotted names."""
     values: dict[str, Any] = {}
     for name in files:
         path = config_file(name)
@@ -78,10 +78,10 @@ def node_defaults(node: str, *files: str) -> dict[str, Any]:
 
 
 def load_parameters(cls: type[P], node: str, files: Sequence[str], *layers: Mapping[str, Any]) -> P:
-    """What these files of ``config/`` give a kind of node, with layers of dotted names over them.
+    """A parameter record from these files of ``config/``, with layers of dotted names over them.
 
     Raises:
-        InputError: a name is unknown or a value refused.
+        InputError: a name is unknown or a value is rejected.
     """
     values: dict[str, Any] = {}
     for layer in (node_defaults(node, *files), *layers):
@@ -90,7 +90,7 @@ def load_parameters(cls: type[P], node: str, files: Sequence[str], *layers: Mapp
 
 
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted names as groups, in the form of a parameter file."""
+    """Dotted names as nested groups, in the form of a parameter file."""
     tree: dict[str, Any] = {}
     for name, value in flat.items():
         *groups, last = name.split(".")
@@ -102,9 +102,9 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parameters_text(parameters: Mapping[str, Any], node: str, **beside: Any) -> str:
-    """The YAML text to put on ``<node>/parameters``; nested or dotted names, as a parameter file has them.
+    """The YAML text for the topic ``<node>/parameters``; nested or dotted names, as in a parameter file.
 
-    ``beside`` them stands what else the node started from.
+    ``beside``: further inputs of the node's start, by name.
     """
     content = {"ros__parameters": dict(parameters), **beside}
     text: str = yaml.safe_dump({node: content}, sort_keys=False)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a program prints: beside a line of progress, and where stdout takes no more."""
+"""Output of programs: beside a progress line, and after a failure of stdout."""
 
 import io
 import os
@@ -11,22 +11,22 @@ from trackslip_common.errors import ExitCode, printable
 
 
 def escape_unencodable() -> None:
-    """Have stdout and stderr escape what their encoding has not, by ``LC_ALL=C`` or on an old terminal."""
+    """Make stdout and stderr escape characters that their encoding lacks (``LC_ALL=C``, old terminals)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def clear_line() -> None:
-    """Take away what stands on the line of stderr; where that is no terminal nothing does."""
+    """Clear the present line of stderr, if that is a terminal."""
     if sys.stderr.isatty():
         print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 def end_of_output(program: str, error: OSError) -> ExitCode:
-    """The exit code where a file or stdout failed. One line on stderr says so, but not where its reader left.
+    """The exit code after a failure of a file or stdout; prints one line, unless stdout's reader has left.
 
-    What stays in the buffer of stdout goes nowhere: at the end, Python would fail on it again.
+    The buffer of stdout is discarded, as Python would fail on it again at its end.
     """
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The one error a user's input can cause, and the exit codes of every executable."""
+"""The error for invalid user input, and the exit codes of all executables."""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -10,13 +10,13 @@ from enum import IntEnum
 from typing import TextIO
 
 _LONGEST_LINE = 900  # characters
-_LIKE = 0.66  # of 1: how near a word must be to one that was mistyped
-_MOST_NAMES = 12  # that are listed
+_LIKE = 0.66  # of 1: least similarity of a suggested word
+_MOST_NAMES = 12  # listed at most
 _collected: ContextVar[list[str] | None] = ContextVar("_collected", default=None)
 
 
 def printable(text: str, longest: int = 200) -> str:
-    """A text on one line, with what a terminal would interpret escaped; cut where it is longer."""
+    """A text on one line, with control characters escaped; cut after ``longest`` characters."""
     shown = "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[: longest + 1]
     )
@@ -24,9 +24,9 @@ def printable(text: str, longest: int = 200) -> str:
 
 
 def show(*texts: object, file: TextIO | None = None, is_note: bool = False) -> None:
-    """Print lines in which names and values may be anybody's: what would steer a terminal is escaped.
+    """Print lines with control characters escaped, as names and values may come from anywhere.
 
-    What goes to stderr, or ``is_note``, is kept where lines are collected.
+    While lines are collected, those for stderr and notes (``is_note``) are kept, and others are dropped.
     """
     lines = _collected.get()
     if lines is not None:
@@ -38,7 +38,7 @@ def show(*texts: object, file: TextIO | None = None, is_note: bool = False) -> N
 
 @contextmanager
 def collected() -> Iterator[list[str]]:
-    """Nothing is shown meanwhile; notes, and what would have gone to stderr, are in the list."""
+    """Print nothing inside the block; the list receives notes and lines for stderr."""
     lines: list[str] = []
     token = _collected.set(lines)
     try:
@@ -48,11 +48,11 @@ def collected() -> Iterator[list[str]]:
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used.
+    """User input that cannot be used.
 
-    Its text is the single line shown on stderr before leaving with ``ExitCode.BAD_INPUT``: it names the
-    thing, the value given, and what is accepted. Names and values in it may be anybody's: what would steer a
-    terminal is shown escaped, and what is endless is cut.
+    Its text is the single line shown on stderr before the exit with ``ExitCode.BAD_INPUT``. It names the
+    thing, the given value, and the accepted values. Names and values may come from anywhere: control
+    characters are escaped, and long texts are cut.
     """
 
     def __str__(self) -> str:
@@ -70,24 +70,24 @@ class ExitCode(IntEnum):
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """What to add to "'word' is unknown": the known word that is nearest to it; empty where none is near."""
-    from difflib import get_close_matches  # only for the one who mistyped
+    """Suffix of "'word' is unknown": the most similar known word; empty if none is similar."""
+    from difflib import get_close_matches  # loaded only after a mistyped word
 
     found = get_close_matches(word, list(known), n=1, cutoff=_LIKE)
     return f", did you mean '{found[0]}'?" if found else ""
 
 
 def suggestion(word: str, known: Iterable[str], more: str = "") -> str:
-    """What to add to "'word' is unknown": the nearest known word, or else what is accepted, a dozen at most.
+    """Suffix of "'word' is unknown": the most similar known word, else the accepted ones, at most a dozen.
 
-    ``more``: what is accepted beside the known words, as ", or a YAML file".
+    ``more``: what is accepted beside the known words, such as ", or a YAML file".
     """
     names = list(known)
     return did_you_mean(word, names) or f"; accepted: {listed(names)}{more}"
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names, a dozen at most, and how many there are."""
+    """Names, at most a dozen, with their number if there are more."""
     known = list(names)
     rest = f" … ({len(known)} in all)" if len(known) > _MOST_NAMES else ""
     return ", ".join(known[:_MOST_NAMES]) + rest

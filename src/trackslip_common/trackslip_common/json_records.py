@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records out of lines of JSON that may have been cut, edited, or written by another version."""
+"""Records from lines of JSON that may be truncated, edited, or of another version."""
 
 import json
 from pathlib import Path
@@ -9,15 +9,15 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 R = TypeVar("R")
 
-_LARGEST = 2**28  # bytes of a file; ours have some hundred a line
+_LARGEST = 2**28  # bytes of a file; ours have about a hundred per line
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a file that begins with one of these; none where it is not there, or is empty.
+    """The lines of a file of JSON mappings; none if the file is missing or empty.
 
     Raises:
-        OSError: it cannot be read.
-        TypeError: it is a pipe, larger than any of ours, or begins with something else.
+        OSError: the file cannot be read.
+        TypeError: the file is a pipe, too large, or does not begin with a mapping.
     """
     if not path.exists():
         return []
@@ -30,7 +30,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def parse_line(line: str) -> dict[str, Any] | None:
-    """The mapping that a line holds; None where it holds none."""
+    """The mapping in a line; None if there is none."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):
@@ -39,7 +39,7 @@ def parse_line(line: str) -> dict[str, Any] | None:
 
 
 def record(kind: type[R], entry: Any) -> R:
-    """A dataclass or NamedTuple of its fields by name.
+    """A dataclass or NamedTuple from its fields by name.
 
     Raises:
         TypeError: a field is missing, unknown, or of another type.
@@ -51,9 +51,9 @@ def record(kind: type[R], entry: Any) -> R:
 
 
 def _typed(hint: Any, value: Any) -> Any:
-    """A number, a text, a truth, a tuple of as many, a mapping by name; a whole number is a number too.
+    """A number, text, bool, tuple of this length, or mapping by name, as hinted; int counts as float.
 
-    None where the hint is a union with it.
+    None is accepted if the hint is a union with it.
     """
     if isinstance(hint, UnionType):
         kinds = [kind for kind in get_args(hint) if kind is not NoneType]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that a node keeps from one start to the next; what lies in their place and is none is never lost."""
+"""Files that a node keeps across restarts; an unusable file in their place is renamed, never lost."""
 
 import errno
 import os
@@ -8,14 +8,14 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError
 
-MOST_ASIDE = 9  # files that were not used, beside one that is kept
+MOST_ASIDE = 9  # unused files beside one that is kept
 
 
 def own_file(name: str, text: str) -> Path | None:
-    """The path of the file that a node keeps, from its parameter ``name``; it may begin with ~; empty: none.
+    """The path in a node's parameter ``name``, with ~ expanded; None if it is empty.
 
     Raises:
-        InputError: nobody knows that home directory.
+        InputError: the home directory is unknown.
     """
     try:
         return Path(text).expanduser() if text else None
@@ -25,10 +25,10 @@ def own_file(name: str, text: str) -> Path | None:
 
 
 def move_aside(path: Path) -> None:
-    """Rename a file that is not used, to a name that nothing has: ``….unused``, ``….unused-2`` and so on.
+    """Rename an unused file to a free name: ``….unused``, ``….unused-2`` and so on.
 
     Raises:
-        OSError: there are too many already, or it cannot be renamed; it is where it was.
+        OSError: all names are taken, or the file cannot be renamed; it stays in place.
     """
     if not os.path.lexists(path):
         return

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where each field is in a serialized (CDR) message, and in which other messages it is there too.
+"""The place of each field in a serialized (CDR) message, and which other messages have the same places.
 
-For tables of many messages (``column``), for one that comes live (``reader``), and for those that are sent or
-made many at a time (``dtype``).
+For tables of many messages (``column``), for live messages one by one (``reader``), and for messages that are
+sent or made in large numbers (``dtype``).
 
-Messages of a type mostly differ in their numbers alone. Two of the same length whose strings and lengths of
-sequences are the same, byte by byte (their *frame*), have every number at the same place.
+Messages of a type mostly differ in their numbers alone. Two messages of the same length whose strings and
+sequence lengths (their *frame*) are equal byte by byte have every number at the same place.
 """
 
 import math
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import BoolArray, IntArray
 from trackslip_common.message_reading import At, Filled, Joint, Place, RecordClass, Stamp, Text, places_of
 
-CDR_HEADER = 4  # bytes: 0, then 1 where little-endian, then two of options
-CDR_SLACK = 64  # bytes accepted behind a message
+CDR_HEADER = 4  # bytes: 0, then 1 if little-endian, then two of options
+CDR_SLACK = 64  # bytes accepted after a message
 ANY = -1  # length of a sequence
 
 Bytes = NDArray[np.uint8]
@@ -30,15 +30,15 @@ Bytes = NDArray[np.uint8]
 _NUMBERS = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"}
 _NUMBERS |= {f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)}
 _NUMBERS |= {f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)}
-_LONG = {"<i8": "q", "<u8": "Q"}  # numpy's kinds of numbers that ``struct`` has another letter for
+_LONG = {"<i8": "q", "<u8": "Q"}  # numpy formats that have another letter in ``struct``
 _NS_PER_S = 1_000_000_000
 
 
 class Field(NamedTuple):
-    """One of a message type's definition."""
+    """One field of a message type's definition."""
 
     name: str
-    type: str  # a number's, ``string``, or ``package/msg/Name``
+    type: str  # a number type, ``string``, or ``package/msg/Name``
     length: int | None = None  # of an array; ``ANY`` of a sequence; None: one value
 
 
@@ -47,32 +47,32 @@ FieldsOf = Callable[[str], Iterable[Field]]
 
 
 class IrregularError(ValueError):
-    """The message has no layout that others could share; it must be read by itself."""
+    """The message has no layout that other messages share; it must be deserialized."""
 
 
 class _Leaf(NamedTuple):
-    """A field that holds numbers, or text."""
+    """A field of numbers or text."""
 
-    kind: str  # numpy's, or "text"
+    kind: str  # numpy format, or "text"
     offset: int  # from the message's first byte
-    length: int | None  # None for one value alone
+    length: int | None  # None: a single value
     texts: tuple[str, ...] = ()
 
 
 class Layout:
-    """That of one message, which is little-endian CDR.
+    """Layout of one message in little-endian CDR.
 
-    ``lists``: whether it may hold sequences of messages, which are rarely the same from one to the next.
+    ``lists``: whether it may contain sequences of messages, whose lengths rarely stay the same.
 
     Raises:
-        IrregularError: it is not, or the type holds such sequences.
+        IrregularError: the message has another form, or its type has such sequences.
     """
 
     def __init__(self, fields_of: FieldsOf, type_name: str, raw: bytes, *, lists: bool = False) -> None:
         if len(raw) < CDR_HEADER or raw[0] != 0 or raw[1] != 1:
             raise IrregularError(f"{type_name} of another form")
         self._leaves: dict[str, _Leaf] = {}
-        self._places = [np.arange(CDR_HEADER)]  # of strings and lengths
+        self._places = [np.arange(CDR_HEADER)]  # indices of strings and lengths
         self._fields_of, self._raw, self._at, self._lists = fields_of, raw, 0, lists
         self._message(type_name, "")
         if not 0 <= len(raw) - CDR_HEADER - self._at <= CDR_SLACK:
@@ -85,7 +85,7 @@ class Layout:
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """A numpy record of all numbers, by the paths of their fields and where they are in the message."""
+        """A numpy record of all numbers; names are the paths of the fields, offsets those in the message."""
         leaves = {p: leaf for p, leaf in self._leaves.items() if leaf.kind != "text" and leaf.length != 0}
         return np.dtype(
             {
@@ -99,7 +99,7 @@ class Layout:
         )
 
     def blank(self) -> bytearray:
-        """The message with all numbers zero, and what is between its fields."""
+        """The message with all numbers zero; strings and lengths are kept."""
         found = bytearray(CDR_HEADER + self._at)
         for span, piece in self._pieces:
             found[span] = piece
@@ -110,12 +110,12 @@ class Layout:
         return len(raw) == len(self._raw) and all(raw[span] == piece for span, piece in self._pieces)
 
     def reader(self, kind: RecordClass) -> Callable[[bytes], Any]:
-        """What takes the record of a message that fits, as ``message_reading.read`` does of its object.
+        """A function that reads the record of a fitting message, as ``message_reading.read`` of its object.
 
         Raises:
             KeyError: the type has no such field.
         """
-        codes: dict[int, str] = {}  # by offset, of the numbers that are read
+        codes: dict[int, str] = {}  # by offset, formats of the numbers that are read
         for leaf, at in (number for _, place in places_of(kind).values() for number in self._numbers(place)):
             size = np.dtype(leaf.kind).itemsize
             codes[leaf.offset + at * size] = _LONG.get(leaf.kind, np.dtype(leaf.kind).char)
@@ -133,14 +133,14 @@ class Layout:
         return read_one
 
     def matches(self, buffer: Bytes, starts: IntArray) -> BoolArray:
-        """(n,) which of the messages, of the same length, that begin at ``starts`` have this layout."""
+        """(n,) whether each message at ``starts``, all of the same length, has this layout."""
         found: BoolArray = (buffer[starts[:, np.newaxis] + self._frame] == self._frame_bytes).all(axis=1)
         return found
 
     def column(
         self, place: Place, buffer: Bytes, starts: IntArray, number_of: Callable[[str], int]
     ) -> NDArray[Any] | int | float | bool:
-        """(n, …) values at a place, or the one value of all; ``number_of`` numbers texts.
+        """(n, …) values at a place, or the one value of all; ``number_of`` maps texts to numbers.
 
         Raises:
             KeyError: the type has no such field.
@@ -167,7 +167,7 @@ class Layout:
                 return whole[:, items].reshape(len(starts), *shape)
 
     def _numbers(self, place: Place) -> list[tuple["_Leaf", int]]:
-        """Of which numbers the value at a place is made: their leaves, and which of the leaf's."""
+        """(leaf, index in the leaf) of each number in the value at a place."""
         match place:
             case Stamp(path):
                 found = [(self._leaves[f"{path}.sec"], 0), (self._leaves[f"{path}.nanosec"], 0)]
@@ -185,7 +185,7 @@ class Layout:
         return found
 
     def _take(self, place: Place, number_at: Callable[[int], int]) -> Callable[[tuple[Any, ...]], Any]:
-        """(numbers that were read) → value at a place; ``number_at``: offset → which of them."""
+        """(numbers that were read) → value at a place; ``number_at``: offset → index of the number."""
         indices = [
             number_at(leaf.offset + at * np.dtype(leaf.kind).itemsize) for leaf, at in self._numbers(place)
         ]
@@ -210,7 +210,7 @@ class Layout:
     def _values(
         self, leaf: _Leaf, buffer: Bytes, starts: IntArray, first: int = 0, count: int = 1
     ) -> NDArray[Any]:
-        """(n,) or, of several in a row, (n, count)."""
+        """(n,) values, or (n, count) consecutive ones."""
         if leaf.kind == "text" or first + count > (1 if leaf.length is None else leaf.length):
             raise KeyError
         size = np.dtype(leaf.kind).itemsize

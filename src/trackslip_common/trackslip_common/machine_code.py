@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code on disk, found by its content: no path and no time of a file counts.
+"""Machine code on disk, identified by content: neither the path nor the time of a file matters.
 
-A directory holds the machine code of one state of a module's source and of all sources of ours that it
-imports; numba adds its own version and Python's. Code for any processor of a family comes with the wheel
-(``SHIPPED``); what that lacks is compiled for this processor, and kept.
+A directory has the machine code of one state of a module's source and of all our sources that it imports;
+numba adds its own version and Python's. The wheel has code for any processor of a family (``SHIPPED``). Other
+code is compiled for this processor, and kept.
 """
 
 import hashlib
@@ -18,8 +18,8 @@ from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-SHIPPED = Path(__file__).with_name("kernels")  # of the wheel, by ``scripts/make_wheel.py``
-GENERIC = ("generic", "")  # processor and its features, for which code is shipped
+SHIPPED = Path(__file__).with_name("kernels")  # in the wheel, from ``scripts/make_wheel.py``
+GENERIC = ("generic", "")  # processor and features of the shipped code
 
 _OURS = "trackslip_"
 _real_path = cache(os.path.realpath)
@@ -27,7 +27,7 @@ _IMPORT = re.compile(r"^(?:from|import) +([\w.]+)(?: +import +(\([^)]*\)|.*))?",
 
 
 class KernelCache(FunctionCache):
-    """Where numba looks for the machine code of one function: first what was kept, then what was shipped."""
+    """Cache of the machine code of one function: first kept code, then shipped code."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._impl_class = _kept_in(directory(function.__code__.co_filename))
@@ -35,7 +35,7 @@ class KernelCache(FunctionCache):
         self._shipped = _Shipped(function) if SHIPPED.is_dir() else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled function for the signature; None where it is to be compiled."""
+        """The compiled function of the signature; None if it must be compiled."""
         found = super().load_overload(sig, target_context)
         if found is None and self._shipped is not None:
             found = self._shipped.load_overload(sig, target_context)
@@ -43,7 +43,7 @@ class KernelCache(FunctionCache):
 
 
 class _Shipped(FunctionCache):
-    """What came with the wheel; it runs on every processor of the family."""
+    """Code in the wheel; it runs on every processor of the family."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._impl_class = _kept_in(SHIPPED)
@@ -56,7 +56,7 @@ class _Shipped(FunctionCache):
 
 @cache
 def _kept_in(root: Path) -> type[CompileResultCacheImpl]:
-    """What names the files of a function below ``root``."""
+    """The cache implementation with its files below ``root``."""
 
     class Locator(_CacheLocator):
         """The directory of a function's machine code."""
@@ -73,14 +73,14 @@ def _kept_in(root: Path) -> type[CompileResultCacheImpl]:
             return str(self._directory)
 
         def get_source_stamp(self) -> str:
-            """Of the sources: the directory's name has it."""
+            """Digest of the sources, which is the directory's name."""
             return self._directory.name
 
         def get_disambiguator(self) -> str:
             return str(self._line)
 
     class Implementation(CompileResultCacheImpl):
-        """Numba's, with that locator alone."""
+        """Numba's implementation with this locator alone."""
 
         _locator_classes = (Locator,)
 
@@ -88,7 +88,7 @@ def _kept_in(root: Path) -> type[CompileResultCacheImpl]:
 
 
 def directory(file: str) -> Path:
-    """Where this computer keeps machine code: beside the source, or with the user where nobody may write."""
+    """Where machine code is kept: beside the source, or in the user's cache if that is not writable."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(chosen)
     beside = Path(file).parent / "__pycache__"
@@ -99,10 +99,10 @@ def directory(file: str) -> Path:
 
 @cache
 def digest(file: str, module: str) -> str:
-    """Of a module's source and of all that it imports of ours, at any depth.
+    """Digest of a module's source and of all our sources that it imports, at any depth.
 
-    Numba looks only at the file of the function itself, so a kernel would keep stale machine code of what it
-    calls in other files. Machine code names its module, which a file of tests has two names for.
+    Numba checks only the file of the function itself, so a kernel would keep stale code of functions in other
+    files. Machine code contains the module's name, of which a test file has two.
     """
     found: set[str] = set()
     waiting = {file}
@@ -123,7 +123,7 @@ def _text(file: str) -> bytes:
 
 @cache
 def _imported(file: str) -> tuple[str, ...]:
-    """Files of the modules that a file imports, those of our packages and of its own folder."""
+    """Files of the modules that a file imports, from our packages and from its own folder."""
     found = []
     for match in _IMPORT.finditer(_text(file).decode()):
         parent, names = match.group(1), re.findall(r"\w+", match.group(2) or "")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages built from type name and fields, so that live nodes and bags share every conversion."""
+"""Messages built from type name and fields; live nodes and bags share every conversion."""
 
 from typing import Any, Protocol
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A serialized (CDR) message whose numbers are set where they are in its bytes.
+"""A serialized (CDR) message whose numbers are set in its bytes.
 
-For messages that are sent often and differ in their numbers alone. What fills the object of a message fills
-this too: its fields have the same names. Of an object, rclpy asks for each field and for each message inside.
+For messages that are sent often and differ in their numbers alone. A function that fills a message object
+also fills this one, whose fields have the same names. rclpy would read each field and each nested message.
 """
 
 from typing import Any
@@ -15,16 +15,16 @@ from trackslip_common.layout import FieldsOf, Layout
 
 
 class MessageBuffer:
-    """The bytes of one message, and its fields in them.
+    """The bytes of one message, with its fields as attributes.
 
     Args:
         type_name: ``package/msg/Name``.
-        fields_of: what types are made of.
-        raw: the message as it is but for the numbers to be set: its strings and lengths of lists stay.
+        fields_of: fields of each message type.
+        raw: the message; its strings and lengths of lists stay, its numbers can be set.
 
     Attributes:
-        message: has the fields of the message. Numbers are set, arrays set or changed in place; nothing else
-            can be.
+        message: has the fields of the message. Numbers can be set, arrays set or changed in place; nothing
+            else can be changed.
 
     Raises:
         IrregularError: the bytes are no message of this type in little-endian CDR.
@@ -33,7 +33,7 @@ class MessageBuffer:
     def __init__(self, type_name: str, fields_of: FieldsOf, raw: bytes) -> None:
         layout = Layout(fields_of, type_name, raw, lists=True)
         dtype = layout.dtype
-        self._raw = layout.blank()  # serializers leave padding as memory happened to be
+        self._raw = layout.blank()  # serializers leave padding uninitialised
         record, given = np.frombuffer(self._raw, dtype).reshape(()), np.frombuffer(raw, dtype, 1)[0]
         fields: dict[str, Any] = {}
         for path in dtype.names or ():
@@ -46,12 +46,12 @@ class MessageBuffer:
         self.message = _part(fields)
 
     def __bytes__(self) -> bytes:
-        """As it is now."""
+        """The present bytes."""
         return bytes(self._raw)
 
 
 class _Numbers:
-    """A field: a number, or an array of them, in the bytes."""
+    """Descriptor of a field in the bytes: a number, or an array of numbers."""
 
     __slots__ = ("_view",)
 
@@ -66,6 +66,6 @@ class _Numbers:
 
 
 def _part(fields: dict[str, Any]) -> Any:
-    """What has these fields; of a list of messages, all of them."""
+    """An object with these fields; for a list of messages, a list."""
     inner = {name: _part(field) if isinstance(field, dict) else field for name, field in fields.items()}
     return list(inner.values()) if "0" in inner else type("Part", (), {"__slots__": (), **inner})()

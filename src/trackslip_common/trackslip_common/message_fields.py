@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fields that are read of each message, once: live conversions and the tables of a bag come from here.
+"""The fields that are read of each message type; live conversions and the tables of a bag share them.
 
-A record class lists what is read of a message type: a name, its type, and where in the message it is.
-``message_reading.read`` takes one record from a message object; ``dtype_of`` gives the numpy record of the
-same names, of which ``trackslip_bags.tables`` makes arrays straight from serialized messages. A new field of
-a message is one line here.
+A record class lists the fields: name, type, and place in the message. ``message_reading.read`` makes a record
+from a message object. ``dtype_of`` gives the numpy record of the same names, which ``trackslip_bags.tables``
+fills directly from serialized messages. A new field of a message is one line here.
 """
 
 from typing import Annotated, NamedTuple
@@ -21,20 +20,20 @@ _PLANE_IN_36 = tuple(np.arange(36).reshape(6, 6)[PLANE_IN_6].ravel().tolist())
 _DIAGONAL_IN_36 = tuple(range(0, 36, 7))
 _ALL_OF_9 = tuple(range(9))
 _SLIPS_IN_9 = (0, 1, 3, 4)  # left and right among left, right, slip angle
-ABSENT = -1.0  # first element of a covariance in Imu and MachineState: no such vector (REP-145)
+ABSENT = -1.0  # first element of a covariance in Imu and MachineState: the vector is absent (REP-145)
 
 StampNs = Annotated[int, Stamp()]
 Plane = Annotated[FloatArray, At("pose.covariance", _PLANE_IN_36, (3, 3))]
 
 
 class FrameFields(NamedTuple):
-    """Of any message with a header."""
+    """Fields of any message with a header."""
 
     frame: Annotated[str, Text("header.frame_id")]
 
 
 class SprocketFields(NamedTuple):
-    """Of sensor_msgs/JointState."""
+    """Fields of sensor_msgs/JointState: sprockets."""
 
     stamp_ns: StampNs
     left_speed: Annotated[float, Joint("velocity", LEFT_SPROCKET)]  # rad/s
@@ -45,14 +44,14 @@ class SprocketFields(NamedTuple):
 
 
 class SwingFields(NamedTuple):
-    """Of sensor_msgs/JointState: angle of the upper structure."""
+    """Fields of sensor_msgs/JointState: angle of the upper structure."""
 
     stamp_ns: StampNs
     angle: Annotated[float, Joint("position", SWING_JOINT)]  # rad
 
 
 class ImuFields(NamedTuple):
-    """Of sensor_msgs/Imu."""
+    """Fields of sensor_msgs/Imu."""
 
     stamp_ns: StampNs
     rate_x: Annotated[float, At("angular_velocity.x")]  # rad/s
@@ -77,19 +76,19 @@ class ImuFields(NamedTuple):
 
 
 class OrientationFields(NamedTuple):
-    """Of sensor_msgs/Imu, its orientation."""
+    """Fields of sensor_msgs/Imu: orientation."""
 
     stamp_ns: StampNs
     qx: Annotated[float, At("orientation.x")]
     qy: Annotated[float, At("orientation.y")]
     qz: Annotated[float, At("orientation.z")]
     qw: Annotated[float, At("orientation.w")]
-    absent: Annotated[float, At("orientation_covariance", (0,))]  # −1: there is none
-    variance_z: Annotated[float, At("orientation_covariance", (8,))]  # rad², 0 where unknown
+    absent: Annotated[float, At("orientation_covariance", (0,))]  # −1: no orientation
+    variance_z: Annotated[float, At("orientation_covariance", (8,))]  # rad², 0: unknown
 
 
 class PoseFields(NamedTuple):
-    """Of geometry_msgs/PoseWithCovarianceStamped, and of the pose in nav_msgs/Odometry: planar part and z."""
+    """Fields of geometry_msgs/PoseWithCovarianceStamped, and of nav_msgs/Odometry: planar pose and z."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
@@ -104,7 +103,7 @@ class PoseFields(NamedTuple):
 
 
 class OdometryFields(NamedTuple):
-    """Of nav_msgs/Odometry: the planar part, height and orientation."""
+    """Fields of nav_msgs/Odometry: planar part, height and orientation."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
@@ -122,7 +121,7 @@ class OdometryFields(NamedTuple):
 
 
 class OdometryPoseFields(NamedTuple):
-    """Of nav_msgs/Odometry as a source: the whole pose, and the variances of pose and twist."""
+    """Fields of nav_msgs/Odometry as a source: whole pose, and variances of pose and twist."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("pose.pose.position.x")]  # m
@@ -134,22 +133,22 @@ class OdometryPoseFields(NamedTuple):
     qw: Annotated[float, At("pose.pose.orientation.w")]
     pose_variances: Annotated[FloatArray, At("pose.covariance", _DIAGONAL_IN_36, (2, 3))]  # m², rad²
     twist_variances: Annotated[FloatArray, At("twist.covariance", _DIAGONAL_IN_36, (2, 3))]
-    pose_absent: Annotated[float, At("pose.covariance", (0,))]  # −1: there is none
+    pose_absent: Annotated[float, At("pose.covariance", (0,))]  # −1: no pose
     twist_absent: Annotated[float, At("twist.covariance", (0,))]
 
 
 class VelocityFields(NamedTuple):
-    """Of geometry_msgs/TwistWithCovarianceStamped: the horizontal part."""
+    """Fields of geometry_msgs/TwistWithCovarianceStamped: horizontal part."""
 
     stamp_ns: StampNs
     v_x: Annotated[float, At("twist.twist.linear.x")]  # m/s
     v_y: Annotated[float, At("twist.twist.linear.y")]
     covariance: Annotated[FloatArray, At("twist.covariance", (0, 1, 6, 7), (2, 2))]  # (m/s)²; 0 unknown
-    absent: Annotated[float, At("twist.covariance", (0,))]  # −1: there is none
+    absent: Annotated[float, At("twist.covariance", (0,))]  # −1: no velocity
 
 
 class NavSatFields(NamedTuple):
-    """Of sensor_msgs/NavSatFix."""
+    """Fields of sensor_msgs/NavSatFix."""
 
     stamp_ns: StampNs
     latitude: Annotated[float, At("latitude")]  # °
@@ -162,7 +161,7 @@ class NavSatFields(NamedTuple):
 
 
 class QuaternionFields(NamedTuple):
-    """Of geometry_msgs/QuaternionStamped."""
+    """Fields of geometry_msgs/QuaternionStamped."""
 
     stamp_ns: StampNs
     qx: Annotated[float, At("quaternion.x")]
@@ -172,7 +171,7 @@ class QuaternionFields(NamedTuple):
 
 
 class MachineStateFields(NamedTuple):
-    """Of trackslip_msgs/MachineState; a covariance begins with −1 where its values are unknown."""
+    """Fields of trackslip_msgs/MachineState; the first element of a covariance is −1 for unknown values."""
 
     stamp_ns: StampNs
     x: Annotated[float, At("x")]  # m
@@ -198,7 +197,7 @@ class MachineStateFields(NamedTuple):
 
 
 class SlipFields(NamedTuple):
-    """Of trackslip_msgs/TrackSlip."""
+    """Fields of trackslip_msgs/TrackSlip."""
 
     stamp_ns: StampNs
     left_slip: Annotated[float, At("left_slip")]  # 1
@@ -210,7 +209,7 @@ class SlipFields(NamedTuple):
 
 
 class HydraulicsFields(NamedTuple):
-    """Of trackslip_msgs/TrackHydraulics."""
+    """Fields of trackslip_msgs/TrackHydraulics."""
 
     stamp_ns: StampNs
     left_pressure: Annotated[float, At("left_pressure")]  # Pa
@@ -220,7 +219,7 @@ class HydraulicsFields(NamedTuple):
 
 
 class ForceFields(NamedTuple):
-    """Of trackslip_msgs/TrackForces."""
+    """Fields of trackslip_msgs/TrackForces."""
 
     stamp_ns: StampNs
     left_thrust: Annotated[float, At("left_thrust")]  # N
@@ -236,7 +235,7 @@ class ForceFields(NamedTuple):
 
 
 class SoilFields(NamedTuple):
-    """Of trackslip_msgs/SoilEstimate, but for the classes, whose number differs from bag to bag."""
+    """Fields of trackslip_msgs/SoilEstimate, without the classes, whose number differs between bags."""
 
     stamp_ns: StampNs
     mu_r: Annotated[float, At("mu_r")]  # 1
@@ -253,7 +252,7 @@ class SoilFields(NamedTuple):
 
 
 class ReportFields(NamedTuple):
-    """Of trackslip_msgs/MeasurementReport: what the journal of the live estimator is made of."""
+    """Fields of trackslip_msgs/MeasurementReport, from which the live estimator's journal is made."""
 
     stamp_ns: StampNs
     source: Annotated[str, Text("source")]

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a field is read of a message: from an object, rclpy's or a bag's, and as the column of a numpy record.
+"""Reads fields of a message: from an object (rclpy's or a bag's), and as a column of a numpy record.
 
-    At      a field, by its dotted path; with ``items``, these of an array (in this order), as an array
-    Joint   the item of an array that belongs to a joint, by the names of the message; nan where it is missing
+    At      a field by its dotted path; with ``items``, an array of these items of it, in this order
+    Joint   item of an array that belongs to a joint, by the message's names; nan if it is missing
     Filled  whether an array has any items
     Text    a string; in tables, its number among the texts of the topic
     Stamp   time of the header
 
-``message_fields`` has the record classes, whose fields are annotated with these.
+The record classes of ``message_fields`` annotate their fields with these.
 """
 
 import math
@@ -83,7 +83,7 @@ def dtype_of(kind: RecordClass) -> np.dtype[np.void]:
 
 @cache
 def _reader(kind: RecordClass) -> Callable[[Any], Any]:
-    """What ``read`` does for a record class."""
+    """The function that ``read`` uses for a record class."""
     places = places_of(kind)
     getters = {name: attrgetter(place.path) for name, (_, place) in places.items()}
     steps = [(getters[name], _converter(python, place)) for name, (python, place) in places.items()]
@@ -118,17 +118,17 @@ def _of_joint(values: Any, names: list[str], joint: str) -> float:
 
 
 class Packed(ABC):
-    """A message that nobody has made an object of."""
+    """A message that has not been deserialized."""
 
     __slots__ = ()
 
     @abstractmethod
     def record(self, kind: RecordClass) -> Any:
-        """What ``read`` would take of its object."""
+        """The record that ``read`` would make from the message object."""
 
 
 def read(kind: Callable[..., R], message: Any) -> R:
-    """The record of a message: an object, or packed.
+    """The record of a message, which is an object or packed.
 
     Raises:
         AttributeError: the message is of another type.
@@ -138,5 +138,5 @@ def read(kind: Callable[..., R], message: Any) -> R:
 
 
 def frame_number(text: str) -> int:
-    """Of a frame_id: the same wherever it is read."""
+    """Number of a frame_id, the same in every process."""
     return zlib.crc32(text.encode())

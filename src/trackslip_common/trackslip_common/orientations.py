@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Heading, roll and pitch of what has the quaternion ``qx qy qz qw``: one record, or the rows of a table."""
+"""Heading, roll and pitch from the quaternion ``qx qy qz qw`` of one record, or of the rows of a table."""
 
 import math
 from collections.abc import Callable
@@ -11,29 +11,29 @@ from numpy.typing import NDArray
 
 from trackslip_common.arrays import FloatArray
 
-UNKNOWN_STDDEV = 1.8  # rad; of a heading that may be any it is π/√3 = 1.81
+UNKNOWN_STDDEV = 1.8  # rad; a uniform heading has π/√3 = 1.81
 
 
 def is_heading_known(variance: Any) -> Any:
-    """Whether a heading of this variance, rad², is known at all; of an array, for each."""
+    """Whether a heading with this variance, rad², is known; elementwise for an array."""
     return variance <= UNKNOWN_STDDEV**2
 
 
 def heading_text(heading: float, variance: float, sigmas: float = 1.0) -> str:
-    """As "12.0° ± 0.5", an interval of so many standard deviations; "unknown" where it may be any."""
+    """Text such as "12.0° ± 0.5", ± ``sigmas`` standard deviations; "unknown" for an unknown heading."""
     if not is_heading_known(variance):
         return "unknown"
     return f"{math.degrees(heading):.1f}° ± {math.degrees(sigmas * math.sqrt(max(variance, 0.0))):.1f}"
 
 
 def heading_of(pose: Any) -> float:
-    """Rotation about z, rad in (−π, π], of what has the quaternion ``qx qy qz qw``."""
+    """Rotation about z, rad in (−π, π], of an object with the quaternion ``qx qy qz qw``."""
     sine = 2.0 * (pose.qw * pose.qz + pose.qx * pose.qy)
     return math.atan2(sine, 1.0 - 2.0 * (pose.qy * pose.qy + pose.qz * pose.qz))
 
 
 def tilt_of(pose: Any) -> tuple[float, float]:
-    """Roll and pitch (ZYX, nose down > 0), rad, of what has the quaternion ``qx qy qz qw``."""
+    """Roll and pitch (ZYX, nose down > 0), rad, of an object with the quaternion ``qx qy qz qw``."""
     up = 1.0 - 2.0 * (pose.qx * pose.qx + pose.qy * pose.qy)
     roll = math.atan2(2.0 * (pose.qw * pose.qx + pose.qy * pose.qz), up)
     sine = 2.0 * (pose.qw * pose.qy - pose.qz * pose.qx)
@@ -41,18 +41,18 @@ def tilt_of(pose: Any) -> tuple[float, float]:
 
 
 def tilts_of(rows: NDArray[np.void]) -> FloatArray:
-    """(n, 2) of ``tilt_of``, to the last bit, of rows with the same fields."""
+    """(n, 2) ``tilt_of`` of rows with the same fields, equal to the last bit."""
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    with np.errstate(over="ignore", invalid="ignore"):  # as of floats
+    with np.errstate(over="ignore", invalid="ignore"):  # as with Python's floats
         pairs = (2.0 * (w * x + y * z)).tolist(), (1.0 - 2.0 * (x * x + y * y)).tolist()
         sines = np.clip(2.0 * (w * y - z * x), -1.0, 1.0).tolist()
     return np.column_stack((_each(math.atan2, *pairs), _each(math.asin, sines)))
 
 
 def headings_of(rows: NDArray[np.void]) -> FloatArray:
-    """(n,) of ``heading_of``, to the last bit, of rows with the same fields."""
+    """(n,) ``heading_of`` of rows with the same fields, equal to the last bit."""
     x, y, z, w = (rows[name] for name in ("qx", "qy", "qz", "qw"))
-    with np.errstate(over="ignore", invalid="ignore"):  # as of floats
+    with np.errstate(over="ignore", invalid="ignore"):  # as with Python's floats
         sines, cosines = 2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)
     return _each(math.atan2, sines.tolist(), cosines.tolist())
 
@@ -63,10 +63,10 @@ def poses_of(rows: NDArray[np.void]) -> FloatArray:
 
 
 def wrapped(angles: FloatArray) -> FloatArray:
-    """(n,) in (−π, π]."""
+    """(n,) angles wrapped to (−π, π]."""
     return np.asarray(np.angle(np.exp(1j * angles)))
 
 
 def _each(function: Callable[..., float], *arguments: list[float]) -> FloatArray:
-    """(n,) of a function of ``math``, from which numpy's own differs in the last bit."""
+    """(n,) values of a function of ``math``, as numpy's own differ in the last bit."""
     return np.fromiter(map(function, *arguments), np.float64, len(arguments[0]))

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as they come (CDR), of which only what is asked for is unpacked.
+"""Serialized messages (CDR), of which only the requested fields are decoded.
 
-rclpy makes an object of a message and of each one inside it, and sets them field by field: of odometry that
-takes ten times what the numbers take that are read of it.
+rclpy makes an object of a message and of each nested one, and sets every field. For odometry this takes ten
+times as long as decoding the numbers that are used.
 """
 
 from collections.abc import Callable
@@ -12,11 +12,11 @@ from typing import Any
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
 from trackslip_common.message_reading import Packed, RecordClass, read
 
-_LAYOUTS = 16  # of one topic, of the last ones; there is one, unless somebody plays tricks with frame_id
+_LAYOUTS = 16  # of one topic, most recent first; usually one, unless frame_id keeps changing
 
 
 class PackedMessage(Packed):
-    """One, and what its topic has."""
+    """One serialized message, with the layouts of its topic."""
 
     __slots__ = ("_raw", "_topic")
 
@@ -24,17 +24,17 @@ class PackedMessage(Packed):
         self._raw, self._topic = raw, topic
 
     def record(self, kind: RecordClass) -> Any:
-        """What ``read`` takes of its object."""
+        """The record that ``read`` makes from the message object."""
         return self._topic.record(self._raw, kind)
 
 
 class PackedTopic:
-    """The layouts that messages of a topic have.
+    """The layouts of a topic's messages.
 
     Args:
         type_name: ``package/msg/Name``.
-        fields_of: what types are made of.
-        unpack: makes the object of a message, where it has no layout.
+        fields_of: fields of each message type.
+        unpack: deserializes a message that has no layout.
     """
 
     def __init__(self, type_name: str, fields_of: FieldsOf, unpack: Callable[[bytes], Any]) -> None:
@@ -42,7 +42,7 @@ class PackedTopic:
         self._known: list[tuple[Layout, dict[RecordClass, Callable[[bytes], Any]]]] = []
 
     def record(self, raw: bytes, kind: RecordClass) -> Any:
-        """What a record class names of a message.
+        """The record of a message.
 
         Raises:
             AttributeError, IndexError: the message has no such field.

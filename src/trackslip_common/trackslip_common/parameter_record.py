@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters as compiled code takes them: a record, nested groups as nested records.
+"""Parameters as records for compiled code; nested groups become nested records.
 
-What a record has of them its declaration says (``record_types``): a class of parameters itself, or one that
-has fields of their names. A vehicle is given whole.
+The declaration of a record (``record_types``) selects its parameters: a class of parameters itself, or one
+with fields of their names. A vehicle becomes a whole machine (``VehicleParameters.whole``).
 """
 
 from typing import cast
@@ -16,10 +16,10 @@ from trackslip_common.vehicle import VehicleParameters
 
 
 def record_of(declared: type[DeclaredT], parameters: Parameters) -> Table[DeclaredT]:
-    """(1,) of a declaration, with parameters in the fields of their names.
+    """(1,) record of a declaration, with the parameters that have the names of its fields.
 
     Raises:
-        InputError: the vehicle cannot be given whole.
+        InputError: the vehicle lacks mass or hydraulics.
     """
     table = make_table(declared, dtype_of(declared), 1)
     fill_record(table[0], parameters)
@@ -30,7 +30,7 @@ def fill_record(record: Record | Parameters, parameters: Parameters) -> None:
     """Set the fields of a record that have the names of parameters.
 
     Raises:
-        InputError: the vehicle cannot be given whole.
+        InputError: the vehicle lacks mass or hydraulics.
     """
     fields = cast("np.void", record)
     for name, _, _ in own_fields(type(parameters)):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of one parameter, and whether a value of it is accepted."""
+"""Specification of one parameter, and the check of its values."""
 
 import math
 import sys
@@ -13,13 +13,13 @@ from typing import Any
 
 from trackslip_common.errors import InputError
 
-# In any unit, and its inverse is the smallest of what must be above 0: squares and inverses stay finite.
+# In any unit; its inverse is the least value of what must be above 0, so squares and inverses stay finite.
 _LARGEST = 1e30
 _SCALARS: Mapping[type, str] = MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 )
 
-# What YAML 1.1 takes for true or false without quotes, such as the parity N.
+# Words that YAML 1.1 reads as true or false if unquoted, such as the parity N.
 _YAML_WORDS: Mapping[bool, tuple[str, ...]] = MappingProxyType(
     {True: ("y", "yes", "on", "true"), False: ("n", "no", "off", "false")}
 )
@@ -27,7 +27,7 @@ _YAML_WORDS: Mapping[bool, tuple[str, ...]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Spec:
-    """What is known of one parameter, beside its type. Bounds are None where there is none."""
+    """Specification of one parameter, beside its type. A bound is None if there is none."""
 
     description: str
     unit: str = ""
@@ -37,10 +37,10 @@ class Spec:
     le: float | None = None
     choices: tuple[str | int, ...] = ()
     read_only: bool = True
-    basic: bool = False  # states a machine or what is connected to it; all others are for experts
+    basic: bool = False  # describes a machine or what is connected to it; all others are for experts
 
     def accepts(self, value: object) -> bool:
-        """Whether one scalar lies in the range (its type is checked elsewhere)."""
+        """Whether one scalar is in range (its type is checked elsewhere)."""
         if self.choices or isinstance(value, str):
             return not self.choices or value in self.choices
         if not isinstance(value, (int, float)) or (isinstance(value, float) and not math.isfinite(value)):
@@ -66,7 +66,7 @@ class Spec:
 
 
 def coerced(name: str, value: Any, kind: Any, spec: Spec) -> Any:
-    """Give a value read from YAML, ROS or a command line its declared type, then check it."""
+    """A value from YAML, ROS or a command line, converted to its declared type and checked."""
     if typing.get_origin(kind) is tuple and isinstance(value, (list, tuple, array)):  # ROS: array
         item_kind = typing.get_args(kind)[0]
         value = tuple(_floated(item) if item_kind is float else item for item in value)
@@ -79,7 +79,7 @@ def coerced(name: str, value: Any, kind: Any, spec: Spec) -> Any:
 
 
 def _floated(value: Any) -> Any:
-    """A whole number as a float, unless it is beyond all floats."""
+    """An integer as a float, unless it exceeds all floats; any other value unchanged."""
     return float(value) if type(value) is int and abs(value) <= sys.float_info.max else value
 
 

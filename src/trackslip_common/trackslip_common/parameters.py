@@ -1,17 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters as frozen dataclasses: each field states once its meaning, unit and range.
+"""Parameters as frozen dataclasses: each field states its meaning, unit and range once.
 
-From that one statement come the check at construction, the reader of YAML files, and the
-parameter descriptors of the nodes. A bad value is refused with one line, never repaired.
+The check at construction, the reader of YAML files and the parameter descriptors of the nodes use this one
+statement. A bad value is rejected with one line, never repaired.
 
     @dataclass(frozen=True, kw_only=True)
     class Vehicle(Parameters):
         tread: float = parameter("distance between the track centre lines", unit="m", gt=0.0)
 
-A field that is ``Parameters`` itself is a group of them; one that may also be None is left out whole, or
-given whole. A field that is a ``Mapping`` holds a group for each of the names that other parameters give, as
-``groups_of`` says.
+A field of type ``Parameters`` is a group. An optional group is given completely, or not at all. A field of
+type ``Mapping`` has a group for each name that other parameters give; see ``groups_of``.
 """
 
 import dataclasses
@@ -41,35 +40,35 @@ def parameter(
     read_only: bool = True,
     basic: bool = False,
 ) -> Any:
-    """A dataclass field with its ``Spec``; it has no default: defaults live in ``config/``."""
+    """A dataclass field with its ``Spec``; it has no default, as all defaults are in ``config/``."""
     spec = Spec(description, unit, gt, ge, lt, le, choices, read_only, basic)
     return dataclasses.field(metadata={_METADATA_KEY: spec})
 
 
 class Group(NamedTuple):
-    """What one of several groups of a kind consists of, and what it has where nothing else is given."""
+    """Class and defaults of one of several groups of a kind."""
 
     kind: "type[Parameters]"
     defaults: Mapping[str, Any]  # by name within the group
 
 
 class Parameters:
-    """Base of the frozen parameter dataclasses: refuses bad values when constructed."""
+    """Base of the frozen parameter dataclasses; rejects bad values at construction."""
 
-    NAMED: ClassVar[frozenset[str]] = frozenset()  # names that ``overlaid`` knows beside those of the fields
+    NAMED: ClassVar[frozenset[str]] = frozenset()  # names that ``overlaid`` accepts beside the fields
 
     @classmethod
     def groups_of(cls, values: Mapping[str, Any], where: str) -> Mapping[str, Mapping[str, Group]]:
-        """Field of kind ``Mapping`` → name → group, as the values (dotted names) ask for; none by default.
+        """Field of type ``Mapping`` → name → group, as the values (dotted names) require; none by default.
 
         Raises:
-            InputError: the values that name the groups are refused.
+            InputError: the values that name the groups are rejected.
         """
         return {}
 
     @classmethod
     def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by dotted name, with others over them."""
+        """Values by dotted name: ``below``, overridden by ``above``."""
         return {**below, **above}
 
     def __post_init__(self) -> None:
@@ -98,7 +97,7 @@ def _fields_of(cls: Any) -> tuple[tuple[str, Any, Spec | None], ...]:
 def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator[tuple[str, Any, Spec]]:
     """(dotted name, type, spec) of every parameter of a record, as a node declares them.
 
-    Of a class the same, but for the groups that its values name.
+    For a class, groups that depend on values are left out.
     """
     record, cls = (None, of) if isinstance(of, type) else (of, type(of))
     for name, kind, spec in own_fields(cls):
@@ -114,7 +113,7 @@ def flat_fields(of: type[Parameters] | Parameters, prefix: str = "") -> Iterator
 
 
 def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
-    """Dotted name → value; tuples become lists, as YAML and ROS parameters hold them."""
+    """Dotted name → value; tuples become lists, as in YAML and ROS parameters."""
     flat: dict[str, Any] = {}
     for name, kind, spec in own_fields(type(record)):
         value = getattr(record, name)
@@ -129,15 +128,15 @@ def to_flat(record: Parameters, prefix: str = "") -> dict[str, Any]:
 
 
 def reloadable(of: type[Parameters] | Parameters) -> frozenset[str]:
-    """Dotted names of the parameters that may change while what uses them runs."""
+    """Dotted names of the parameters that may change at run time."""
     return frozenset(name for name, _, spec in flat_fields(of) if not spec.read_only)
 
 
 def known_names(cls: type[Parameters], values: Mapping[str, Any], where: str) -> list[str]:
-    """Every dotted name that ``cls`` has with these values.
+    """Every dotted name of ``cls`` with these values.
 
     Raises:
-        InputError: the values that name groups are refused.
+        InputError: the values that name groups are rejected.
     """
     names = [name for name, _, _ in flat_fields(cls)]
     for field, groups in cls.groups_of(values, where).items():
@@ -148,10 +147,10 @@ def known_names(cls: type[Parameters], values: Mapping[str, Any], where: str) ->
 
 
 def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str = "") -> T:
-    """Build ``cls`` from dotted names; ``where`` opens each message (a file's or a node's name).
+    """Build ``cls`` from dotted names; ``where`` (name of a file or node) begins each message.
 
     Raises:
-        InputError: a name is unknown or missing, or a value is refused.
+        InputError: a name is unknown or missing, or a value is rejected.
     """
     known = dict.fromkeys(prefix + name for name in known_names(cls, values, where))
     for unknown in (str(name) for name in values if name not in known):
@@ -176,17 +175,17 @@ def from_flat(cls: type[T], values: Mapping[str, Any], where: str, prefix: str =
 
 
 def checked(cls: type[Parameters], name: str, value: Any, where: str) -> Any:
-    """The value of one field of ``cls``, as its record has it.
+    """The value of one field of ``cls``, converted and checked.
 
     Raises:
-        InputError: it is refused.
+        InputError: the value is rejected.
     """
     kind, spec = next((kind, spec) for field, kind, spec in own_fields(cls) if field == name)
     return coerced(f"{where}: {name}", value, kind, spec or Spec(""))
 
 
 def _group(group: Group, values: Mapping[str, Any], where: str, prefix: str) -> Parameters:
-    """One of several groups: its defaults, and over them what is given."""
+    """One of several groups: its defaults, overridden by the given values."""
     defaults = {prefix + name: value for name, value in group.defaults.items()}
     return from_flat(group.kind, defaults | _inside(values, prefix), where, prefix)
 
@@ -196,17 +195,17 @@ def _inside(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _is_several(kind: Any) -> bool:
-    """Whether a field holds groups by name, not one."""
+    """Whether a field has groups by name, not one group."""
     return typing.get_origin(kind) is Mapping
 
 
 def _group_class(kind: Any) -> Any:
-    """Of a field that holds one group, or may."""
+    """Class of a field that is a group, which may be optional."""
     return next((k for k in typing.get_args(kind) if k is not type(None)), kind)
 
 
 def _hint(unknown: str, known: list[str]) -> str:
-    """What the first part of a dotted name that is not known might have been, or may be."""
+    """Hint for the first unknown part of a dotted name: a similar name, or the accepted ones."""
     parts = unknown.split(".")
     for depth, part in enumerate(parts):
         before = "".join(f"{p}." for p in parts[:depth])

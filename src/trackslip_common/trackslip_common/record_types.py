@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records that pass through compiled code, each declared once: as a class that types and dtypes come from.
+"""Records for compiled code, each declared once: as a class that types and dtypes are derived from.
 
     class Level(Record):
         tilted: int
@@ -43,7 +43,7 @@ _ARRAYS: dict[object, type[np.generic]] = {FloatArray: np.float64, IntArray: np.
 
 
 class Record:
-    """Base of declarations; no object of it is ever made."""
+    """Base of declarations; it is never instantiated."""
 
     if TYPE_CHECKING:  # Python reads and writes fields by name
 
@@ -76,9 +76,9 @@ else:
 
 
 def dtype_of(declared: type[DeclaredT]) -> np.dtype[np.void]:
-    """The aligned dtype of a declaration, or of a group of parameters that are numbers, in their order.
+    """The aligned dtype of a declaration, or of a group of numeric parameters, in the order of its fields.
 
-    Groups that may be absent are left out.
+    Optional groups are left out.
 
     Raises:
         TypeError: a field is neither a number, nor an array of numbers, nor a record, nor a table of records.
@@ -93,7 +93,7 @@ def dtype_of(declared: type[DeclaredT]) -> np.dtype[np.void]:
 
 
 def _field(name: str, hint: Any) -> tuple[Any, ...]:
-    """A field as ``np.dtype`` takes it."""
+    """A field in the form of ``np.dtype``."""
     shape: Any = ()
     if hasattr(hint, "__metadata__"):
         (shape,) = hint.__metadata__
@@ -112,5 +112,5 @@ def _field(name: str, hint: Any) -> tuple[Any, ...]:
 
 
 def make_table(declared: type[RecordT], dtype: np.dtype[np.void], *shape: int) -> "Table[RecordT]":
-    """Records of zeros; ``dtype``: that of ``declared``."""
+    """An array of zero records; ``dtype``: that of ``declared``."""
     return cast("Table[RecordT]", np.zeros(shape, dtype))

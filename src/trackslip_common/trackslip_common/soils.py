@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Soils as frozen records; ``config/soils.yaml`` holds Tables 2.1, 2.2 and 6.1 of the thesis.
+"""Soils as frozen records; ``config/soils.yaml`` has Tables 2.1, 2.2 and 6.1 of the thesis.
 
 c, ϕ      apparent cohesion, angle of internal shearing resistance   Pa, rad
 K         shear deformation modulus                                  m
@@ -45,15 +45,15 @@ RANGES: Mapping[str, Spec] = MappingProxyType(
 
 _FILE_UNITS: Mapping[str, tuple[str, float]] = MappingProxyType(
     {"_kPa": ("Pa", 1e3), "_kN": ("N", 1e3), "_cm": ("m", 0.01), "_deg": ("rad", math.pi / 180)}
-)  # suffix in the file → start of the SI unit it stands for, factor
+)  # suffix in the file → start of its SI unit, factor
 
 
 @dataclass(frozen=True, kw_only=True)
 class Soil:
-    """One soil, SI units and radians; None where its table gives no value (see ``value``).
+    """One soil, in SI units and radians; None where its table has no value (see ``value``).
 
     Raises:
-        InputError: a value is impossible; the line names field, value and accepted range.
+        InputError: a value is impossible; the message names field, value and accepted range.
     """
 
     name: str
@@ -88,10 +88,10 @@ class Soil:
             )
 
     def value(self, field: str) -> float:
-        """A property this soil must have for what is being done with it.
+        """A property that the caller needs.
 
         Raises:
-            InputError: no such property, or the table of this soil does not give it.
+            InputError: the property is unknown, or this soil has no value of it.
         """
         if field not in RANGES:
             raise InputError(f"soil '{self.name}': no property '{field}'; accepted: {', '.join(RANGES)}")
@@ -105,7 +105,7 @@ class Soil:
 
 
 def load_soils(file: str = "soils.yaml") -> dict[str, Soil]:
-    """All soils of a file, by name; ``file`` is looked up in ``config/`` or is a path of the user's own.
+    """All soils of a file, by name; ``file`` is a name in ``config/`` or a path of the user.
 
     Raises:
         InputError: the file or one of its values cannot be used.
@@ -121,7 +121,7 @@ def soil(name: str) -> Soil:
     """The soil of that name in ``config/soils.yaml``.
 
     Raises:
-        InputError: there is none; the line lists the names there are.
+        InputError: there is no such soil; the message suggests names.
     """
     soils = _default_soils()
     if name not in soils:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts an executable so that Ctrl-C is quiet from the first moment, while its imports are still loading."""
+"""Starts an executable so that Ctrl-C is quiet from the beginning, even while its imports load."""
 
 import atexit
 import gc
@@ -12,25 +12,25 @@ from typing import Any, NoReturn
 
 from trackslip_common.errors import ExitCode
 
-_AGAIN = 0.1  # s
-_END = 5.0  # s for libraries to clean up after themselves, which takes ms
+_AGAIN = 0.1  # s until a lost interrupt is raised again
+_END = 5.0  # s for the clean-up of libraries, which takes ms
 _MANY = 1_000_000
-_received: list[int] = []  # SIGINT, each time
+_received: list[int] = []  # each SIGINT
 
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C.
 
-    Python kills itself at its end if a ``KeyboardInterrupt``, of this very class, has left code that a string
-    held (``exec`` of a library), whoever caught it.
+    Python kills its process at the end if an exception of exactly the class ``KeyboardInterrupt`` has left
+    code from a string (``exec`` of a library), even if it was caught.
     """
 
 
 def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
-    """Import ``module`` and leave with what its ``main`` returns, or as ``interrupted`` by an early Ctrl-C.
+    """Import ``module`` and exit with the result of its ``main``; an early Ctrl-C exits with ``interrupted``.
 
-    A job that a shell put in the background ignores SIGINT from the start; here it receives it again. Of a
-    library that is not installed one line says which.
+    A background job of a shell ignores SIGINT from the start; here it receives SIGINT again. A library that
+    is not installed is named in one line.
     """
     signal.signal(signal.SIGINT, lambda *_: os._exit(interrupted))  # nothing is open yet
     try:
@@ -39,25 +39,25 @@ def start(module: str, interrupted: ExitCode = ExitCode.DONE) -> NoReturn:
         program = module.rpartition(".")[2]
         print(f"{program}: {error} (docs/install.md)", file=sys.stderr)
         sys.exit(ExitCode.BAD_INPUT)
-    atexit.register(_limit_the_end)  # what is registered first is called last
+    atexit.register(_limit_the_end)  # registered first, called last
     repeat_lost_interrupts()
     sys.exit(main())
 
 
 def collect_garbage_seldom(objects: int = _MANY) -> None:
-    """Only once so many objects were made, less those freed.
+    """Collect garbage only after so many allocations, less deallocations.
 
-    With 700, Python's own number, it is an eighth of what the kernels take to compile, and with 50 000 still
-    a twentieth of a short replay. But the more there are, the longer is the pause.
+    With Python's own 700, collections take an eighth of the compile time of the kernels; with 50 000, still a
+    twentieth of a short replay. A larger number makes each pause longer.
     """
     gc.set_threshold(objects)
 
 
 def repeat_lost_interrupts() -> None:
-    """Ctrl-C is not lost where a library calls back from machine code, as compilers do, or ends an object.
+    """Raise Ctrl-C again if it is lost in a callback from machine code, as in compilers, or in a finalizer.
 
-    There Python only prints that it ignored the exception: it is raised again a moment later, and what such
-    places print of objects that were half made is not shown. Not at the end: then nobody catches it.
+    Python only prints that it ignored the exception. It is raised again a moment later, and messages about
+    incomplete objects are hidden. At the end of the process nothing would catch it, so it is not raised.
     """
     shown = sys.unraisablehook
     ends = False
@@ -85,15 +85,15 @@ def repeat_lost_interrupts() -> None:
 
 
 def _limit_the_end() -> None:
-    """After Python's own end an alarm kills a process that hangs in a library's clean-up.
+    """Kill the process by an alarm if a library's clean-up hangs after Python's own end.
 
-    Fast DDS 2.14 waits there for a thread of its own, at full load and for ever, where another node leaves
-    the graph at the wrong moment.
+    Fast DDS 2.14 waits there for its own thread, at full load and forever, if another node leaves the graph
+    at the wrong moment.
     """
     signal.setitimer(signal.ITIMER_REAL, _END)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def was_interrupted() -> bool:
-    """Whether Ctrl-C came: what fails after that fails by it, as a compiler that lost it does."""
+    """Whether Ctrl-C was received: it causes later failures, as in a compiler that lost it."""
     return bool(_received)

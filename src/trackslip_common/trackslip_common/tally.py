@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Counts by reason: what was rejected is never silent."""
+"""Counts of events by source and reason, so that no rejection is silent."""
 
 from collections import Counter
 from enum import Enum
@@ -8,7 +8,7 @@ from threading import Lock
 
 
 class Tally:
-    """How often each (source, reason) has occurred, since the start and since the last look.
+    """Counts of each (source, reason), since the start and since the last report.
 
     One thread may count while another reads.
     """
@@ -20,9 +20,9 @@ class Tally:
         self._lock = Lock()
 
     def add(self, source: str, reason: Enum, count: int = 1, detail: str = "") -> None:
-        """Count occurrences; a reason reads as its text, or as its name where it is a number.
+        """Count occurrences; the text of a reason is its value, or its name if the value is a number.
 
-        ``detail``: of the latest one, such as "10 fields, 9 expected".
+        ``detail``: of the latest occurrence, such as "10 fields, 9 expected".
         """
         if not count:
             return
@@ -33,32 +33,32 @@ class Tally:
                 self._details[source, text] = detail
 
     def words(self, key: tuple[str, str]) -> str:
-        """The latest detail of a (source, reason), or the reason where it has none."""
+        """The latest detail of a (source, reason); without one, the reason."""
         with self._lock:
             return self._details.get(key, key[1])
 
     @property
     def total(self) -> Counter[tuple[str, str]]:
-        """Since the start; a copy."""
+        """Counts since the start; a copy."""
         with self._lock:
             return self._total.copy()
 
     def since_last_look(self) -> dict[tuple[str, str], int]:
-        """What has come since the previous call; for diagnostics that report news."""
+        """Counts since the previous call, for diagnostics."""
         total = self.total
         news = dict(total - self._seen)
         self._seen = total
         return news
 
     def by_source(self) -> dict[str, dict[str, int]]:
-        """{source: {reason: n}}, as the summaries print it."""
+        """{source: {reason: n}}, for summaries."""
         nested: dict[str, dict[str, int]] = {}
         for (source, reason), count in sorted(self.total.items()):
             nested.setdefault(source, {})[reason] = count
         return nested
 
     def __getstate__(self) -> dict[str, Counter[tuple[str, str]]]:
-        """Without the lock: tallies travel to other processes."""
+        """State without the lock, as tallies are sent to other processes."""
         return {"_total": self.total, "_seen": self._seen}
 
     def __setstate__(self, state: dict[str, Counter[tuple[str, str]]]) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every topic of the project: its type and how it travels. The one place for these facts."""
+"""All topics of the project: type, delivery and content."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -9,22 +9,22 @@ from enum import Enum
 class Flow(Enum):
     """How messages of a topic are delivered."""
 
-    SENSOR = "sensor"  # a subscriber may do with best effort: a late reading is worth less than the next
+    SENSOR = "sensor"  # best effort is enough: a late reading is worth less than the next
     RELIABLE = "reliable"  # every message, in order
     LATCHED = "latched"  # reliable, and the last one is kept for later subscribers
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic's message type and flow, and what a reader must know: publisher, rate, frame, content."""
+    """A topic's message type and flow, with publisher, rate, frame and content for its readers."""
 
     type_name: str
     flow: Flow
     publisher: str
     rate: str
-    frame: str  # the header's; for a pose also that of what it places
+    frame: str  # of the header; for a pose also that of the placed object
     content: str
-    others: tuple[str, ...] = ()  # types that it may have instead
+    others: tuple[str, ...] = ()  # alternative types
 
 
 TOPICS = {
@@ -329,8 +329,8 @@ MACHINE_STATE, SWING_ESTIMATE, DIAGNOSTICS = "machine_state", "swing/estimate", 
 TRUE_ODOMETRY, TRUE_SLIP, TRUE_SWING = "truth/odometry", "truth/track_slip", "truth/swing"
 TRUE_FORCES, TRUE_SOIL = "truth/track_forces", "truth/soil"
 
-COMMANDS = ("slip_estimator/set_pose", "emulator/fault")  # that anybody may give; else one publisher a topic
+COMMANDS = ("slip_estimator/set_pose", "emulator/fault")  # any publisher; all other topics have one
 SENSOR_TOPICS = tuple(name for name, topic in TOPICS.items() if topic.flow is Flow.SENSOR)
 LEFT_SPROCKET, RIGHT_SPROCKET = "left_sprocket", "right_sprocket"
-SWING_JOINT = "swing"  # of the upper structure against the undercarriage
-SWING_STDDEV_JOINT = "swing_stddev"  # in what is estimated: standard deviations of its angle and rate
+SWING_JOINT = "swing"  # upper structure relative to the undercarriage
+SWING_STDDEV_JOINT = "swing_stddev"  # in the estimate: standard deviations of angle and rate

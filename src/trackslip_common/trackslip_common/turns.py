@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Angles that restart after each whole turn, as drivers of joints give them, made continuous.
+"""Makes angles of joints continuous that wrap after each whole turn.
 
-Such an angle lies within one turn, from 0 on or from half a turn before it, and jumps by nearly a whole turn.
-An angle that was ever seen outside both is a continuous one, whose numbers stay as they are; so is one whose
-speed says that it did turn so far.
+Such an angle lies within one turn, from 0 on or from half a turn below 0, and jumps by nearly a whole turn.
+An angle that was ever outside both ranges is continuous, and stays unchanged; so does a jump that the
+measured speed explains.
 """
 
 import math
@@ -14,9 +14,9 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-_SLACK = 0.002  # of a turn, by which an angle may lie beyond it, rounded
-_NEARLY = 0.75  # of a turn: a jump of an angle that has not been seen to wrap
-_HALF = 0.5  # of a turn: of one that has
+_SLACK = 0.002  # of a turn, tolerance of the range for rounding
+_NEARLY = 0.75  # of a turn: least wrap of an angle that has not wrapped before
+_HALF = 0.5  # of a turn: least wrap of an angle that has
 _GAP_S = 1.0  # s after which the first jump of an angle may be any motion
 
 
@@ -36,9 +36,9 @@ class TurnCounter:
         self._last: _Reading | None = None
 
     def continuous(self, stamp_ns: int, angle: float, speed: float = math.nan) -> float:
-        """The angle without its jumps; what is no number stays so and is passed over.
+        """The angle without its wraps; a value that is not finite is returned as it is, and ignored.
 
-        ``speed``: in units of the angle per second, where it is known.
+        ``speed``: in units of the angle per second; nan: unknown.
         """
         if not math.isfinite(angle):
             return angle
@@ -52,18 +52,18 @@ class TurnCounter:
         return angle + self._turns * self._turn if self._turns else angle
 
     def _is_wrap(self, step: float, seconds: float, speed: float) -> bool:
-        """Whether a step of the angle is the jump after a whole turn."""
+        """Whether a step of the angle is a wrap after a whole turn."""
         if abs(step) < self._turn * (_HALF if self._has_wrapped else _NEARLY):
             return False
         if seconds > _GAP_S and not self._has_wrapped:
             return False
         moved = speed * seconds
         rest = step - math.copysign(self._turn, step)
-        return not abs(step - moved) <= abs(rest - moved)  # nan: nothing speaks against it
+        return not abs(step - moved) <= abs(rest - moved)  # a wrap if the speed is nan
 
 
 def within_a_turn(low: float, high: float, turn: float) -> bool:
-    """Whether angles between these may be such as restart after each turn."""
+    """Whether a range of angles lies within one turn, as for an angle that wraps."""
     slack = _SLACK * turn
     return (low >= -slack and high <= turn + slack) or (
         low >= -turn / 2.0 - slack and high <= turn / 2.0 + slack
@@ -73,7 +73,7 @@ def within_a_turn(low: float, high: float, turn: float) -> bool:
 def continuous(
     stamps_ns: IntArray, angles: FloatArray, speeds: FloatArray | None = None, turn: float = math.tau
 ) -> FloatArray:
-    """(n,) angles of one joint without their jumps; those of a continuous one are as they were."""
+    """(n,) angles of one joint without wraps; a continuous angle is returned as it is."""
     known = angles[np.isfinite(angles)]
     if not known.size or not within_a_turn(float(known.min()), float(known.max()), turn):
         return angles

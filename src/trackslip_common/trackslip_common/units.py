@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Units that files and users name, and the factors that make numbers in them SI."""
+"""Units that files and users name, and their factors to SI."""
 
 import math
 from collections.abc import Mapping
@@ -54,7 +54,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 
 
 def factor_to_si(where: str, unit: object, *quantities: str) -> tuple[str, float]:
-    """(quantity, factor) of a unit that must be one of these quantities; ``where`` opens the message.
+    """(quantity, factor) of a unit that must be one of these quantities; ``where`` begins the message.
 
     Raises:
         InputError: the unit is unknown, or of another quantity.

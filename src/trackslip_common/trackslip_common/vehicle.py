@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The vehicle's constants: what a file of ``config/vehicles/`` holds, in groups, and a machine given whole.
+"""Constants of the vehicle: the groups of a file of ``config/vehicles/``, and a complete machine.
 
 m, I_z   mass, yaw inertia                 kg, kg m²
 B        tread, between track centre lines m
@@ -19,10 +19,10 @@ from trackslip_common.units import GRAVITY
 
 @dataclass(frozen=True, kw_only=True)
 class Kinematics(Parameters):
-    """What every vehicle must state: it is enough for pose and slips."""
+    """Required of every vehicle, and sufficient for pose and slips."""
 
     rolling_radius: float = parameter(
-        "track travel per radian of sprocket r", unit="m", ge=0.005, le=2.0, basic=True
+        "rolling radius r: track travel per radian of sprocket", unit="m", ge=0.005, le=2.0, basic=True
     )
     tread: float = parameter(
         "distance B between the track centre lines", unit="m", ge=0.02, le=20.0, basic=True
@@ -34,7 +34,7 @@ class Kinematics(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class CentreOfGravity(Parameters):
-    """Of the whole machine, its upper structure straight ahead and the bucket empty."""
+    """Centre of gravity of the whole machine, upper structure straight ahead, bucket empty."""
 
     x: float = parameter("ahead of base_link", unit="m", ge=-10.0, le=10.0)
     y: float = parameter("left of base_link", unit="m", ge=-10.0, le=10.0)
@@ -43,7 +43,7 @@ class CentreOfGravity(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Bucket(Parameters):
-    """Where a load is carried while driving, the upper structure straight ahead."""
+    """Position of a load that is carried while driving, upper structure straight ahead."""
 
     x: float = parameter("ahead of base_link", unit="m", ge=-30.0, le=30.0)
     z: float = parameter("above the ground", unit="m", ge=0.0, le=20.0)
@@ -51,7 +51,7 @@ class Bucket(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Parameters):
-    """What presses on the ground, and where."""
+    """Mass, and its distribution on the ground."""
 
     mass: float = parameter("mass m", unit="kg", ge=1.0, le=2e6)
     yaw_inertia: float = parameter("moment of inertia I_z about the vertical", unit="kg m²", ge=1e-4, le=1e9)
@@ -67,49 +67,49 @@ class Mass(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Hydraulics(Parameters):
-    """Travel motors: from pressures to thrusts."""
+    """Travel motors: conversion of pressures to thrusts."""
 
-    motor_displacement: float = parameter("oil per motor turn V_m", unit="m³", ge=1e-9, le=0.05)
-    gear_ratio: float = parameter("motor turns per sprocket turn n_g", ge=0.01, le=1e3)
-    motor_efficiency: float = parameter("pressure to torque η_m = η₀/η_V", ge=0.01, le=1.0)
-    volumetric_efficiency: float = parameter("flow to speed η_V", ge=0.01, le=1.0)
+    motor_displacement: float = parameter("motor displacement V_m per turn", unit="m³", ge=1e-9, le=0.05)
+    gear_ratio: float = parameter("gear ratio n_g: motor turns per sprocket turn", ge=0.01, le=1e3)
+    motor_efficiency: float = parameter("mechanical efficiency η_m = η₀/η_V", ge=0.01, le=1.0)
+    volumetric_efficiency: float = parameter("volumetric efficiency η_V", ge=0.01, le=1.0)
     relief_pressure: float = parameter("highest pressure over a motor", unit="Pa", ge=1e6, le=1e8)
     pump_flow: float = parameter("flow of the pump of one track", unit="m³/s", ge=1e-9, le=0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SwingDrive(Parameters):
-    """The motor that swings it."""
+    """Motor that swings the upper structure."""
 
-    rate: float = parameter("fastest that it swings", unit="rad/s", ge=1e-3, le=5.0)
-    acceleration: float = parameter("at which it starts and brakes", unit="rad/s²", ge=1e-3, le=20.0)
-    backlash: float = parameter("play of pinion and ring gear, at the cab", unit="rad", ge=0.0, le=0.1)
+    rate: float = parameter("highest swing rate", unit="rad/s", ge=1e-3, le=5.0)
+    acceleration: float = parameter("acceleration when starting and braking", unit="rad/s²", ge=1e-3, le=20.0)
+    backlash: float = parameter("backlash of pinion and ring gear, at the cab", unit="rad", ge=0.0, le=0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UpperStructure(Parameters):
-    """What swings: cab, engine and arm."""
+    """The part that swings: cab, engine and arm."""
 
-    mass: float = parameter("share of the mass that swings", unit="kg", ge=0.1, le=2e6)
+    mass: float = parameter("part of the mass that swings", unit="kg", ge=0.1, le=2e6)
     swing_axis_x: float = parameter("swing axis ahead of base_link", unit="m", ge=-10.0, le=10.0)
     swing_axis_y: float = parameter("swing axis left of base_link", unit="m", ge=-10.0, le=10.0)
-    centre_x: float = parameter("its centre of gravity ahead of the axis", unit="m", ge=-10.0, le=10.0)
+    centre_x: float = parameter("centre of gravity ahead of the swing axis", unit="m", ge=-10.0, le=10.0)
     drive: SwingDrive | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box(Parameters):
-    """The upright box that a laser beside the machine sees."""
+    """The upright box that a laser scanner beside the machine observes."""
 
     length: float = parameter("side along x", unit="m", ge=0.01, le=15.0)
     width: float = parameter("side along y", unit="m", ge=0.01, le=15.0)
-    x: float = parameter("its centre ahead of base_link", unit="m", ge=-20.0, le=20.0)
-    y: float = parameter("its centre left of base_link", unit="m", ge=-20.0, le=20.0)
+    x: float = parameter("centre of the box ahead of base_link", unit="m", ge=-20.0, le=20.0)
+    y: float = parameter("centre of the box left of base_link", unit="m", ge=-20.0, le=20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Antenna(Parameters):
-    """Phase centre of the GNSS antenna that gives the position."""
+    """Phase centre of the GNSS antenna whose position is measured."""
 
     x: float = parameter("ahead of base_link", unit="m", ge=-20.0, le=20.0)
     y: float = parameter("left of base_link", unit="m", ge=-20.0, le=20.0)
@@ -122,7 +122,7 @@ _MOUNT = "what it sits on; upper: its place is that in base_link with the cab lo
 
 @dataclass(frozen=True, kw_only=True)
 class Mounts(Parameters):
-    """On which part of the machine each sensor sits; where this is not said, on the undercarriage."""
+    """Part of the machine that carries each sensor; by default the undercarriage."""
 
     box: str = parameter(_MOUNT, choices=MOUNTS)
     antenna: str = parameter(_MOUNT, choices=MOUNTS)
@@ -131,21 +131,21 @@ class Mounts(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class SwingEncoder(Parameters):
-    """What measures the angle of the upper structure."""
+    """Sensor of the upper structure's angle."""
 
-    stddev: float = parameter("of one reading", unit="rad", ge=1e-6, le=1.0)
+    stddev: float = parameter("standard deviation of one reading", unit="rad", ge=1e-6, le=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class InertialUnit(Parameters):
-    """The inertial unit, where it is no Watson; for the emulator."""
+    """An inertial unit other than the Watson, for the emulator."""
 
-    rate: float = parameter("of its samples", unit="Hz", ge=1.0, le=1000.0)
+    rate: float = parameter("sample rate", unit="Hz", ge=1.0, le=1000.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensors(Parameters):
-    """What is mounted on the machine, and where."""
+    """Sensors on the machine, and their positions."""
 
     box: Box | None
     antenna: Antenna | None
@@ -156,14 +156,14 @@ class Sensors(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle(Kinematics, Mass, Hydraulics):
-    """A machine whose ground, mass and hydraulics are all known; SI units."""
+    """A machine with known kinematics, mass and hydraulics; SI units."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleParameters(Parameters):
-    """A vehicle file: all but the kinematics may be left out."""
+    """A vehicle file; all groups except the kinematics are optional."""
 
-    name: str = parameter("what it is called")
+    name: str = parameter("name of the vehicle")
     kinematics: Kinematics
     mass: Mass | None
     hydraulics: Hydraulics | None
@@ -172,53 +172,53 @@ class VehicleParameters(Parameters):
 
     @property
     def box(self) -> Box:
-        """That the laser sees.
+        """The box that the laser scanner observes.
 
         Raises:
-            InputError: there is none.
+            InputError: the vehicle has no box.
         """
         if self.sensors is None or self.sensors.box is None:
             raise InputError(f"vehicle '{self.name}' has no sensors.box for the laser; accepted: one with it")
         return self.sensors.box
 
     def mount_of(self, sensor: str) -> str:
-        """Of a field of ``Mounts``, one of ``MOUNTS``."""
+        """Part of the machine that carries a sensor (a field of ``Mounts``), one of ``MOUNTS``."""
         mounts = self.sensors.mounts if self.sensors is not None else None
         return UNDERCARRIAGE if mounts is None else str(getattr(mounts, sensor))
 
     @property
     def has_receiver(self) -> bool:
-        """Whether it finds its position by GNSS: the place of an antenna is stated."""
+        """Whether the vehicle has a GNSS receiver: the position of an antenna is given."""
         return self.sensors is not None and self.sensors.antenna is not None
 
     @property
     def has_swing_encoder(self) -> bool:
-        """Whether something measures the angle of the upper structure."""
+        """Whether a sensor measures the angle of the upper structure."""
         return self.sensors is not None and self.sensors.swing_encoder is not None
 
     @property
     def swing_axis(self) -> tuple[float, float]:
-        """In base_link, m; its origin where the vehicle does not say."""
+        """Swing axis in base_link, m; the origin of base_link if it is not given."""
         upper = self.upper_structure
         return (0.0, 0.0) if upper is None else (upper.swing_axis_x, upper.swing_axis_y)
 
     @property
     def swing_balance(self) -> float:
-        """How far the centre of gravity goes back as the upper structure turns by π/2, m_u c/m, m."""
+        """Backward shift of the centre of gravity as the upper structure turns by π/2, m_u c/m, m."""
         upper, mass = self.upper_structure, self.mass
         return 0.0 if upper is None or mass is None else upper.mass * upper.centre_x / mass.mass
 
     @property
     def lacks(self) -> str:
-        """What of a whole machine is not given, in words; empty if nothing."""
+        """Message about the groups that a complete machine needs but this vehicle lacks; empty if none."""
         missing = [name for name in ("mass", "hydraulics") if getattr(self, name) is None]
         return f"vehicle '{self.name}' has no {' and no '.join(missing)}" if missing else ""
 
     def whole(self) -> Vehicle:
-        """The machine whole.
+        """The complete machine.
 
         Raises:
-            InputError: mass or hydraulics are not given.
+            InputError: mass or hydraulics are missing.
         """
         if self.mass is None or self.hydraulics is None:
             raise InputError(f"{self.lacks}; accepted: one whose file has them")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the numbers of a vehicle go together: shows a wrong unit that the range of no single one can tell.
+"""Checks that the numbers of a vehicle are consistent: finds wrong units that the range of no number shows.
 
 W/(2 b l)              ground pressure
 √(I_z/m)/l             radius of gyration over contact length
@@ -8,7 +8,7 @@ W/(2 b l)              ground pressure
 2π η_V Q r/(V_m n_g)   top speed
 m_u/m                  share of the mass that swings
 
-Each may be anything from what a tracked robot of 17 kg has to what a mining shovel has, and some more.
+The range of each covers machines from a tracked robot of 17 kg to a mining shovel, with a margin.
 """
 
 import math
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 
 class _Derived(NamedTuple):
-    """What some numbers make together, and the least and the most that a machine has of it."""
+    """A quantity derived from several numbers, with its range over real machines."""
 
     what: str
     value: float
     unit: str
     least: float
     most: float
-    of: str  # these numbers, with their units
+    of: str  # the numbers it is derived from, with their units
 
 
 def check_together(vehicle: "VehicleParameters", where: str) -> None:
     """Check a vehicle whose numbers are each in range.
 
     Raises:
-        InputError: some do not go together; names them, and their units.
+        InputError: some numbers are inconsistent; the message names them, and their units.
     """
     for one in _derived(vehicle):
         if not one.least <= one.value <= one.most:

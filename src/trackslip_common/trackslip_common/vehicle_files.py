@@ -17,12 +17,12 @@ from trackslip_common.vehicle import VehicleParameters
 from trackslip_common.vehicle_checks import check_together
 from trackslip_common.yaml_text import parse_mapping
 
-ASSUMED = "pc05"  # where no vehicle is named
+ASSUMED = "pc05"  # if no vehicle is named
 IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # what is said of it then
-TOPIC = "vehicle"  # carries the text of a vehicle, latched; also the name of the parameter that names one
+TOPIC = "vehicle"  # latched topic with the text of a vehicle; also the parameter that names one
 _GROUP = f"{TOPIC}."
-_NAME = "name"  # of a vehicle file: what the machine is called; else what the file is
-_BASE = "base"  # of a vehicle file: another one, whose numbers it takes where it has none of its own
+_NAME = "name"  # in a vehicle file: name of the machine; by default that of the file
+_BASE = "base"  # in a vehicle file: another vehicle, whose numbers are the defaults
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class WithVehicle(Parameters):
 
     @classmethod
     def overlaid(cls, below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-        """Values with others over them; a vehicle that is named replaces all of another.
+        """Values with others over them; a named vehicle replaces another one completely.
 
         Raises:
             InputError: there is no such vehicle.
@@ -54,34 +54,34 @@ def names_vehicle(values: Mapping[str, Any]) -> bool:
 
 
 def vehicle_names() -> list[str]:
-    """Of the files in ``config/vehicles/``."""
+    """Names of the files in ``config/vehicles/``."""
     return sorted(path.stem for path in (config_directory() / "vehicles").glob("*.yaml"))
 
 
 def load_vehicle(name: str = ASSUMED) -> VehicleParameters:
-    """A vehicle of ``config/vehicles/`` by its name, or of a file.
+    """A vehicle by its name in ``config/vehicles/``, or from a file.
 
     Raises:
-        InputError: there is no such vehicle, or a value in its file is refused.
+        InputError: there is no such vehicle, or a value in its file is rejected.
     """
     path = _file(name)
     return vehicle_of(path.stem, _numbers_of(path), str(path))
 
 
 def vehicle_of_text(text: str, where: str) -> VehicleParameters:
-    """From what the topic ``vehicle`` carries.
+    """A vehicle from the text of the topic ``vehicle``.
 
     Raises:
-        InputError: it is no vehicle.
+        InputError: the text is no vehicle.
     """
     return vehicle_of("unnamed", flatten(parse_mapping(text, where)), where)
 
 
 def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehicleParameters:
-    """A vehicle by dotted names; it has this name where they hold none.
+    """A vehicle from dotted names; ``name`` is used if they contain no name.
 
     Raises:
-        InputError: a name or a value is refused, or values do not go together.
+        InputError: a name or a value is rejected, or values are inconsistent.
     """
     vehicle = from_flat(VehicleParameters, {_NAME: name, **numbers}, where)
     check_together(vehicle, where)
@@ -89,18 +89,18 @@ def vehicle_of(name: str, numbers: Mapping[str, Any], where: str) -> VehiclePara
 
 
 def vehicle_text(vehicle: VehicleParameters) -> str:
-    """What a file of the vehicle would hold, without comments."""
+    """Text of a file for the vehicle, without comments."""
     text: str = yaml.safe_dump(nested(to_flat(vehicle)), sort_keys=False)
     return text
 
 
 def vehicle_layer(vehicle: VehicleParameters) -> dict[str, Any]:
-    """All of its numbers as parameters of a node, by dotted name."""
+    """All numbers of a vehicle as parameters of a node, by dotted name."""
     return to_flat(vehicle, _GROUP)
 
 
 def _numbers_of(path: Path) -> dict[str, Any]:
-    """By dotted name, over those of the file that it names as its base."""
+    """Values of a vehicle file by dotted name, over those of its base if it names one."""
     values = flatten(read_yaml(path))
     base = values.pop(_BASE, None)
     if base is None:
@@ -108,12 +108,12 @@ def _numbers_of(path: Path) -> dict[str, Any]:
     below = flatten(read_yaml(_file(str(base))))
     if _BASE in below:
         raise InputError(f"{path}: {_BASE}: '{base}' has one too; accepted: a vehicle without")
-    below.pop(_NAME, None)  # a variant is a machine of its own, called so by its file or after it
+    below.pop(_NAME, None)  # a variant has its own name, or that of its file
     return {**below, **values}
 
 
 def _with_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters with the numbers of the vehicle that they name, and what they say of it over them."""
+    """Parameters with the numbers of the vehicle that they name, overridden by those given directly."""
     if TOPIC not in values:
         return dict(values)
     rest = {name: value for name, value in values.items() if name != TOPIC}

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written whole or not at all: a full disk leaves no half page, and the one before it.
+"""Writes files completely or not at all: on a full disk the previous file remains.
 
-Every file of the project that replaces another one is written here: beside its place, under a name that
-nobody can foresee, which must not exist and is never followed as a link; then it is moved.
+Every file of the project that replaces another one is written here: beside its place, under an unpredictable
+name, which must not exist and is never followed as a link. Then it is moved into place.
 """
 
 import os
@@ -13,17 +13,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-UNFINISHED = re.compile(r"\.trackslip-[0-9a-f]{16}\.new")  # a name that a killed process may leave
+UNFINISHED = re.compile(r"\.trackslip-[0-9a-f]{16}\.new")  # names that a killed process may leave
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write the file of a user's option; through a link, into a device, or in a locked folder directly.
+    """Write the file of a user's option; links, devices and files in a locked folder are written directly.
 
-    What of a text is no Unicode, as names of files may be, is written escaped.
+    Characters of a text that are no valid Unicode, as names of files may contain, are escaped.
 
     Raises:
-        OSError: it cannot be written; what was there is as before.
+        OSError: the file cannot be written; unless it is written directly, its content remains.
     """
     data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
     is_special = path.is_symlink() or (path.exists() and not path.is_file())
@@ -34,10 +34,10 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def replace_whole(path: Path, content: str | bytes) -> None:
-    """Put a file in place of what is there; a link there is replaced, not followed. Texts become UTF-8.
+    """Replace a file; a link is replaced, not followed. Text is encoded as UTF-8.
 
     Raises:
-        OSError: it cannot be written; what was there is as before.
+        OSError: the file cannot be written; the previous one remains.
     """
     with replacing(path, content):
         pass
@@ -45,13 +45,13 @@ def replace_whole(path: Path, content: str | bytes) -> None:
 
 @contextmanager
 def replacing(path: Path, content: str | bytes, mode: int = 0o666, *, sync: bool = False) -> Iterator[None]:
-    """The same, with something to do when all is written and before it is moved into place.
+    """Replace a file; the block runs when all is written, before the file is moved into place.
 
-    ``mode``: permissions, less those that the process' umask takes.
-    ``sync``: it is on the disk by then, for a machine whose power may go at any time.
+    ``mode``: permissions, limited by the process' umask.
+    ``sync``: write to the disk before the block runs, for a machine that may lose power at any time.
 
     Raises:
-        OSError: it cannot be written; what was there is as before.
+        OSError: the file cannot be written; the previous one remains.
     """
     data = content.encode() if isinstance(content, str) else content
     beside = path.with_name(f".trackslip-{secrets.token_hex(8)}.new")

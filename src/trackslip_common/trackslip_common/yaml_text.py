@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads YAML from anybody: with numbers as ROS reads them, and within limits.
+"""Reads YAML from any source: with numbers as ROS reads them, and within limits.
 
-Nesting, values and whole numbers are limited: no text takes more than moments, or gives what cannot be shown.
+Nesting, values and whole numbers are limited: no text takes long, or gives values that cannot be shown.
 """
 
 import re
@@ -14,29 +14,29 @@ from yaml.composer import Composer
 from trackslip_common.errors import InputError
 
 LONGEST = 1_000_000  # characters
-_DEEPEST = 40  # mappings and lists inside each other
+_DEEPEST = 40  # levels of mappings and lists
 _MOST = 100_000  # values
 _LONGEST_NUMBER = 100  # characters of a whole number
 _LARGEST = 2**63  # of a whole number, as in a ROS parameter
-# What PyYAML's constructors let through for tags and values that are wrong, beside its own errors.
+# Exceptions of PyYAML's constructors for wrong tags and values, beside its own errors.
 _WRONG = (yaml.YAMLError, ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError)
 
 
 class _Loader(Composer, yaml.CSafeLoader):
-    """``1e-3`` and ``1.5e6`` are numbers, not text; and what nobody needs is refused.
+    """Reads ``1e-3`` and ``1.5e6`` as numbers, not text, and rejects texts beyond the limits.
 
-    Nodes are composed here, of events by libyaml, which reads ten times faster than PyYAML's own parser.
+    Nodes are composed here from events of libyaml, which reads ten times faster than PyYAML's own parser.
     """
 
     def __init__(self, text: str) -> None:
         yaml.CSafeLoader.__init__(self, text)
         Composer.__init__(self)
         self._depth = 0
-        self._values = 0  # so far, those that aliases stand for counted again
-        self._values_of: dict[yaml.Node, int] = {}  # what one that is whole counts for
+        self._values = 0  # so far; aliases count as often as they are used
+        self._values_of: dict[yaml.Node, int] = {}  # number of values of each complete node
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
-        """One node, unless it lies too deep, or is an alias of what it is in itself or of too much."""
+        """Compose a node; reject it if it is too deep, an alias of a node around it, or too large."""
         event = self.peek_event()
         if self._depth >= _DEEPEST:
             raise _refused(event, f"nested too deep; accepted: up to {_DEEPEST} levels")
@@ -57,7 +57,7 @@ class _Loader(Composer, yaml.CSafeLoader):
         return node
 
     def construct_whole_number(self, node: yaml.ScalarNode) -> int:
-        """A whole number of 64 bits."""
+        """An integer of 64 bits."""
         value: int = self.construct_yaml_int(node) if len(node.value) <= _LONGEST_NUMBER else _LARGEST
         if not -_LARGEST <= value < _LARGEST:
             raise _refused(node, "a whole number beyond 64 bits")
@@ -73,10 +73,10 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_whole_number)
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """What a YAML text holds; ``where`` opens the message.
+    """Contents of a YAML text; ``where`` begins the message.
 
     Raises:
-        InputError: the text is not YAML, or beyond the limits.
+        InputError: the text is not YAML, or exceeds the limits.
     """
     if len(text) > LONGEST:
         raise InputError(f"{where}: {len(text)} characters; accepted: up to {LONGEST}")
@@ -91,10 +91,10 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def parse_mapping(text: str, where: str) -> dict[str, Any]:
-    """The same of a text that holds names and values.
+    """Contents of a YAML text that is a mapping.
 
     Raises:
-        InputError: the text is not YAML, beyond the limits, or no mapping.
+        InputError: the text is not YAML, exceeds the limits, or is no mapping.
     """
     tree = parse_yaml(text, where)
     if not isinstance(tree, dict):
@@ -103,7 +103,7 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
 
 
 def _check_keys(node: yaml.Node) -> None:
-    """A key that stands twice in a mapping would be taken once, silently."""
+    """Reject a mapping with a duplicate key, of which PyYAML would silently use one."""
     if isinstance(node, yaml.MappingNode):
         seen: set[str] = set()
         for key, _ in node.value:

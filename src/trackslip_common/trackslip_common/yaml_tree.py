@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of what a YAML file holds; ``where`` opens each message, and names file and place."""
+"""Checks of the contents of a YAML file; ``where`` begins each message, and names file and place."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -18,7 +18,7 @@ def check_keys(
     optional: Collection[str],
     what: str = "key",
 ) -> None:
-    """All required keys are there, and no unknown ones; ``what`` they are called.
+    """Check that all required keys are present and none is unknown; ``what``: word for a key in messages.
 
     Raises:
         InputError: a key is unknown or missing.
@@ -34,10 +34,10 @@ def check_keys(
 
 
 def section(where: str, value: Any) -> Mapping[str, Any]:
-    """A YAML mapping.
+    """The value, which must be a YAML mapping.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is no mapping.
     """
     if not isinstance(value, Mapping):
         raise InputError(f"{where}: {value!r} is not accepted; accepted: names and values (a YAML mapping)")
@@ -45,10 +45,10 @@ def section(where: str, value: Any) -> Mapping[str, Any]:
 
 
 def text(where: str, value: Any) -> str:
-    """A text that is not empty.
+    """The value, which must be a text that is not empty.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is no text, or empty.
     """
     if not isinstance(value, str) or not value:
         raise InputError(f"{where}: {value!r} is not accepted; accepted: text")
@@ -56,20 +56,20 @@ def text(where: str, value: Any) -> str:
 
 
 def texts(where: str, value: Any) -> tuple[str, ...]:
-    """One text, or a list of them.
+    """The texts of a value, which must be one text or a list of them.
 
     Raises:
-        InputError: it is neither.
+        InputError: the value is neither.
     """
     values = value if isinstance(value, list) and value else [value]
     return tuple(text(where, one) for one in values)
 
 
 def flag(where: str, value: Any) -> bool:
-    """True or false.
+    """The value, which must be true or false.
 
     Raises:
-        InputError: it is neither.
+        InputError: the value is neither.
     """
     if not isinstance(value, bool):
         raise InputError(f"{where}: {value!r} is not accepted; accepted: true or false")
@@ -77,10 +77,10 @@ def flag(where: str, value: Any) -> bool:
 
 
 def number(where: str, value: Any) -> float:
-    """A finite number.
+    """The value, which must be a finite number.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is no finite number.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InputError(f"{where}: {value!r} is not accepted; accepted: a finite number")
@@ -88,10 +88,10 @@ def number(where: str, value: Any) -> float:
 
 
 def positive(where: str, value: Any) -> float:
-    """A finite number above zero.
+    """The value, which must be a finite number above zero.
 
     Raises:
-        InputError: it is none.
+        InputError: the value is no such number.
     """
     found = number(where, value)
     if found <= 0.0:
@@ -100,10 +100,10 @@ def positive(where: str, value: Any) -> float:
 
 
 def nanoseconds(where: str, value: Any) -> int:
-    """A number of seconds, as ns.
+    """A value in seconds, converted to ns.
 
     Raises:
-        InputError: it is none, or larger than any stamp.
+        InputError: the value is no finite number, or larger than any stamp.
     """
     seconds = number(where, value)
     if abs(seconds) > _LONGEST:
@@ -112,10 +112,10 @@ def nanoseconds(where: str, value: Any) -> int:
 
 
 def choice(where: str, value: Any, accepted: Collection[str]) -> str:
-    """One of some words.
+    """The value, which must be one of some words.
 
     Raises:
-        InputError: it is another.
+        InputError: the value is none of them.
     """
     if not isinstance(value, str) or value not in accepted:
         like = did_you_mean(str(value), accepted)

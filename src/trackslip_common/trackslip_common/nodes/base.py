@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of all nodes: refuses bad parameters, survives failures of its callbacks, reports at 1 Hz."""
+"""Base of all nodes: rejects invalid parameters, survives failures of callbacks, reports at 1 Hz."""
 
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -32,26 +32,26 @@ P = TypeVar("P", bound=Parameters)
 class TrackslipNode(GuardedNode, Generic[P]):
     """Base of all nodes.
 
-    Subclasses override ``configure`` (make publishers, subscriptions, the core), ``activate`` and
+    Subclasses override ``configure`` (create publishers, subscriptions, the core), ``activate`` and
     ``deactivate`` (open and close devices), ``reload``, and ``health``.
 
     Raises:
         InputError: a parameter is unknown, of a wrong type or out of range.
     """
 
-    realtime_priority = 0  # by default
-    parameters_topic = ""  # on which the parameters in use are published, if any
+    realtime_priority = 0  # default of the parameter
+    parameters_topic = ""  # topic for the parameters in use; empty: none
 
     def __init__(self, name: str, parameters: type[P], *default_files: str) -> None:
         super().__init__(name)
         common = CommonParameters(autostart=True, realtime_priority=self.realtime_priority)
         given = node_parameters.read_overrides(self, name, common, parameters, default_files)
-        self.what = name  # whatever it is called
+        self.what = name  # kind of node, independent of its ROS name
         self.common, self.settings = given
         for record in given:
             node_parameters.declare(self, record)
         self._settings_in_use: P = self.settings
-        self.has_run = False  # whether it was active since it was configured
+        self.has_run = False  # whether the node was active since it was configured
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self.tally = Tally()
         self._states = StateLog(to_console(self.get_logger()))
@@ -61,42 +61,42 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self._permanent_timers.append(self.create_timer(1.0, self.publish_health, clock=steady))
 
     def reload(self, values: dict[str, Any]) -> None:
-        """Hand changed parameters, by dotted name, to the core.
+        """Pass changed parameters, by dotted name, to the core.
 
-        Called while the node is active; what was set while it was not is handed over when it becomes active.
+        Called while the node is active; changes made while it is inactive are passed at its activation.
         """
 
     def drain(self, spin_once: Callable[[], None]) -> None:
-        """Before the end: handle what has arrived but was not handled yet, if that matters."""
+        """Before the end: handle messages that have arrived but are not handled yet, if that matters."""
 
     def health(self) -> list[Health]:
-        """What /diagnostics shall report; asked only while the node is active."""
+        """The entries for /diagnostics; called only while the node is active."""
         return [Health(OK, "running")]
 
     @property
     def full_name(self) -> str:
-        """With the namespace."""
+        """Name with the namespace."""
         return self.get_fully_qualified_name().removeprefix("/")
 
     def hardware(self) -> str:
-        """What stands behind the node: its device, where it has one."""
+        """Hardware of the node for /diagnostics: its device if it has one, else its name."""
         return self.full_name
 
     def started_from(self) -> dict[str, Any]:
-        """What the node started from beside its parameters, by name, for the parameters' topic."""
+        """Inputs of the node's start beside its parameters, by name, for the parameters' topic."""
         return {}
 
     def start(self) -> None:
-        """Configure and activate, unless ``autostart`` is false; raises what these do."""
+        """Configure and activate, unless ``autostart`` is false; raises the errors of both."""
         if self.common.autostart:
             super().start()
 
     def subscribe(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """Subscribe; messages that come while the node is inactive, or flood it, are not for it."""
+        """Subscribe; messages are dropped while the node is inactive, and beyond the rate limit."""
         self._subscribe(message_type, topic, callback, raw=False)
 
     def subscribe_packed(self, message_type: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """The same for what comes often: the messages stay packed, for ``message_reading.read``."""
+        """Subscribe to frequent messages; they stay serialized, for ``message_reading.read``."""
         packed = packed_topic(message_type)
         self._subscribe(message_type, topic, lambda raw: callback(PackedMessage(raw, packed)), raw=True)
 
@@ -112,18 +112,18 @@ class TrackslipNode(GuardedNode, Generic[P]):
             self.inputs.add(topic)
 
     def advertise(self, message_type: type, topic: str) -> Any:
-        """A lifecycle publisher with the topic's own quality of service, whose failures the node survives."""
+        """A lifecycle publisher with the topic's own quality of service; failures to send are counted."""
         qos = publisher_qos(topic.removeprefix("/"))
         publisher = self.create_lifecycle_publisher(message_type, topic, qos)
         self._advertised.append(publisher)
         return self.tolerate_failures(publisher)
 
     def advertise_packed(self, topic: str, blank: Any) -> PackedOutput:
-        """The same for what is sent often: messages like ``blank`` but for their numbers."""
+        """A publisher of frequent messages, which equal ``blank`` except for their numbers."""
         return PackedOutput(self.advertise(type(blank), topic), blank)
 
     def publish_health(self) -> None:
-        """Report on /diagnostics now; that is done once a second anyway."""
+        """Publish /diagnostics now; a timer does so once a second."""
         try:
             entries = self.health() if self.active else [Health(OK, "inactive")]
         except Exception as error:  # noqa: BLE001 (what failed is reported all the same)
@@ -132,7 +132,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         entries += self.inputs.health()
         if self.active:
             self._states.see(entries)
-        entries += [*self.callback_failures.health(), *self.send_failures.health()]  # which log themselves
+        entries += [*self.callback_failures.health(), *self.send_failures.health()]  # these log themselves
         self._report(entries)
 
     def _report(self, entries: list[Health]) -> None:
@@ -159,7 +159,7 @@ class TrackslipNode(GuardedNode, Generic[P]):
         self.activate()
 
     def _on_set_parameters(self, parameters: list[Any]) -> SetParametersResult:
-        """Those that may change while the node runs; ROS itself refuses the others."""
+        """Accept changes of reloadable parameters; ROS itself rejects all others."""
         known = reloadable(self.settings)
         values = {p.name: p.value for p in parameters if p.name in known}
         before = self.settings
@@ -174,14 +174,14 @@ class TrackslipNode(GuardedNode, Generic[P]):
         return SetParametersResult(successful=True)
 
     def _reload(self) -> None:
-        """Hand over what differs from what the core knows."""
+        """Pass the parameters that differ from the core's to ``reload``."""
         values = node_parameters.differences(self._settings_in_use, self.settings)
         if values:
             self.reload(values)
         self._settings_in_use = self.settings
 
     def publish_parameters(self) -> None:
-        """With which the estimates from now on are made: a bag carries them along."""
+        """Publish the parameters of the estimates from now on; a bag records them."""
         if self.parameters_topic:
             text = parameters_text(to_flat(self.settings), self.what, **self.started_from())
             self._parameters_used.publish(String(data=text))

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node survives: exceptions of its callbacks, and messages that the middleware does not send.
+"""Failures that a node survives: exceptions of its callbacks, and messages that the middleware does not send.
 
-A callback that fails is a defect of ours, or of a message that we did not think of. It is counted, logged
+A failing callback is a defect of ours, or has received an unforeseen message. The failure is counted, logged
 with its cause (the same cause again after half a minute), and shown on /diagnostics as an error for ten
-seconds; the node goes on. It ends, with exit code 1, when nothing else happens any more: ten failures and
-more in ten seconds, no two of them three seconds apart, and no message handled well among them.
+seconds; the node continues. The node ends, with exit code 1, after a streak of failures: ten or more over ten
+seconds, with gaps below three seconds, and without a message that was handled successfully.
 """
 
 import threading
@@ -24,9 +24,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 
 FEWEST = 10  # failures of a streak that ends the node
-STREAK_S = 10.0  # s, how long such a streak lasts
-PAUSE_S = 3.0  # s without a failure, which ends a streak
-RECENT_S = 10.0  # s for which a failure shows as an error
+STREAK_S = 10.0  # s, duration of such a streak
+PAUSE_S = 3.0  # s without a failure that end a streak
+RECENT_S = 10.0  # s for which a failure is reported as an error
 LOG_PERIOD_S = 30.0  # s between lines in the log about the same cause
 _DROPPED = "failed to send response"
 
@@ -34,7 +34,7 @@ Log = Callable[[str], None]
 
 
 def cause(error: BaseException) -> str:
-    """An exception in one line: its type, its text, and where it was raised."""
+    """An exception on one line: its type, its text, and where it was raised."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
     ours = [f for f in frames if "trackslip_" in f.filename or "site-packages" not in f.filename]
     place = "".join(f" ({Path(f.filename).name}:{f.lineno})" for f in (ours or frames)[-1:])
@@ -42,18 +42,18 @@ def cause(error: BaseException) -> str:
 
 
 def date(ago_s: float) -> str:
-    """Of what was so many seconds ago, UTC."""
+    """UTC date of an event so many seconds ago."""
     return f"{datetime.fromtimestamp(time.time() - ago_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC"
 
 
 class CallbackFailures:
-    """Counts exceptions of callbacks, from any thread."""
+    """Counts exceptions of callbacks; thread-safe."""
 
     def __init__(self, log: Log, clock: Callable[[], float] = time.monotonic) -> None:
         self._log, self._clock = log, clock
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()  # by callback
-        self._logged_s: dict[str, float] = {}  # when each cause was logged last
+        self._logged_s: dict[str, float] = {}  # time of the last log line of each cause
         self._streak, self._began_s, self._last_s = 0, 0.0, 0.0
         self.last = ""
 
@@ -65,9 +65,9 @@ class CallbackFailures:
         handles_data: bool = False,
         recover: Callable[[], None] = lambda: None,
     ) -> Callable[..., Any]:
-        """The callback, whose exceptions are counted under this name; then it recovers, and returns None.
+        """The callback with exceptions counted under ``name``; after one, it recovers and returns None.
 
-        ``handles_data``: where it succeeds, the node is of use, and a streak of failures ends.
+        ``handles_data``: a success of this callback ends a streak of failures.
         """
 
         @wraps(callback)
@@ -100,12 +100,12 @@ class CallbackFailures:
 
     @property
     def are_hopeless(self) -> bool:
-        """Whether a streak has lasted so long that the node should end."""
+        """Whether a streak of failures is so long that the node should end."""
         with self._lock:
             return self._streak >= FEWEST and self._last_s - self._began_s >= STREAK_S
 
     def health(self) -> list[Health]:
-        """What failed, and how long ago; nothing where that never happened."""
+        """The failures, and the time since the last; empty if there were none."""
         with self._lock:
             counts, ago_s, last = dict(self._counts), self._clock() - self._last_s, self.last
         if not counts:
@@ -118,16 +118,16 @@ class CallbackFailures:
 
 
 class SendFailures:
-    """Counts what could not be sent, messages and answers: one stalled subscriber is no reason to end."""
+    """Counts messages and responses that could not be sent, so that a stalled subscriber ends no node."""
 
     def __init__(self, log: Log) -> None:
         self._log = log
         self._reported = 0
         self._logged_s = -LOG_PERIOD_S
-        self.counts: Counter[str] = Counter()  # by topic; all answers together
+        self.counts: Counter[str] = Counter()  # by topic; all responses together
 
     def tolerate(self, publisher: Any) -> Any:
-        """The publisher, whose failures to send are counted instead of raised."""
+        """The publisher, with failures to send counted instead of raised."""
         send = publisher.publish
 
         def publish(message: Any) -> None:
@@ -140,9 +140,9 @@ class SendFailures:
         return publisher
 
     def watch_answers(self) -> None:
-        """Count from now on the answers that the middleware drops, as Fast DDS may on a busy machine.
+        """Start to count the responses that the middleware drops, as Fast DDS may on a busy machine.
 
-        rclpy tells of them by a warning of Python alone.
+        rclpy reports them only by a warning of Python.
         """
         show = warnings.showwarning
 
@@ -156,7 +156,7 @@ class SendFailures:
         warnings.showwarning = see
 
     def health(self) -> list[Health]:
-        """What could not be sent, by topic; nothing where that never happened."""
+        """Messages that could not be sent, by topic; empty if there were none."""
         counts = dict(self.counts)
         news, self._reported = sum(counts.values()) - self._reported, sum(counts.values())
         if not counts:

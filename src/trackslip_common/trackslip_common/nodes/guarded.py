@@ -10,7 +10,7 @@ from trackslip_common.nodes.lifecycle import SelfStartingNode
 
 
 class GuardedNode(SelfStartingNode):
-    """Subscriptions, timers and services have guarded callbacks, rclpy's own services included."""
+    """Node with guarded callbacks of subscriptions, timers and services, rclpy's own services included."""
 
     def __init__(self, name: str) -> None:
         self.callback_failures = CallbackFailures(lambda text: self.get_logger().error(text))
@@ -18,26 +18,26 @@ class GuardedNode(SelfStartingNode):
         super().__init__(name)
 
     def tolerate_failures(self, publisher: Any) -> Any:
-        """The publisher; what it cannot send is counted."""
+        """The publisher, with failures to send counted."""
         return self.send_failures.tolerate(publisher)
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., Any], *args: Any, **options: Any
     ) -> Any:
-        """rclpy's, with a callback whose exceptions are counted."""
+        """As in rclpy; exceptions of the callback are counted."""
         handles_data = topic != "/clock"
         guarded = self.callback_failures.guard(callback, topic, handles_data=handles_data)
         return super().create_subscription(msg_type, topic, guarded, *args, **options)
 
     def create_timer(self, period: float, callback: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        """rclpy's, with a callback whose exceptions are counted."""
+        """As in rclpy; exceptions of the callback are counted."""
         guarded = self.callback_failures.guard(callback, f"timer {callback.__name__.strip('_')}")
         return super().create_timer(period, guarded, *args, **options)
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], *args: Any, **options: Any
     ) -> Any:
-        """rclpy's, with a callback whose exceptions are counted and answered with the blank response."""
+        """As in rclpy; exceptions of the callback are counted, and the blank response is returned."""
         guarded = self.callback_failures.guard(callback, srv_name)
 
         def answer(request: Any, response: Any) -> Any:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node reports on /diagnostics."""
+"""Entries of a node on /diagnostics, and log lines of their changes."""
 
 import re
 import time
@@ -22,7 +22,7 @@ OK, WARN, ERROR, STALE = (
 
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
-_PAUSE_S = 1.0  # s between two lines about one state
+_PAUSE_S = 1.0  # s between two log lines about one part
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Health:
 
 
 def to_console(logger: Any) -> Callable[[bytes, str], None]:
-    """Logs by the level of a state, on a line of its own; ``logger`` is a node's."""
+    """A function that logs a text by its level, on a line of its own; ``logger`` is a node's."""
 
     def log(level: bytes, text: str) -> None:
         clear_line()
@@ -51,20 +51,20 @@ def to_console(logger: Any) -> Callable[[bytes, str], None]:
 
 
 class StateLog:
-    """Logs each change of a state in one line: what it is now, or that it is over.
+    """Logs each change of a state in one line: the new state, or its end.
 
-    Other numbers in a message are no change. A state that comes and goes is logged once in ``_PAUSE_S``.
+    Other numbers in a message are no change. A state that comes and goes is logged once per ``_PAUSE_S``.
     """
 
     def __init__(
         self, log: Callable[[bytes, str], None], clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._log, self._clock = log, clock
-        self._logged: dict[str, tuple[bytes, str]] = {}  # part → what was logged last
+        self._logged: dict[str, tuple[bytes, str]] = {}  # part → last state logged
         self._logged_s: dict[str, float] = {}
 
     def see(self, entries: Iterable[Health]) -> None:
-        """All that is reported now."""
+        """Log the changes in the present entries."""
         now = {entry.part: entry for entry in entries}
         over = {part: Health(OK, "is over", part=part) for part in self._logged.keys() - now.keys()}
         for part, entry in {**now, **over}.items():
@@ -80,7 +80,7 @@ class StateLog:
 
 
 def diagnostics(node: str, stamp: Time, entries: Iterable[Health], hardware: str) -> DiagnosticArray:
-    """The message with these lines; ``hardware`` tells the device of one node from that of its twin."""
+    """The message with these entries; ``hardware`` distinguishes the devices of nodes of one kind."""
     array = DiagnosticArray()
     array.header.stamp = stamp
     for entry in entries:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who sends a node its inputs, and whether it is more than there should be."""
+"""Checks the inputs of a node: the number of publishers, and the message rate."""
 
 from typing import Any
 
@@ -9,27 +9,27 @@ from trackslip_common.nodes.health import ERROR, Health
 
 
 class Inputs:
-    """The topics that a node listens to; each should have one publisher, which sends as a sensor does."""
+    """The topics that a node subscribes to; each should have one publisher, with the rate of a sensor."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._topics: set[str] = set()  # that one publisher should have
+        self._topics: set[str] = set()  # topics that should have one publisher
         self._flood = FloodGuard()
 
     def add(self, topic: str) -> None:
-        """One that no second publisher may send on."""
+        """Add a topic that should have one publisher."""
         self._topics.add(topic)
 
     def clear(self) -> None:
-        """Nothing is listened to."""
+        """Remove all topics."""
         self._topics.clear()
 
     def lets_pass(self, topic: str) -> bool:
-        """Whether there is time for one more message of the topic."""
+        """Whether the rate limit of the topic allows one more message."""
         return self._flood.lets_pass(topic)
 
     def health(self) -> list[Health]:
-        """An error where an input floods, or has several publishers: their messages pass for one sensor's."""
+        """An error if an input floods or has several publishers, whose messages look like one sensor's."""
         counts = {topic: self._node.count_publishers(topic) for topic in sorted(self._topics)}
         several = {topic: count for topic, count in counts.items() if count > 1}
         floods = self._flood.news()
@@ -43,6 +43,6 @@ class Inputs:
         return [Health(ERROR, "; ".join(findings), values, part="inputs")]
 
     def _publishers(self, topic: str) -> str:
-        """Their names, with namespaces."""
+        """Names of a topic's publishers, with namespaces."""
         infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(topic))
         return ", ".join(sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files share: their arguments, and what each means for a node."""
+"""Shared by the launch files: their arguments, and the effect of these on a node."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,8 +15,8 @@ from launch import LaunchContext
 from trackslip_common.config_files import config_file
 from trackslip_common.errors import ExitCode, InputError
 
-_RESPAWN_DELAY = 2.0  # s, so that what ends at once does not fill log and processor
-_ARGUMENTS = {  # of those launch files whose nodes use them
+_RESPAWN_DELAY = 2.0  # s, so that a node that ends at once does not fill log and processor
+_ARGUMENTS = {  # each is declared by the launch files whose nodes use it
     "vehicle": ("", "a name of config/vehicles, or a file (empty: pc05 is assumed)"),
     "params_file": ("", "ROS parameter file over the defaults of config/ and all other arguments"),
     "namespace": ("", "of all nodes and their topics, and before the frames odom and base_link"),
@@ -35,7 +35,7 @@ _ARGUMENTS = {  # of those launch files whose nodes use them
 _OF_EVERY_NODE = ("params_file", "namespace", "use_sim_time", "log_level", "respawn")
 _YES, _NO = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 _RANGE, _PEERS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("ROS_STATIC_PEERS", "")
-_PROFILES = {  # of Fast DDS 2 and 3, each by a variable of its own
+_PROFILES = {  # of Fast DDS 2 and 3, each with its own variable
     "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps.xml",
     "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds.xml",
 }
@@ -48,13 +48,13 @@ _OF_SWITCH = {
     "gnss_localizer": "gnss",
     "live": "live",
 }
-_OF_SOURCES = ("laser", "imu", "gnss")  # what the slip estimator may listen to
+_OF_SOURCES = ("laser", "imu", "gnss")  # possible sources of the slip estimator
 _WITH_PREFIX = ("slip_estimator", "soil_estimator", "can_driver", "emulator")
 _WITH_VEHICLE = ("slip_estimator", "soil_estimator", "box_localizer", "can_driver", "emulator")
 
 
 class Launched(NamedTuple):
-    """One node to launch, with parameters beside those that the arguments give."""
+    """One node to launch, with parameters beside those of the arguments."""
 
     package: str
     executable: str
@@ -64,7 +64,7 @@ class Launched(NamedTuple):
 def declared(
     executables: Iterable[str], **own: tuple[str, str]
 ) -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
-    """Arguments that a launch file of these nodes uses, and who may look in.
+    """Arguments that a launch file of these nodes uses, and settings of the DDS discovery.
 
     ``own`` are arguments of this file alone: name=(default, description).
     """
@@ -79,7 +79,7 @@ def declared(
 
 
 def _used_by(executables: Iterable[str]) -> list[str]:
-    """Names of the arguments that have an effect on one of these nodes, in the order of their list."""
+    """Names of the arguments that affect one of these nodes, in the order of ``_ARGUMENTS``."""
     used = set(_OF_EVERY_NODE)
     for executable in executables:
         used |= {_OF_SWITCH[executable]} if executable in _OF_SWITCH else set()
@@ -89,9 +89,9 @@ def _used_by(executables: Iterable[str]) -> list[str]:
 
 
 def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
-    """This computer alone hears the graph, and the peers that are named; what is set already stays.
+    """Limit discovery to this computer and the named peers; variables that are set already are kept.
 
-    Fast DDS gets our profile, which tells why.
+    Fast DDS gets our profile, which states the reason.
     """
     about = "addresses of further computers, such as an operator's laptop, parted by ;"
     set_range, set_peers = (
@@ -109,10 +109,10 @@ def _discovery() -> list[DeclareLaunchArgument | SetEnvironmentVariable]:
 
 
 def nodes(context: LaunchContext, requested: Iterable[Launched]) -> list[Node]:
-    """Those of ``requested`` that are switched on.
+    """The nodes of ``requested`` that are switched on.
 
     Raises:
-        InputError: the value of an argument is refused.
+        InputError: the value of an argument is rejected.
     """
     chosen = switched_on(context, requested)
     names = _used_by(one.executable for one in chosen)
@@ -123,7 +123,7 @@ def nodes(context: LaunchContext, requested: Iterable[Launched]) -> list[Node]:
 
 
 def switched_on(context: LaunchContext, requested: Iterable[Launched]) -> list[Launched]:
-    """Those of ``requested`` whose switch is on, and those that have none.
+    """Those of ``requested`` whose switch is on, or that have none.
 
     Raises:
         InputError: a switch is neither on nor off.
@@ -166,7 +166,7 @@ def _is_switch(name: str) -> bool:
 
 
 def _parameter_file(given: str) -> str:
-    """The path given, empty where none is. Launch itself only warns, and starts all nodes without it."""
+    """The path given, or empty. Launch would only warn of a missing file, and start all nodes without it."""
     path = Path(given).expanduser()
     if given and not path.is_file():
         raise InputError(f"params_file: '{given}' is not a file; accepted: the path of a ROS parameter file")
@@ -197,24 +197,24 @@ def _node(one: Launched, given: Mapping[str, str], switches: Mapping[str, bool])
 
 
 def _respawn() -> dict[str, Any]:
-    """Launch restarts a node whatever it ended with; what it refused once it would refuse for ever."""
+    """Options for a restart; launch restarts a node after any exit code, even after rejected input."""
     return {"respawn": True, "respawn_delay": _RESPAWN_DELAY, "on_exit": _keep_ended}
 
 
 def _keep_ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
-    """Within the delay of a respawn: the event that calls it off, where the node refused its input."""
+    """The event that cancels a respawn within its delay, if the node rejected its input."""
     if event.returncode != ExitCode.BAD_INPUT:
         return None
     return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
 def _enclave(one: Launched, given: Mapping[str, str]) -> str:
-    """Where its keys are in the keystore, if there is one: as ``deploy/security/policy.xml`` names it."""
+    """Enclave of the node's keys in the keystore, as in ``deploy/security/policy.xml``."""
     return "/".join(("", *filter(None, given["namespace"].split("/")), one.executable))
 
 
 def _sources(sensors: set[str]) -> dict[str, Any]:
-    """What the slip estimator listens to; without any pose it starts where its parameters say."""
+    """Sources of the slip estimator; without a pose source it starts at the pose in its parameters."""
     if {"laser", "imu"} <= sensors and "gnss" not in sensors:
         return {}  # its own defaults
     poses = [topic for sensor, topic in (("laser", "box_pose"), ("gnss", "gnss_pose")) if sensor in sensors]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A lifecycle node that starts by itself, and whose failing transitions leave it as it was before."""
+"""A lifecycle node that starts by itself; a failed transition leaves it in its previous state."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,12 +19,12 @@ class SelfStartingNode(LifecycleNode):
         self.active = False
         self._starting = False
         self._failure: Exception | None = None
-        self._permanent_timers: list[Any] = []  # that outlive a clean-up
+        self._permanent_timers: list[Any] = []  # timers that outlive a clean-up
         self._advertised: list[Any] = []
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
 
     def configure(self) -> None:
-        """Make what the node needs; devices stay closed."""
+        """Create what the node needs; devices stay closed."""
 
     def activate(self) -> None:
         """Begin to work."""
@@ -33,14 +33,14 @@ class SelfStartingNode(LifecycleNode):
         """Stop, so that ``activate`` can begin again; also called at the end, and if ``activate`` fails."""
 
     def release(self) -> None:
-        """Give back what ``configure`` took beside publishers, subscriptions, timers; safe to call twice."""
+        """Release resources of ``configure`` beside publishers, subscriptions, timers; safe to call twice."""
 
     def start(self) -> None:
         """Configure and activate.
 
         Raises:
-            InputError: ``configure`` or ``activate`` refused something that the user gave.
-            Exception: whatever else they raised.
+            InputError: ``configure`` or ``activate`` rejected user input.
+            Exception: any other error of these.
         """
         self._starting = True
         for transition in (self.trigger_configure, self.trigger_activate):
@@ -56,7 +56,7 @@ class SelfStartingNode(LifecycleNode):
             self.deactivate()
 
     def end(self) -> None:
-        """Stop, and give back all that was acquired."""
+        """Stop, and release all that was acquired."""
         self._attempt(self.stop)
         self._attempt(self.release)
 
@@ -95,26 +95,26 @@ class SelfStartingNode(LifecycleNode):
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Lifecycle transition, after an error that no user caused: back to before ``configure``."""
+        """Lifecycle transition after an internal error: back to before ``configure``."""
         self._undo()
         return super().on_error(state)
 
     def drop_subscriptions(self) -> None:
-        """Receive nothing more."""
+        """Destroy all subscriptions except /clock."""
         for subscription in list(self.subscriptions):
             if subscription.topic_name != "/clock":
                 self.destroy_subscription(subscription)
 
     def _configure(self) -> None:
-        """``configure``, and what a base adds to it."""
+        """Call ``configure``; base classes add to it."""
         self.configure()
 
     def _activate(self) -> None:
-        """``activate``, and what a base adds to it."""
+        """Call ``activate``; base classes add to it."""
         self.activate()
 
     def _attempt(self, work: Callable[[], None]) -> TransitionCallbackReturn:
-        """The work of a transition; rclpy would swallow its error, which is for ``start`` or the log."""
+        """Do the work of a transition; its error, which rclpy would discard, goes to ``start`` or the log."""
         try:
             work()
         except (InputError, OSError) as error:
@@ -131,7 +131,7 @@ class SelfStartingNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _undo(self) -> None:
-        """Undo ``configure``, as far as it came."""
+        """Undo ``configure``, even if it was incomplete."""
         self.drop_subscriptions()
         for timer in list(self.timers):
             if timer not in self._permanent_timers:
@@ -141,7 +141,7 @@ class SelfStartingNode(LifecycleNode):
         self._attempt(self.release)
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
-        """rclpy's own, but that an impossible transition is answered: in Jazzy it would end the process."""
+        """As in rclpy, but an impossible transition returns an error: in Jazzy it would end the process."""
         try:
             return super()._LifecycleNodeMixin__change_state(transition_id)
         except rclpy_implementation.RCLError as error:

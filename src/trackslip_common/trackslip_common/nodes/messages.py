@@ -43,18 +43,18 @@ def type_name_of(kind: type) -> str:
 
 @cache
 def fields_of(type_name: str) -> tuple[Field, ...]:
-    """What a message type is made of."""
+    """Fields of a message type."""
     texts: dict[str, str] = message_class(type_name)._fields_and_field_types  # type: ignore[attr-defined]
     return tuple(_field(name, text) for name, text in texts.items())
 
 
 def packed_topic(kind: type) -> PackedTopic:
-    """For messages of a class that are subscribed to ``raw``."""
+    """Layouts of messages of a class that are subscribed to ``raw``."""
     return PackedTopic(type_name_of(kind), fields_of, lambda raw: deserialize_message(raw, kind))
 
 
 def _field(name: str, text: str) -> Field:
-    """From rclpy's texts: ``double``, ``double[9]``, ``sequence<string>``, ``std_msgs/Header`` and so on."""
+    """A field from rclpy's text: ``double``, ``double[9]``, ``sequence<string>``, ``std_msgs/Header`` etc."""
     found = _FIELD.fullmatch(text)
     assert found is not None, text
     kind, kept, count = found.groups()

@@ -11,11 +11,11 @@ from trackslip_common.nodes.messages import fields_of, type_name_of
 
 
 class PackedOutput:
-    """Sends its ``message``, which is there to be filled, as bytes.
+    """Publishes its ``message``, which the caller fills, as bytes.
 
     Args:
-        publisher: of messages like ``blank``.
-        blank: one of them; its strings and lengths of lists are those of all.
+        publisher: for messages of the type of ``blank``.
+        blank: a message with the strings and lengths of lists of all messages.
     """
 
     def __init__(self, publisher: Any, blank: Any) -> None:
@@ -24,5 +24,5 @@ class PackedOutput:
         self.message = self._buffer.message
 
     def publish(self) -> None:
-        """Send the message as it is now."""
+        """Send the message in its present state."""
         self._publisher.publish(bytes(self._buffer))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node's parameters: from ``config/`` and what the user gave to a frozen record, and on to ROS."""
+"""A node's parameters: from ``config/`` and the user's overrides to a frozen record, and on to ROS."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -33,19 +33,19 @@ _ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 @dataclass(frozen=True, kw_only=True)
 class CommonParameters(Parameters):
-    """What every node has beside its own."""
+    """Parameters of every node."""
 
-    autostart: bool = parameter("configure and activate without being asked")
-    realtime_priority: int = parameter("of SCHED_FIFO, where the host allows it; 0: as others", ge=0, le=99)
+    autostart: bool = parameter("whether the node configures and activates itself")
+    realtime_priority: int = parameter("SCHED_FIFO priority, if allowed; 0: normal scheduling", ge=0, le=99)
 
 
 def read_overrides(
     node: Node, what: str, common: CommonParameters, kind: type[P], default_files: tuple[str, ...]
 ) -> tuple[CommonParameters, P]:
-    """``common`` and the defaults of ``config/`` with what the user gave on top, which is undeclared.
+    """The records of ``common`` and of ``kind``: defaults of ``config/`` with the user's overrides.
 
-    ``what`` the node is has its section there, whatever it is called. What a section for many nodes holds
-    beside the parameters of this one is for others.
+    The overrides are undeclared. ``what`` is the kind of node, which names its section, whatever the node is
+    called. Parameters of other nodes in a section for many nodes are ignored.
 
     Raises:
         InputError: a parameter is unknown, of a wrong type or out of range.
@@ -70,11 +70,11 @@ def read_overrides(
 
 
 def _names_for_many(arguments: Sequence[str]) -> frozenset[str]:
-    """Parameters in sections such as ``/**`` of the parameter files of a command line; dotted names."""
+    """Dotted names in sections such as ``/**`` of the parameter files of a command line."""
     files = [file for flag, file in pairwise(arguments) if flag == "--params-file"]
     found: set[str] = set()
     for file in files:
-        with suppress(InputError):  # rcl has read it, or refused it
+        with suppress(InputError):  # rcl has read or rejected the file
             sections = [body for name, body in read_yaml(Path(file)).items() if "*" in name]
             found.update(*(flatten(body.get("ros__parameters", {})) for body in sections))
     return frozenset(found)
@@ -88,22 +88,22 @@ def declare(node: Node, record: Parameters) -> None:
 
 
 def changed(record: P, values: Mapping[str, Any], where: str) -> P:
-    """The record with other values by dotted name.
+    """The record with changed values, by dotted name.
 
     Raises:
-        InputError: a value is refused.
+        InputError: a value is rejected.
     """
     return from_flat(type(record), record.overlaid(to_flat(record), values), where)
 
 
 def differences(before: Parameters, after: Parameters) -> dict[str, Any]:
-    """Dotted name → value in ``after`` of what differs between two records of a kind."""
+    """Dotted name → value in ``after`` for each parameter that differs between two records of a class."""
     old = to_flat(before)
     return {name: value for name, value in to_flat(after).items() if value != old[name]}
 
 
 def _descriptor(kind: Any, spec: Spec) -> ParameterDescriptor:
-    """What ``ros2 param describe`` shows."""
+    """The descriptor that ``ros2 param describe`` shows."""
     unit = f" [{spec.unit}]" if spec.unit else ""
     descriptor = ParameterDescriptor(description=spec.description + unit, read_only=spec.read_only)
     descriptor.additional_constraints = spec.accepted()

@@ -6,14 +6,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from trackslip_common.topics import TOPICS, Flow
 
-# Deep enough to sit out a few seconds of a busy processor at 100 Hz without losing a message.
+# Deep enough for a few seconds of a busy processor at 100 Hz without loss of a message.
 _DEPTH = 1000
 
 
 def publisher_qos(name: str) -> QoSProfile:
     """Profile for publishing one of the project's topics.
 
-    Sensors are published reliably: a best-effort subscriber matches, and a recorder gets all.
+    Sensors are published reliably: a best-effort subscriber matches, and a recorder gets all messages.
     """
     if TOPICS[name].flow is Flow.LATCHED:
         return latched()
@@ -21,7 +21,7 @@ def publisher_qos(name: str) -> QoSProfile:
 
 
 def subscriber_qos(name: str) -> QoSProfile:
-    """Profile for subscribing; a topic that is not the project's counts as sensor data."""
+    """Profile for subscribing; a topic that is not the project's is treated as sensor data."""
     flow = TOPICS[name].flow if name in TOPICS else Flow.SENSOR
     if flow is Flow.LATCHED:
         return latched()
@@ -29,15 +29,15 @@ def subscriber_qos(name: str) -> QoSProfile:
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """Every message, and the last ones for later subscribers."""
+    """Reliable profile that keeps the last messages for later subscribers."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def reliable() -> QoSProfile:
-    """Every message, from publishers that offer that."""
+    """Reliable profile, for publishers that offer it."""
     return QoSProfile(depth=_DEPTH)
 
 
 def best_effort() -> QoSProfile:
-    """Sensor-data quality of service, with a deep queue: it matches any publisher."""
+    """Sensor-data profile with a deep queue; it matches any publisher."""
     return QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs one node from start to a quiet end: one line for bad input, no traceback on Ctrl-C."""
+"""Runs one node from start to a clean end: one line for bad input, no traceback on Ctrl-C."""
 
 import gc
 import os
@@ -26,15 +26,15 @@ from trackslip_common.nodes.failures import cause
 from trackslip_common.start import collect_garbage_seldom
 
 try:
-    from rclpy.experimental import EventsExecutor as Executor  # half the load and latency of the other
+    from rclpy.experimental import EventsExecutor as Executor  # half the load and latency of the one below
 except ModuleNotFoundError:  # Jazzy before rclpy 7.1.4
     from rclpy.executors import SingleThreadedExecutor as Executor
 
 __all__ = ["Executor", "run"]
 
-_POLL = 0.1  # s, the longest that a signal waits to be seen
+_POLL = 0.1  # s, longest delay before a signal is noticed
 _DRAIN_POLL = 0.02  # s
-_GARBAGE = 50_000  # objects until garbage is looked for: a pause of some ms
+_GARBAGE = 50_000  # objects between collections of garbage, each a pause of some ms
 _SECURITY = (
     "with ROS_SECURITY_ENABLE, a keystore with an enclave of this node, and a middleware with security"
     " (docs/security.md)"
@@ -43,7 +43,7 @@ _ARGUMENTS = "--ros-args with -p name:=value, --params-file <YAML file>, -r from
 
 
 class _StopSignals:
-    """SIGINT and SIGTERM: while the node starts the first one breaks off, later it is asked for."""
+    """SIGINT and SIGTERM: during the start the first one interrupts; later ones are only recorded."""
 
     def __init__(self) -> None:
         self.received: list[int] = []
@@ -54,7 +54,7 @@ class _StopSignals:
     def _on_signal(self, number: int, _frame: object) -> None:
         self.received.append(number)
         if self.break_off:
-            self.break_off = False  # so that nothing interrupts the end
+            self.break_off = False  # so that nothing interrupts the shutdown
             raise KeyboardInterrupt
 
 
@@ -67,10 +67,10 @@ def run(
 ) -> int:
     """Spin the node until SIGINT or SIGTERM; returns the exit code.
 
-    ``interrupted`` is that of SIGINT: a node's regular end, unless it had something to finish.
-    ``niceness`` is for a node that nobody steers by: where cores are few it lets the others go first.
+    ``interrupted``: code after SIGINT, a node's regular end unless it has something to finish.
+    ``niceness``: for a node that is not used for control; with few cores the others then run first.
     """
-    collect_garbage_seldom(_GARBAGE)  # with Python's threshold a node that works looks for it every second
+    collect_garbage_seldom(_GARBAGE)  # with Python's threshold, a working node collects every second
     os.nice(niceness)  # before the middleware starts its threads, which inherit it
     signals = _StopSignals()
     node: TrackslipNode[Any] | None = None
@@ -91,7 +91,7 @@ def run(
         pass
     except Exception as error:  # noqa: BLE001 (a defect of ours, but no traceback reaches a user)
         if signals.received:
-            pass  # what fails then fails by it, as a compiler that lost the exception
+            pass  # the signal caused the failure, as in a compiler that lost the exception
         elif isinstance(error, InputError):
             print(error, file=sys.stderr)
             return ExitCode.BAD_INPUT
@@ -108,15 +108,15 @@ def run(
 
 
 def _spin(node: TrackslipNode[Any], executor: Any, signals: _StopSignals) -> None:
-    """Until a signal, the end of ROS, or nothing but failures."""
+    """Spin until a signal, the end of ROS, or a streak of failures."""
     while not signals.received and rclpy.ok() and not node.callback_failures.are_hopeless:
         _spin_for(node, executor, _POLL)
 
 
 def _spin_for(node: TrackslipNode[Any], executor: Any, seconds: float) -> None:
-    """All that comes so long: to return to Python after each message adds a fifth to what that takes.
+    """Run callbacks for a time; a return to Python after each message would add a fifth to its cost.
 
-    What fails outside of a callback, such as a message that cannot be decoded, counts as a failure of one.
+    A failure outside of callbacks, such as a message that cannot be decoded, is counted as one of a callback.
     """
     try:
         executor.spin_until_future_complete(Future(), seconds)
@@ -127,22 +127,22 @@ def _spin_for(node: TrackslipNode[Any], executor: Any, seconds: float) -> None:
 
 
 def _settle(node: TrackslipNode[Any]) -> None:
-    """Once all is made: the priority asked for, and no search for garbage in what stays."""
+    """After the start: set the requested priority, and exempt all present objects from garbage collection."""
     if not _request_priority(node.common.realtime_priority):
         node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
-    gc.freeze()  # what the imports made stays: to look through it for garbage would take tens of ms
+    gc.freeze()  # objects of the imports stay: to search them for garbage would take tens of ms
 
 
 def _request_priority(priority: int) -> bool:
-    """Real-time scheduling for all threads there are, and for those that they start; False if not allowed.
+    """Set real-time scheduling for all present threads, and those that they start; False if not allowed.
 
-    Only once the node has started: who compiles has time.
+    Called once the node has started: compilation is not urgent.
     """
     if priority == 0:
         return True
     try:
         for thread in Path("/proc/self/task").iterdir():
-            with suppress(ProcessLookupError):  # it has ended
+            with suppress(ProcessLookupError):  # the thread has ended
                 os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
         return False
@@ -150,9 +150,9 @@ def _request_priority(priority: int) -> bool:
 
 
 def _make(make_node: Callable[[], TrackslipNode[Any]], argv: Sequence[str] | None) -> TrackslipNode[Any]:
-    """The node."""
-    set_logger_level("rcl", LoggingSeverity.FATAL)  # it would write the same in a line of its own
-    warnings.simplefilter("ignore", RuntimeWarning)  # of rcl, where it gives up half a node
+    """Initialise rclpy, and make the node."""
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # rcl would repeat the error on its own line
+    warnings.simplefilter("ignore", RuntimeWarning)  # of rcl, when it abandons an incomplete node
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         return make_node()
