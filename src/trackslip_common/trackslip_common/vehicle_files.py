@@ -18,7 +18,7 @@ from trackslip_common.vehicle_checks import check_together
 from trackslip_common.yaml_text import parse_mapping
 
 ASSUMED = "pc05"  # if no vehicle is named
-IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # what is said of it then
+IS_ASSUMED = f"vehicle: {ASSUMED} is assumed: the bag names none (--vehicle does)"  # note in that case
 TOPIC = "vehicle"  # latched topic with the text of a vehicle; also the parameter that names one
 _GROUP = f"{TOPIC}."
 _NAME = "name"  # in a vehicle file: name of the machine; by default that of the file

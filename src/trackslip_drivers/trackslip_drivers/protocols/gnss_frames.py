@@ -181,7 +181,7 @@ class FrameCutter:
         return Frame(kind, bytes(self._noise), ended_ns, ended_ns)
 
     def _take(self, kind: Kind, size: int) -> Frame:
-        """A message that is whole. It began no later than any of its reads leaves time for."""
+        """Remove a complete message; each read bounds its begin from above, at the line rate."""
         held, arrival_ns = self._reads[-1]
         begun_ns = min(arrived_ns - self.transfer_ns(count) for count, arrived_ns in self._reads)
         content = bytes(self._pending[:size])
@@ -195,5 +195,5 @@ class FrameCutter:
         self._reads = [(count - size, arrival_ns) for count, arrival_ns in self._reads if count > size]
 
     def transfer_ns(self, count: int) -> int:
-        """How long ``count`` bytes occupy the line."""
+        """Time that ``count`` bytes take on the line, ns."""
         return count * BITS_PER_CHAR * _NS_PER_S // self._baud if self._baud else 0
