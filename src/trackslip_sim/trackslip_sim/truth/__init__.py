@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""True motion to score estimators against: ``simulate.simulate`` is the way in.
+"""True motion, against which estimators are scored; the entry point is ``simulate.simulate``.
 
-simulate    scenario, soil and mode to ``record.Truth``
-shear       mode "shear": kernel in ``motion`` (the step) and ``contact`` (the soil)
-thesis      mode "thesis": §6.2.1
-kinematic   matched to sub-model 1b, for tests of estimators
+simulate    computes a ``record.Truth`` from scenario, soil and mode
+shear       mode "shear"; its kernels are ``motion`` (the step) and ``contact`` (the soil)
+thesis      mode "thesis": the simulation of §6.2.1
+kinematic   motion after sub-model 1b, for tests of estimators
 """

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the machine weighs, and where, as its upper structure swings and its bucket fills.
+"""Weight and centre of gravity of the machine under swing angle and bucket load.
 
-m, m_u, m_b    mass of the machine, share of it that swings, in the bucket                kg
-r_0, r_g       centre of gravity looking forward and empty, as it is                      m
-c, a, r_b      centre of the upper structure ahead of its axis, the axis, the bucket      m
+m, m_u, m_b    mass of the empty machine, of its upper structure, of the bucket's load    kg
+r_0, r_g       centre of gravity at σ = 0 and empty bucket; the current one               m
+c, a, r_b      centre of the upper structure ahead of its axis; the axis; the bucket      m
 R              rotation by σ
 
 r_g = (m r_0 + m_u (R c - c) + m_b (a + R (r_b - a)))/(m + m_b)
 
-Weight moves, not inertia: m and I_z of the equations of motion stay those of the empty machine.
+Only the weight changes: the equations of motion keep m and I_z of the empty machine.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from trackslip_sim.truth.settings import TruthSettings
 
 
 def resting_centre(vehicle: Vehicle, settings: TruthSettings) -> FloatArray:
-    """r_0 (3,): the vehicle's, and what of it nobody knows."""
+    """r_0 (3,), m: the vehicle's centre of gravity plus the settings' offset ``load_x``, ``load_y``."""
     centre = vehicle.centre_of_gravity
     x, y, z = (centre.x, centre.y, centre.z) if centre is not None else (0.0, 0.0, 0.0)
     return np.array((x + settings.load_x, y + settings.load_y, z))
@@ -33,7 +33,7 @@ def resting_centre(vehicle: Vehicle, settings: TruthSettings) -> FloatArray:
 
 @dataclass(frozen=True)
 class Burden:
-    """Of one run.
+    """Weight and centre of gravity during one run.
 
     Raises:
         InputError: the scenario loads a bucket that the vehicle does not have.
@@ -51,7 +51,7 @@ class Burden:
             )
 
     def rows(self, swing: FloatArray, begin: int, end: int) -> FloatArray:
-        """(n, 4) weight, N, and r_g, m, in the steps from ``begin`` up to ``end``; ``swing`` (n,) is σ."""
+        """(n, 4) weight, N, and r_g, m, for steps ``begin`` to ``end`` (excluded); ``swing`` (n,) is σ."""
         mass, upper, bucket = self.vehicle.mass, self.upper, self.vehicle.bucket
         axis = (upper.swing_axis_x, upper.swing_axis_y) if upper is not None else (0.0, 0.0)
         moments = np.tile(mass * resting_centre(self.vehicle, self.settings), (end - begin, 1))

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shear between tracks and soil, element by element (Wong & Chiang 2001), compiled.
+"""Shear between tracks and soil per contact element (Wong & Chiang 2001), compiled.
 
     q        (v_x, v_y, φ̇, u_L, u_R): hull velocity at C, track speeds u = r ω    m/s, rad/s
     x_e      position of an element's centre along the contact                      m
     s        sliding velocity (v_x - φ̇ y_e - u, v_y + φ̇ x_e)                       m/s
     j        shear displacement carried along the contact, (j_x, j_y)               m
     f        strength mobilised on an element, (c A_e + N_e tan ϕ)(1 - e^(-|j|/K))  N
-    ρ        √(|s|² + s₀²): the force -f s/ρ fades where sliding does, below s₀     m/s
+    ρ        √(|s|² + s₀²): the force -f s/ρ goes to zero with s where |s| < s₀     m/s
 
 Arrays over tracks and elements are (2, elements): left, right; element 0 is the foremost.
 """
@@ -21,11 +21,11 @@ from trackslip_common.arrays import FloatArray, IntArray
 from trackslip_common.compiled import compiled
 from trackslip_sim.truth.ground import SoilMap, soil_at
 
-MAX_SHEAR = 10.0  # |j| is kept below this many K: all strength is mobilised there (5e-5 short of it)
+MAX_SHEAR = 10.0  # upper limit of |j|/K: all but 5e-5 of the strength is mobilised there
 
 
 class Tracks(NamedTuple):
-    """Both contacts; of them only the load changes during a run."""
+    """Geometry and load of both contacts; only the load changes during a run."""
 
     x_e: FloatArray  # (n,) m
     load: FloatArray  # (2, n) N
@@ -43,20 +43,20 @@ class Shear(NamedTuple):
 
 
 class ShearSums(NamedTuple):
-    """Derivatives of the shear forces' potential Σ f ρ by the sliding velocity, summed per track."""
+    """Derivatives of the shear potential Σ f ρ with respect to the sliding velocity, summed per track."""
 
-    force: FloatArray  # (2, 3) Σ of g s_x, g s_y, g s_y x_e with g = f/ρ; the soil's force is minus that
+    force: FloatArray  # (2, 3) Σ of g s_x, g s_y, g s_y x_e with g = f/ρ: the negative of the soil's force
     curvature: FloatArray  # (2, 6) second derivatives, Σ of h_xx, h_xy, h_xy x_e, h_yy, h_yy x_e, h_yy x_e²
 
 
 def unsheared(elements: int) -> Shear:
-    """Soil on which nothing has driven."""
+    """Shear state of undisturbed soil: j = 0."""
     return Shear(np.zeros((2, elements, 2)), np.zeros((2, elements), np.int64), np.zeros((2, elements)))
 
 
 @compiled
 def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
-    """Fill the strengths from the shear displacements."""
+    """Fill the mobilised strengths f from the shear displacements."""
     for k in range(2):
         for e in range(len(tracks.x_e)):
             soil = shear.soil[k, e]
@@ -66,7 +66,7 @@ def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
                 ground.table[soil, 2],
             )
             slid = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
-            area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0  # where it has not lifted
+            area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0    # 0 where the track has lifted
             full = cohesion * area + tracks.load[k, e] * tan_friction
             shear.strength[k, e] = full * -math.expm1(-slid / modulus)
 
@@ -85,10 +85,10 @@ def find_soils(pose: FloatArray, tracks: Tracks, ground: SoilMap, shear: Shear) 
 
 @compiled
 def carry(shear: Shear, q: FloatArray, tracks: Tracks, step: float) -> None:
-    """Advance j by one step: it grows by s and is carried rearwards (forwards in reverse) at |u|.
+    """Advance j by one step: j grows at rate s and is advected rearwards (forwards in reverse) at |u|.
 
-    Implicit upwind differences, swept from the leading edge, where j = 0: bounded at any step, and in
-    steady motion the midpoint rule for ∫ s dx/|u|.
+    Implicit upwind differences, swept from the leading edge, where j = 0. They are bounded at any step. In
+    steady motion they equal the midpoint rule for ∫ s dx/|u|.
     """
     j, x_e = shear.j, tracks.x_e
     n = len(x_e)
@@ -111,7 +111,7 @@ def carry(shear: Shear, q: FloatArray, tracks: Tracks, step: float) -> None:
 
 @compiled
 def limit_shear(shear: Shear, ground: SoilMap) -> None:
-    """Shorten each j to at most ``MAX_SHEAR`` K, so that a reversal need not undo a long slide."""
+    """Limit each |j| to ``MAX_SHEAR`` K, so that a reversal need not first undo a long slide."""
     j = shear.j
     for k in range(2):
         for e in range(j.shape[1]):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ground of a run: its shape, one soil, and patches of others painted over it."""
+"""The ground of a run: terrain shape, one base soil, and rectangular patches of other soils."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Patch:
 
 
 class SoilMap(NamedTuple):
-    """The ground as kernels read it: soil 0 lies where no patch does; later patches cover earlier ones."""
+    """The soils as arrays for kernels: soil 0 lies outside all patches; later patches cover earlier ones."""
 
     table: FloatArray  # (soils, 4): c Pa, tan ϕ, K m, μ_r
     edges: FloatArray  # (patches, 4): from_x, to_x, from_y, to_y
@@ -51,7 +51,7 @@ class SoilMap(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The soils of a run, and where each lies; and the shape of the ground."""
+    """The soils of a run, their places, and the terrain."""
 
     soils: tuple[Soil, ...]
     map: SoilMap
@@ -66,7 +66,7 @@ class Ground:
 def build_ground(
     base: Soil, patches: Sequence[Patch], soils: dict[str, Soil], terrain: Terrain = FLAT
 ) -> Ground:
-    """The ground from records.
+    """The ground of a base soil, patches (their names looked up in ``soils``) and a terrain.
 
     Raises:
         InputError: a patch names an unknown soil, or a soil lacks K or μ_r.

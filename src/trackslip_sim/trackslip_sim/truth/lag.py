@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Valves and pumps: from commanded sprocket speed to what the oil allows."""
+"""Valves and pumps: spool positions from commanded sprocket speeds, limited by the pump flow."""
 
 import math
 from typing import NamedTuple
@@ -15,15 +15,15 @@ from trackslip_sim.truth.settings import TruthSettings
 
 
 class Valves(NamedTuple):
-    """How spools follow commands, and tracks the spools."""
+    """First-order lag of the spools behind the commands, and the track speed of a full spool."""
 
     top_speed: float  # rad/s, of a sprocket at full pump flow
-    kept: float  # part of a spool's distance from its command that is left after one step
+    kept: float  # share of a spool's control error that remains after one step
     radius: float  # m, of the sprockets
 
 
 def valves_of(vehicle: Vehicle, settings: TruthSettings) -> Valves:
-    """The valves of a vehicle under the settings' step."""
+    """The valves of a vehicle for the integration step of the settings."""
     return Valves(
         top_speed=float(speed_of_flow(vehicle.pump_flow, 1.0, vehicle)),
         kept=math.exp(-settings.step / settings.valve_time_constant),

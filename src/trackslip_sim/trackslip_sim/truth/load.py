@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the machine's weight presses on the elements of its contacts, compiled.
+"""Distribution of the machine's weight over the elements of its contacts, compiled.
 
     G            gravity in the body frame: m g (sin θ, -cos θ sin ϕ, -cos θ cos ϕ)     N
-    r_g          centre of gravity (x_g, y_g, h_g), h_g above the ground                m
-    a            acceleration of C in the body frame, that of the step before          m/s²
+    r_g          centre of gravity (x_g, y_g, h_g); h_g is its height above ground      m
+    a            acceleration of C in the body frame, from the previous step           m/s²
     N            m g cos θ cos ϕ                                                        N
-    x_N, y_N     centre of pressure: r_g less h_g (m a - G)/N                           m
+    x_N, y_N     centre of pressure: r_g - h_g (m a - G)/N                              m
 
-Pressure is linear along the track while |x_N| <= l/6, beyond it a triangle that ends where the track lifts;
-the tracks share N by moments. The machine tips over where the weight alone has its centre of pressure beyond
-the contacts; what acceleration adds to that is limited to them. N is without v²κ of a bend, < 0.3 % of it.
+Pressure is linear along the track while |x_N| <= l/6; beyond, it is a triangle that ends where the track
+lifts. Moment balance divides N between the tracks. The machine tips over where the centre of pressure of the
+weight alone leaves the contacts. With acceleration, the centre is limited to the contacts. N omits the
+centripetal term v²κ of bends, < 0.3 % of N.
 """
 
 import math
@@ -21,13 +22,13 @@ from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_sim.truth.contact import Tracks
 
-_LAST = 0.499  # of l and of B: how far the centre of pressure goes before the machine tips over
+_LAST = 0.499  # of l and of B: largest offset of the centre of pressure; beyond it the machine tips over
 
 
 class Load(NamedTuple):
-    """What presses on the ground, step by step."""
+    """Forces of one step that press the machine on the ground."""
 
-    burden: FloatArray  # (4,) m g, r_g: may change from step to step
+    burden: FloatArray  # (4,) m g, r_g; may change at each step
     felt: FloatArray  # (2,) a
     gravity: FloatArray  # (3,) G_x, G_y, and their moment about the normal at C
     pressed: FloatArray  # (3,) N, x_N, y_N
@@ -51,7 +52,7 @@ def weigh(load: Load, pitch: float, roll: float) -> None:
 
 @compiled
 def press(load: Load, tracks: Tracks) -> None:
-    """Fill the loads of the elements; where the machine would tip over, ``tipped``."""
+    """Fill the loads of the elements; set ``tipped`` where the machine tips over."""
     n, length = len(tracks.x_e), tracks.length
     far, aside = _LAST * length, _LAST * 2.0 * tracks.half_tread
     if abs(load.resting[0]) > far or abs(load.resting[1]) > aside:
@@ -63,7 +64,7 @@ def press(load: Load, tracks: Tracks) -> None:
         for e in range(n):
             share = (1.0 + 12.0 * x * tracks.x_e[e] / length**2) / n
             if abs(x) > length / 6.0:
-                reach = 3.0 * (0.5 - abs(x) / length)  # that still lies on the ground, of the length
-                front = (e if x > 0.0 else n - 1 - e) / n  # from the loaded end
+                reach = 3.0 * (0.5 - abs(x) / length)    # share of the length that lies on the ground
+                front = (e if x > 0.0 else n - 1 - e) / n    # distance from the loaded end over l
                 share = max(1.0 - front / reach, 0.0) ** 2 - max(1.0 - (front + 1.0 / n) / reach, 0.0) ** 2
             tracks.load[k, e] = total * share

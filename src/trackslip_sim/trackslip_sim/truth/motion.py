@@ -3,14 +3,15 @@
 """One implicit step of hull and tracks on frictional ground, compiled.
 
     q = (v_x, v_y, φ̇, u_L, u_R)   hull velocity at C, track speeds u = r ω       m/s, rad/s
-    M                              diag(m, m, I_z, m_t, m_t), m_t felt at the track
+    M                              diag(m, m, I_z, m_t, m_t); m_t: inertia of track and motor as a mass
     R_j                            rolling resistance ½ μ_r W of a track          N
 
-    G                              weight along the ground, and its moment about C       N, N m
+    G                              weight along the ground and its moment about C       N, N m
 
-The step minimises  ½ (q - q₀)ᵀ M (q - q₀)/Δt + Σ f ρ + Σ R_j |v_j| - Gᵀ q + drive(u)  over q: backward Euler,
-written as a convex function because friction is one. So it is stable at any stiffness, stands still without
-chatter, and dissipates: power of tracks and weight ≥ losses + growth of kinetic energy, at each step.
+The step minimises  ½ (q - q₀)ᵀ M (q - q₀)/Δt + Σ f ρ + Σ R_j |v_j| - Gᵀ q + drive(u)  over q: backward Euler
+as a convex minimisation, since the friction potential is convex. The step is therefore stable at any
+stiffness and has no chatter at standstill. It dissipates energy: at each step the power of tracks and weight
+is ≥ losses + growth of kinetic energy.
 """
 
 import math
@@ -23,10 +24,10 @@ from trackslip_common.compiled import compiled
 from trackslip_sim.truth.contact import Shear, ShearSums, Tracks, shear_sums
 
 SIZE = 5
-TOLERANCE = 8e-11  # of the weight, N, left unbalanced: a few times what rounding leaves of stiff ground
+TOLERANCE = 8e-11  # largest unbalanced force over the weight: a few times the rounding error on stiff ground
 MAX_ITERATIONS = 60
 MAX_ATTEMPTS = 20
-FLAT = 0.1  # of its initial slope: where the search along a Newton step ends
+FLAT = 0.1  # share of the initial slope at which the line search along a Newton step ends
 
 
 class Machine(NamedTuple):
@@ -46,23 +47,23 @@ class Machine(NamedTuple):
 
 
 class Newton(NamedTuple):
-    """One step being solved: what it is given, work space, and what came out."""
+    """Input, work space and result of one step."""
 
     start: FloatArray  # (5,) q₀
-    target: FloatArray  # (2,) m/s, track speeds that the oil would give
+    target: FloatArray    # (2,) m/s, track speeds at the oil flow
     limits: FloatArray  # (2, 2) N, lowest and highest thrust of each motor
     rolling: FloatArray  # (2,) R_j, N
     push: FloatArray  # (3,) G
     sums: ShearSums
-    gradient: FloatArray  # (5,) force left unbalanced
+    gradient: FloatArray    # (5,) unbalanced force
     matrix: FloatArray  # (5, 5) second derivatives, upper triangle
     change: FloatArray  # (5,) the Newton step
-    trial: FloatArray  # (5,) q along it
+    trial: FloatArray    # (5,) q along the Newton step
     drive: FloatArray  # (2,) N, thrust of the motors
 
 
 def new_step(push: FloatArray) -> Newton:
-    """Work space for ``solve_step``, under a weight that others change."""
+    """Work space for ``solve_step``; ``push`` is G, which the caller updates in place."""
     sums = ShearSums(np.zeros((2, 3)), np.zeros((2, 6)))
     given = np.zeros(SIZE), np.zeros(2), np.zeros((2, 2)), np.zeros(2), push
     return Newton(*given, sums, np.zeros(5), np.zeros((5, 5)), np.zeros(5), np.zeros(5), np.zeros(2))
@@ -101,7 +102,7 @@ def inertia_of(i: int, machine: Machine) -> float:
 
 @compiled
 def assemble(q: FloatArray, machine: Machine, tracks: Tracks, newton: Newton) -> None:
-    """Fill ``matrix`` at q, where ``evaluate`` has been."""
+    """Fill ``matrix`` at q; ``evaluate`` must have been called at the same q."""
     matrix, bends = newton.matrix, newton.sums.curvature
     for i in range(SIZE):
         for column in range(i, SIZE):
@@ -129,7 +130,7 @@ def assemble(q: FloatArray, machine: Machine, tracks: Tracks, newton: Newton) ->
 
 @compiled
 def solve_symmetric(matrix: FloatArray, right: FloatArray, result: FloatArray) -> None:
-    """Positive definite A x = b by L D Lᵀ in place; only the upper triangle of A is read."""
+    """Solve A x = b for positive definite A by L D Lᵀ in place; only the upper triangle of A is read."""
     n = len(right)
     for i in range(n):
         result[i] = right[i]
@@ -149,7 +150,7 @@ def solve_symmetric(matrix: FloatArray, right: FloatArray, result: FloatArray) -
 def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, newton: Newton) -> int:
     """Advance q by one step towards the track speeds ``target``; returns the iterations used.
 
-    Newton's method; where its step overshoots, the minimum along it is bracketed by the slope.
+    Newton's method; where its step overshoots, a line search brackets the minimum by the slope.
     """
     for i in range(SIZE):
         newton.start[i] = q[i]
@@ -185,7 +186,7 @@ def solve_step(q: FloatArray, machine: Machine, tracks: Tracks, shear: Shear, ne
 
 @compiled
 def balanced(gradient: FloatArray, tolerance: float) -> bool:
-    """Whether all forces are."""
+    """Whether the magnitudes of all unbalanced forces are below ``tolerance``."""
     count = 0
     for force in gradient:
         count += abs(force) < tolerance
@@ -194,7 +195,7 @@ def balanced(gradient: FloatArray, tolerance: float) -> bool:
 
 @compiled
 def slope_along(newton: Newton) -> float:
-    """Of what is minimised, by the part of the Newton step that is gone."""
+    """Derivative of the minimised function with respect to the fraction of the Newton step."""
     slope = 0.0
     for i in range(SIZE):
         slope -= newton.gradient[i] * newton.change[i]
@@ -203,7 +204,7 @@ def slope_along(newton: Newton) -> float:
 
 @compiled
 def set_relief_limits(q: FloatArray, machine: Machine, limits: FloatArray) -> None:
-    """Fill the lowest and highest thrust of each motor (2, 2), N: driven it holds more."""
+    """Fill the lowest and highest thrust of each motor (2, 2), N; a motor driven by its track holds more."""
     more = machine.brake_limit - machine.drive_limit
     for k in range(2):
         speed = q[3 + k] / machine.slip_floor

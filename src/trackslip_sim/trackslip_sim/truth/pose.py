@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A machine that lies on the ground: its attitude, and the way from body velocities to the pose, compiled.
+"""Attitude of a machine on the ground, and its pose from body velocities, compiled.
 
 C moves on the ground, and the plane of the tracks is the ground's tangent plane at C (quasi-static attitude).
 
@@ -35,7 +35,7 @@ def attitude_of(shape: FloatArray, yaw: float) -> tuple[float, float]:
 def pose_rates(
     shape: FloatArray, yaw: float, forward: float, left: float, turn: float
 ) -> tuple[float, float, float]:
-    """ẋ, ẏ, ψ̇ of v_x, v_y, r; or their changes over a step of those over it."""
+    """ẋ, ẏ, ψ̇ from v_x, v_y, r; or the increments of the pose from increments in the body frame."""
     pitch, roll = attitude_of(shape, yaw)
     cos, sin = math.cos(yaw), math.sin(yaw)
     ahead = math.cos(pitch) * forward + math.sin(pitch) * math.sin(roll) * left
@@ -52,7 +52,7 @@ def pose_rates(
 def body_rates(
     shape: FloatArray, yaw: float, forward: float, left: float, turn: float
 ) -> tuple[float, float]:
-    """p and q, rad/s, of v_x, v_y, r."""
+    """p and q, rad/s, from v_x, v_y, r."""
     pitch, roll = attitude_of(shape, yaw)
     x, y, yaw_rate = pose_rates(shape, yaw, forward, left, turn)
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -69,7 +69,7 @@ def body_rates(
 
 @compiled
 def move(pose: FloatArray, before: FloatArray, after: FloatArray, terrain: TerrainMap, step: float) -> None:
-    """Advance ``pose`` (x, y, yaw) by the mean of two velocities (v_x, v_y, r), on the ground halfway."""
+    """Advance ``pose`` (x, y, yaw) by the mean of two velocities (v_x, v_y, r) on the ground at the midpoint."""
     forward = 0.5 * step * (before[0] + after[0])
     left = 0.5 * step * (before[1] + after[1])
     turn = 0.5 * step * (before[2] + after[2])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The true motion of a run, uniformly sampled: what estimators are scored against, never given."""
+"""The uniformly sampled true motion of a run; it scores estimators and is never their input."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-KEPT = 20.0  # s behind that time which can still be looked at
-_AHEAD = 3  # samples: derivatives at the two about a time need one more
+KEPT = 20.0    # s, length of the past that remains available
+_AHEAD = 3    # samples: derivatives at the two samples about a time need one more
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,7 +22,7 @@ class Truth:
     """Arrays (n,) over time; SI units, site frame ``odom`` and body frame base_link (C, x forward).
 
     Angles are continuous. A slip is 0 while its track runs slower than the settings' ``slip_floor``,
-    where 1 - v/(r ω) means nothing; the slip angle is 0 while |v_x| is below the same speed.
+    where 1 - v/(r ω) is undefined; the slip angle is 0 while |v_x| is below the same speed.
     """
 
     t: FloatArray  # s, from 0
@@ -46,7 +46,7 @@ class Truth:
     slip_angle: FloatArray  # rad, atan(v_y / v_x)
     left_thrust: FloatArray  # N, of the soil on the track
     right_thrust: FloatArray
-    left_resistance: FloatArray  # N, opposite to motion: signed as v_j
+    left_resistance: FloatArray  # N, opposite to motion; sign of v_j
     right_resistance: FloatArray
     left_load: FloatArray  # N, normal to the ground
     right_load: FloatArray
@@ -74,7 +74,7 @@ class Truth:
         return self.soil_names[int(self.soil_index[index])]
 
     def since(self, t: float) -> Truth:
-        """The samples from time ``t`` on, s, and the one before them."""
+        """The samples from time ``t``, s, on, and the one before them."""
         first = max(0, int(np.searchsorted(self.t, t)) - 1)
         columns = {name: getattr(self, name)[first:] for name in COLUMNS}
         return Truth(**columns, soil_index=self.soil_index[first:], soil_names=self.soil_names)
@@ -82,7 +82,7 @@ class Truth:
     def interpolate(self, times: ArrayLike) -> Truth:
         """The truth at the given times (m,), s: linear between samples, held beyond the ends.
 
-        The soil is that of the sample before.
+        The soil is that of the previous sample.
         """
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
         before = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
@@ -101,7 +101,7 @@ COLUMNS = tuple(
 
 
 def joined(pieces: Sequence[Truth]) -> Truth:
-    """Pieces of one run, each behind the one before, as one record."""
+    """Consecutive pieces of one run as one record."""
     if len(pieces) == 1:
         return pieces[0]
     columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in COLUMNS}
@@ -110,11 +110,11 @@ def joined(pieces: Sequence[Truth]) -> Truth:
 
 
 class TruthWindow:
-    """Pieces of one drive; each is computed when its time comes, and forgotten ``KEPT`` s later.
+    """Sliding window over one drive: pieces are computed on demand and dropped after ``KEPT`` s.
 
     Attributes:
-        truth: the stretch at hand.
-        duration: of the whole drive, s.
+        truth: the record within the window.
+        duration: duration of the whole drive, s.
     """
 
     def __init__(self, pieces: Iterable[Truth], duration: float) -> None:
@@ -123,7 +123,7 @@ class TruthWindow:
         self._begin(next(self._pieces))
 
     def advance(self, t: float) -> bool:
-        """Go on to time ``t``, s; whether there is a new stretch."""
+        """Advance the window to time ``t``, s; return whether ``truth`` changed."""
         advanced = False
         while t > self._until:
             piece = next(self._pieces, None)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every truth mode computes, as rows of numbers, and the record made of them."""
+"""Rows of numbers that every truth mode computes, and the ``Truth`` made from them."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,7 +16,7 @@ from trackslip_sim.truth.settings import TruthSettings
 
 
 class Column(IntEnum):
-    """Columns of the rows; where two follow each other, left before right."""
+    """Columns of the rows; columns of two tracks are adjacent, left before right."""
 
     X = 0
     Y = 1
@@ -27,14 +27,14 @@ class Column(IntEnum):
     TRACK_SPEED = 6  # r ω, m/s
     ANGLE = 8  # of the sprockets, rad
     THRUST = 10  # N
-    RESISTANCE = 12  # N, signed as v_j
+    RESISTANCE = 12    # N, sign of v_j
     MOMENT = 14  # of lateral shear about C, N m, positive clockwise
     SPOOL = 15
     SOIL = 17  # index under C
-    POWER = 18  # the tracks give to hull and soil, W
+    POWER = 18    # from the tracks to hull and soil, W
     LOSS = 19  # of shear and rolling, W
-    ITERATIONS = 20  # of the solver, the most since the row before
-    DRIVE = 21  # thrust of the motors, N: of the soil, and what speeds the track itself up
+    ITERATIONS = 20    # of the solver, the maximum since the previous row
+    DRIVE = 21    # thrust of the motors, N: soil thrust plus acceleration of the track itself
     Z = 23
     ROLL = 24
     PITCH = 25
@@ -56,14 +56,14 @@ def start_row(ground: SoilMap, weight: float) -> FloatArray:
 
 
 class UnsolvedStepError(ArithmeticError):
-    """A step of the integration did not balance its forces: a fault of the solver, not of the user."""
+    """The solver did not balance the forces of an integration step: a defect of the solver, not of the input."""
 
 
 def refuse_unsolved(rows: FloatArray, limit: int) -> None:
-    """Make sure each step behind ``rows`` (n, WIDTH) took fewer iterations than ``limit``.
+    """Check that each step of ``rows`` (n, WIDTH) took fewer iterations than ``limit``.
 
     Raises:
-        UnsolvedStepError: one did not.
+        UnsolvedStepError: a step took ``limit`` iterations.
     """
     unsolved = np.flatnonzero(rows[:, Column.ITERATIONS] >= limit)
     if unsolved.size:
@@ -74,7 +74,7 @@ def refuse_unsolved(rows: FloatArray, limit: int) -> None:
 
 @dataclass(frozen=True)
 class Recorder:
-    """What makes records of a run's rows."""
+    """Converts the rows of a run to records."""
 
     vehicle: Vehicle
     settings: TruthSettings
@@ -82,22 +82,22 @@ class Recorder:
     soil_names: tuple[str, ...]
 
     def truth(self, rows: FloatArray, first: int = 0, swing: FloatArray | None = None) -> Truth:
-        """The record of rows (n, WIDTH), ``settings.sample_period`` apart, of which ``first`` is the number.
+        """The record of rows (n, WIDTH) at period ``settings.sample_period``; ``first`` is the first row's number.
 
-        ``swing`` (n, 2): angle and rate of the upper structure; None: it looks forward.
+        ``swing`` (n, 2): angle and rate of the upper structure; None: both are 0.
 
-        Pressures are those of the motors' thrust, with the efficiency against the flow of power; the supply
-        stands by above the higher of them, as far as the relief valve lets it.
+        Pressures follow from the motors' thrust; the efficiency acts against the flow of power. The supply
+        pressure is the higher of them plus the standby pressure, limited by the relief valve.
         """
         rows = np.asfortranarray(
             rows
-        )  # columns in one piece: each look at the truth would copy them otherwise
+        )    # contiguous columns: every interpolation would copy them otherwise
         c, vehicle, settings, relief = Column, self.vehicle, self.settings, self.relief_pressure
         v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
         left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
         floor, half = settings.slip_floor, 0.5 * vehicle.tread
         swing = np.zeros((len(rows), 2)) if swing is None else swing
-        # The clip acts only in a step in which a track reverses: its limit is that of the step's start.
+        # The clip acts only in a step in which a track reverses: the thrust limit is that of the step's start.
         left_pressure, right_pressure = (
             np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief, relief)
             for k, track in enumerate((left, right))
@@ -143,7 +143,7 @@ class Recorder:
 
 
 def _slip(ground_speed: FloatArray, track_speed: FloatArray, floor: float) -> FloatArray:
-    """i = 1 - v/(r ω), 0 below ``floor``."""
+    """i = 1 - v/(r ω); 0 where |r ω| < ``floor``."""
     return _ratio(track_speed - ground_speed, track_speed, floor)
 
 

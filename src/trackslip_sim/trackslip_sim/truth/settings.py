@@ -11,17 +11,17 @@ from trackslip_common.parameters import Parameters, from_flat, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class TruthSettings(Parameters):
-    """How the truth is computed; SI units. ``load_x``, ``load_y`` move weight, not inertia."""
+    """Settings of the truth; SI units. ``load_x``, ``load_y`` move the centre of gravity, not the inertia."""
 
     step: float = parameter("integration step", unit="s", gt=0.0, le=0.01)
     sample_period: float = parameter("time between recorded samples", unit="s", gt=0.0)
-    elements: int = parameter("pieces of each track's contact", ge=2)
-    valve_time_constant: float = parameter("lag of the spool behind its command", unit="s", gt=0.0)
+    elements: int = parameter("elements of each track's contact", ge=2)
+    valve_time_constant: float = parameter("time constant of the spool's lag behind its command", unit="s", gt=0.0)
     drive_sag: float = parameter("track speed lost at relief pressure", unit="m/s", gt=0.0)
-    track_mass: float = parameter("belt and motor, felt at the track", unit="kg", gt=0.0)
-    standby_pressure: float = parameter("supply above the higher load", unit="Pa", ge=0.0)
-    sliding_floor: float = parameter("sliding speed at which shear fades", unit="m/s", gt=0.0)
-    rolling_floor: float = parameter("speed at which rolling resistance fades", unit="m/s", gt=0.0)
+    track_mass: float = parameter("inertia of belt and motor as a mass at the track", unit="kg", gt=0.0)
+    standby_pressure: float = parameter("supply pressure above the higher load", unit="Pa", ge=0.0)
+    sliding_floor: float = parameter("sliding speed below which shear force goes to zero", unit="m/s", gt=0.0)
+    rolling_floor: float = parameter("speed below which rolling resistance goes to zero", unit="m/s", gt=0.0)
     slip_floor: float = parameter("track speed below which slip is undefined", unit="m/s", gt=0.0)
     load_x: float = parameter("centre of gravity ahead of the contact centre", unit="m")
     load_y: float = parameter("centre of gravity left of the contact centre", unit="m")
@@ -42,7 +42,7 @@ class TruthSettings(Parameters):
 
 
 def load_settings() -> TruthSettings:
-    """Those of ``config/truth.yaml``.
+    """The settings in ``config/truth.yaml``.
 
     Raises:
         InputError: the file or a value in it is refused.

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Truth mode ``shear``: the vehicle driven over ground that shears, step by step, compiled.
+"""Truth mode ``shear``: drives the vehicle over ground that shears, compiled.
 
-Commanded sprocket speeds are limited by the pumps' flow, lag in the valves, and yield at relief pressure;
-shear displacement integrates along each track's contact (Wong & Chiang 2001). On a terrain the weight pulls
-along the ground, and loads the contacts by where it acts. See ``contact``, ``load``, ``motion``.
+The pump flow limits the commanded sprocket speeds, the valves lag, and the tracks slow down at relief
+pressure. Shear displacement integrates along each track's contact (Wong & Chiang 2001). On a terrain the
+weight has a component along the ground. The position of the weight sets the loads of the contacts. See
+``contact``, ``load``, ``motion``.
 """
 
 import math
@@ -45,12 +46,12 @@ from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, Terrain, TerrainMap, shape_at
 
-SETTLING = 3.0  # s of standing on a slope before the start: until then the soil has sheared enough to hold
-BLUNT = 2.0  # contact lengths: the least radius of ground on which a machine lies as on its tangent plane
+SETTLING = 3.0    # s at standstill on a slope before the start: the soil shears until it holds the machine
+BLUNT = 2.0    # contact lengths: least radius of ground on which the tangent plane stands for the ground
 
 
 class Model(NamedTuple):
-    """What does not change during a run."""
+    """Constants of a run."""
 
     machine: Machine
     tracks: Tracks
@@ -61,11 +62,11 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """What goes on from step to step."""
+    """State carried from step to step."""
 
     pose: FloatArray  # (3,) x, y, yaw
     q: FloatArray  # (5,) as in ``motion``
-    before: FloatArray  # (5,) q of the step before
+    before: FloatArray    # (5,) q of the previous step
     angle: FloatArray  # (2,) rad, of the sprockets
     spool: FloatArray  # (2,) -1 … 1
     shear: Shear
@@ -83,7 +84,7 @@ def turn_axes(q: FloatArray, step: float) -> None:
 
 @compiled
 def write_row(row: FloatArray, model: Model, state: State, iterations: int) -> None:
-    """Fill one row, still all zero."""
+    """Fill one row; it must be all zero before."""
     q, force, shape = state.q, state.newton.sums.force, state.shape
     for i in range(3):
         row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
@@ -111,7 +112,7 @@ def write_row(row: FloatArray, model: Model, state: State, iterations: int) -> N
 
 @compiled
 def lie(model: Model, state: State) -> None:
-    """Fill ``load`` and the elements' loads for the next step: halfway, but in the axes at its end."""
+    """Fill ``load`` and the elements' loads for the next step: ground at the midpoint, axes at the end."""
     q, pose, half = state.q, state.pose, 0.5 * model.machine.step
     shape_at(pose[0], pose[1], model.terrain, state.shape)
     x, y, yaw = pose_rates(state.shape, pose[2], half * q[0], half * q[1], half * q[2])
@@ -123,16 +124,16 @@ def lie(model: Model, state: State) -> None:
 
 @compiled
 def feel(model: Model, state: State) -> None:
-    """Note the hull's acceleration in the step that was solved last."""
+    """Set ``load.felt``: the hull's acceleration in the step solved last."""
     for i in range(2):
         state.load.felt[i] = (state.q[i] - state.newton.start[i]) / model.machine.step
 
 
 @compiled
 def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State) -> FloatArray:
-    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps.
+    """Advance under spools (1 + steps, 2); return rows (steps // every, WIDTH), one after each ``every`` steps.
 
-    ``burden`` (steps, 4), or (1, 4) if it does not change, as in ``Load``.
+    ``burden``: weight and centre as in ``Load``, (steps, 4), or (1, 4) if constant.
     """
     tracks, newton, q = model.tracks, state.newton, state.q
     step, radius = model.machine.step, model.valves.radius
@@ -167,11 +168,11 @@ def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State)
 
 
 class ShearDrive:
-    """A machine at rest at the origin, to be driven on piece by piece.
+    """A machine that starts at rest at the origin and is driven piece by piece.
 
     Raises:
         InputError: the load leaves a track, or its front or rear, without ground pressure; or the ground
-            bends too sharply, or is too steep, to lie on it.
+        bends too sharply; or the machine tips over on it.
     """
 
     def __init__(
@@ -179,7 +180,7 @@ class ShearDrive:
     ) -> None:
         centre = resting_centre(vehicle, settings)
         _check_load(centre, vehicle)
-        self._high = float(ground.terrain != FLAT)  # flat ground never knew how high it is
+        self._high = float(ground.terrain != FLAT)    # factor of h_g: flat ground ignores the height of the centre of gravity
         burden = self._burden(np.array(((vehicle.weight, *centre),)))
         self.relief_pressure = relief_pressure
         self._terrain = ground.terrain
@@ -201,7 +202,7 @@ class ShearDrive:
             self._settle(round(SETTLING / settings.step))
 
     def _settle(self, steps: int) -> None:
-        """Stand until the soil has sheared as far as it must to hold, and call that place the origin."""
+        """Integrate ``steps`` at standstill until the soil holds the machine; reset the pose to the origin."""
         state = self._state
         integrate(np.zeros((steps + 1, 2)), state.load.burden[None].copy(), self._model, state)
         for start in (state.pose, state.q, state.before, state.angle, state.load.felt):
@@ -216,7 +217,7 @@ class ShearDrive:
         return row
 
     def _burden(self, rows: FloatArray) -> FloatArray:
-        """Rows (n, 4) of ``Load`` with the height that counts."""
+        """Rows (n, 4) of ``Load``; the height of the centre is set to 0 on flat ground."""
         return np.ascontiguousarray(rows * (1.0, 1.0, 1.0, self._high))
 
     def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
@@ -224,7 +225,7 @@ class ShearDrive:
 
         Raises:
             InputError: the machine tips over.
-            UnsolvedStepError: see there.
+            UnsolvedStepError: the solver did not balance a step.
         """
         commands = np.ascontiguousarray(commands, dtype=np.float64)
         spool = spools(commands, self._model.valves, self._state.spool)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The single entry to the truth: a scenario in, the true motion out, whole or piece by piece.
+"""Entry point of the truth: computes the true motion of a scenario, whole or in pieces.
 
 Mode   shear      shear displacement along the contact (the truth of the evaluations)
        thesis     the thesis' own forward simulation, §6.2.1
@@ -29,14 +29,14 @@ PIECE = 60.0  # s
 
 
 class Mode(Protocol):
-    """A machine at rest at the origin, to be driven on piece by piece."""
+    """A machine that starts at rest at the origin and is driven piece by piece."""
 
     relief_pressure: float  # Pa
 
     def __init__(
         self, ground: Ground, vehicle: Vehicle, settings: TruthSettings, relief_pressure: float
     ) -> None:
-        """Raise ``InputError`` where vehicle, soils and settings do not go together."""
+        """Raise ``InputError`` where vehicle, soils and settings are incompatible."""
 
     def first(self) -> FloatArray:
         """The row (1, WIDTH) at the start."""
@@ -44,7 +44,7 @@ class Mode(Protocol):
     def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
         """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s.
 
-        ``burden`` (n, 4): what the machine weighs, N, and where its centre of gravity is, m; None: as it was.
+        ``burden`` (n, 4): weight, N, and centre of gravity, m, of the machine; None: unchanged.
         """
 
 
@@ -60,10 +60,10 @@ def simulate(
     settings: TruthSettings | None = None,
     upper: UpperStructure | None = None,
 ) -> Truth:
-    """Drive ``scenario`` from rest at the origin; deterministic.
+    """The true motion of ``scenario`` from rest at the origin; deterministic.
 
     ``soil`` replaces the scenario's own; its patches stay. ``vehicle`` and ``settings`` default to
-    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``; ``upper`` is what the scenario may swing.
+    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``; ``upper`` is the upper structure for scenarios that swing it.
 
     Raises:
         InputError: mode or soil is unknown, a soil lacks a value, or the load leaves the contact.
@@ -83,7 +83,7 @@ def simulate_in_pieces(
     settings: TruthSettings | None = None,
     upper: UpperStructure | None = None,
 ) -> Iterator[Truth]:
-    """``simulate``, at most ``PIECE`` s at a time, one behind the other: memory does not grow with the drive.
+    """``simulate`` in consecutive pieces of at most ``PIECE`` s: memory does not grow with the drive.
 
     Raises:
         InputError: as ``simulate``, before the first piece is computed.

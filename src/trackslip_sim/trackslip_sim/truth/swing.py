@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The upper structure swings: its motor goes where the scenario wants it, as fast as it can; compiled.
+"""Motion of the upper structure: its motor moves to the scenario's target at full speed; compiled.
 
-σ, σ_m    angle of the upper structure, of the motor over the gear ratio    rad
-w, a      fastest rate, acceleration                                        rad/s, rad/s²
+σ, σ_m    angle of the upper structure; of the motor over the gear ratio    rad
+w, a      maximum rate, acceleration                                        rad/s, rad/s²
 b         backlash: |σ − σ_m| ≤ b/2; the motor moves the cab at its ends    rad
 
-The rate goes to ±min(w, √(2 a |target − σ_m|)) with at most a: it brakes to stand at the target. The tracks
-hold against it: that its start turns the undercarriage is left out.
+The rate follows ±min(w, √(2 a |target − σ_m|)) with acceleration at most a, so that it is 0 at the target.
+The reaction of the swing on the undercarriage is neglected.
 """
 
 import math
@@ -23,10 +23,10 @@ from trackslip_sim.truth.settings import TruthSettings
 
 
 class Swing:
-    """From rest, looking forward; driven on piece by piece.
+    """The swing of one run, in pieces; it starts at rest at σ = 0.
 
     Raises:
-        InputError: the scenario swings what the vehicle does not have.
+        InputError: the scenario swings and the vehicle has no upper structure with a drive.
     """
 
     def __init__(self, scenario: Scenario, upper: UpperStructure | None, settings: TruthSettings) -> None:
@@ -44,7 +44,7 @@ class Swing:
         self._drive = upper.drive.rate, upper.drive.acceleration, upper.drive.backlash
 
     def drive(self, begin: int, end: int) -> FloatArray:
-        """(n, 2) σ and its rate after each of the steps from ``begin`` up to ``end``."""
+        """(n, 2) σ and its rate after each of the steps ``begin`` to ``end`` (excluded)."""
         if self._still:
             return np.zeros((end - begin, 2))
         targets = self._scenario.swing_targets(self._settings.step, begin, end)
@@ -55,9 +55,9 @@ class Swing:
 def swing_to(
     targets: FloatArray, drive: tuple[float, float, float], step: float, state: FloatArray
 ) -> FloatArray:
-    """(n, 2) σ and its rate after each step, as ``targets`` (n,) want it; ``drive`` is w, a, b.
+    """(n, 2) σ and its rate after each step towards ``targets`` (n,), rad; ``drive`` is w, a, b.
 
-    ``state`` (3,), in place: σ, σ_m and the motor's rate.
+    ``state`` (3,): σ, σ_m and the motor's rate; updated in place.
     """
     fastest, acceleration, backlash = drive
     swung = np.empty((targets.size, 2))

@@ -4,11 +4,11 @@
 
     x, y    horizontal, site frame                              m
     h       height over the origin                              m
-    d       way along a feature's direction                     m
-    S       smoothstep 3 t² - 2 t³, 0 before t = 0, 1 behind 1  1
+    d       distance along a feature's direction                m
+    S       smoothstep 3 t² - 2 t³; 0 for t < 0, 1 for t > 1    1
 
 Plane  h = d tan s                   Hill  h = H exp(-r²/(2 w²))
-Ramp   dh/dd = tan s (S((d - a)/w) - S((d - a - l)/w)): level, rounded over w, as steep as s, rounded, level
+Ramp   dh/dd = tan s (S((d - a)/w) - S((d - a - l)/w)): level, bend of length w, slope s, bend, level
 """
 
 import math
@@ -43,7 +43,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Ramp:
-    """Ground that rises in one direction over a stretch."""
+    """Ground that rises in one direction over a limited length."""
 
     KIND: ClassVar[float] = _RAMP
     direction: float  # rad, counter-clockwise from x
@@ -60,22 +60,22 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Hill:
-    """A round hill, or a hollow."""
+    """A round hill; a hollow if ``height`` is negative."""
 
     KIND: ClassVar[float] = _HILL
     x: float  # m, its top
     y: float  # m
     height: float  # m
-    width: float  # m from the top to where it is steepest
+    width: float    # m from the top to the steepest point
 
     @property
     def slope(self) -> float:
-        """Where it is steepest, rad."""
+        """Slope at the steepest point, rad."""
         return math.atan(math.exp(-0.5) * self.height / self.width)
 
     @property
     def radius(self) -> float:
-        """Of its sharpest bend, that of the top, m."""
+        """Radius of the sharpest bend, which is at the top, m."""
         return self.width**2 / abs(self.height) if self.height else math.inf
 
 
@@ -83,7 +83,7 @@ Feature = Plane | Ramp | Hill
 
 
 class TerrainMap(NamedTuple):
-    """A terrain as kernels read it."""
+    """A terrain as arrays for kernels."""
 
     table: FloatArray  # (features, 6): kind, and the feature's numbers
     datum: float  # m, the sum's height at the origin
@@ -91,10 +91,10 @@ class TerrainMap(NamedTuple):
 
 @dataclass(frozen=True)
 class Terrain:
-    """The sum of some features.
+    """The sum of its features.
 
     Raises:
-        InputError: one of them is steeper than ``STEEPEST``.
+        InputError: a feature is steeper than ``STEEPEST``.
     """
 
     name: str
@@ -110,12 +110,12 @@ class Terrain:
 
     @property
     def radius(self) -> float:
-        """Of the sharpest bend of one feature, m."""
+        """Radius of the sharpest bend of any single feature, m."""
         return min((feature.radius for feature in self.features), default=math.inf)
 
     @property
     def map(self) -> TerrainMap:
-        """As kernels read it."""
+        """The terrain as arrays for kernels."""
         table = np.zeros((len(self.features), _WIDTH))
         for row, feature in zip(table, self.features, strict=True):
             numbers = astuple(feature)

@@ -1,18 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Truth mode ``thesis``: the forward simulation of §6.2.1, on the free body of (3.24).
+"""Truth mode ``thesis``: the forward simulation of §6.2.1 with the free body of (3.24).
 
     v, φ̇      speed of C along x, yaw rate                            m/s, rad/s
-    u_j       track speed r ω_j, given: the motors have all the power  m/s
-    F_j       thrust by slip, (3.3)                                    N
+    u_j       track speed r ω_j, an input: unlimited motor power       m/s
+    F_j       thrust from slip, (3.3)                                  N
     R_j       rolling resistance ½ μ_r W sign v_j                      N
-    M_r       turning moment μ W l/3 (3.8), μ the mobilised part of μ_l N m
+    M_r       turning moment μ W l/3 (3.8); μ: mobilised part of μ_l   N m
 
     m v̇ = F_L + F_R - R_L - R_R          I_z φ̈ = ½ B [(F_R - R_R) - (F_L - R_L)] - M_r sign φ̇
 
-With all of μ_l mobilised no soil of Table 6.1 carries the thrust of a turn. So it is mobilised in proportion
-to the tightness of the turn, μ = μ_l min(1, B/(2 R)): whole at R <= B/2, where the thesis (§3.3.1) begins to
-have both tracks share the moment. The lateral motion is the slip angle's, (3.13).
+With all of μ_l mobilised no soil of Table 6.1 carries the thrust of a turn. The mobilised part is therefore
+μ = μ_l min(1, B/(2 R)). It is all of μ_l at R <= B/2, where in the thesis (§3.3.1) both tracks begin to
+share the moment. The lateral velocity follows from the slip angle (3.13).
 """
 
 import math
@@ -32,7 +32,7 @@ from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, TerrainMap
 
-TOLERANCE = 1e-6  # N left unbalanced, moments over half the tread
+TOLERANCE = 1e-6    # N, largest unbalanced force; moments are divided by half the tread
 MAX_ITERATIONS = 50
 MAX_HALVINGS = 30
 
@@ -51,7 +51,7 @@ class Body(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What does not change during a run; the ground's table is F_max N, K m, μ_r, μ_l of each soil."""
+    """Constants of a run; the ground's table holds F_max N, K m, μ_r, μ_l of each soil."""
 
     body: Body
     ground: SoilMap
@@ -61,21 +61,21 @@ class Model(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """One step being solved: what it is given, and the forces at the velocity looked at last."""
+    """Input of one step, and the forces at the velocity evaluated last."""
 
     start: FloatArray  # (3,) q before the step
-    trial: FloatArray  # (3,) q looked at
+    trial: FloatArray    # (3,) q evaluated last
     u: FloatArray  # (2,) m/s
     soil: FloatArray  # (4,) F_max, K, μ_r, μ_l
     force: FloatArray  # (2,) unbalanced force, and moment over ½ B
-    slope: FloatArray  # (3,) of the force by v_x and over ½ B by φ̇, of the moment's share by φ̇
+    slope: FloatArray    # (3,) ∂force/∂v_x, ∂force/∂φ̇ over ½ B, ∂(moment over ½ B)/∂φ̇
     thrust: FloatArray  # (2,)
     resistance: FloatArray  # (2,)
     moment: FloatArray  # (1,) turning moment
 
 
 class State(NamedTuple):
-    """What goes on from step to step."""
+    """State carried from step to step."""
 
     pose: FloatArray  # (3,) x, y, yaw
     q: FloatArray  # (3,) v_x, v_y, φ̇
@@ -94,7 +94,7 @@ def balance(q: FloatArray, body: Body, at: Balance) -> None:
     for k in range(2):
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
-        reach = body.length / (max(abs(at.u[k]), body.slip_floor) * soil[1])  # of one m/s, in i l/K
+        reach = body.length / (max(abs(at.u[k]), body.slip_floor) * soil[1])    # i l/K of one m/s of sliding
         x = (at.u[k] - v) * reach
         size = abs(x)
         if size < 1e-4:
@@ -122,7 +122,7 @@ def balance(q: FloatArray, body: Body, at: Balance) -> None:
 
 @compiled
 def solve(q: FloatArray, body: Body, at: Balance) -> int:
-    """Advance q by one implicit step: Newton's, halved until less is unbalanced; returns the iterations."""
+    """Advance q by one implicit step; return the iterations. Newton steps are halved until the residual falls."""
     trial = at.trial
     for i in range(3):
         at.start[i] = trial[i] = q[i]
@@ -168,7 +168,7 @@ def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]
 
 @compiled
 def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
-    """Drive on under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
+    """Advance under spools (1 + steps, 2); return rows (steps // every, WIDTH), one after each ``every`` steps."""
     body, q, at = model.body, state.q, state.step
     top = model.valves.top_speed * model.valves.radius
     before = np.zeros(3)
@@ -195,7 +195,7 @@ def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
 
 
 class ThesisDrive:
-    """A machine at rest at the origin, to be driven on piece by piece; relief pressure plays no part in it.
+    """A machine that starts at rest at the origin and is driven piece by piece; relief pressure has no effect.
 
     Raises:
         InputError: a soil lacks μ_l, or the ground is not flat.
@@ -224,10 +224,10 @@ class ThesisDrive:
         return start_row(self._model.ground, self._weight)
 
     def drive(self, commands: FloatArray, burden: FloatArray | None = None) -> FloatArray:
-        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; no burden changes them.
+        """Rows (n // steps_per_sample, WIDTH) under further commands (n, 2), rad/s; ``burden`` is ignored.
 
         Raises:
-            UnsolvedStepError: see there.
+            UnsolvedStepError: the solver did not balance a step.
         """
         del burden
         spool = spools(commands, self._model.valves, self._state.spool)
