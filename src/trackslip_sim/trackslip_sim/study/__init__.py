@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip study``: how good the filters are on a known truth, and how good they could be."""
+"""``trackslip study``: errors of the estimators on a known truth, beside their lower bounds."""

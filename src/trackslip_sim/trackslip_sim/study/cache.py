@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Finished pieces of a study in a file, so that a study that was interrupted goes on.
+"""File of the finished pieces of a study, from which an interrupted study resumes.
 
-A piece is found again only while everything that it rests on is the same: what its key names, and the sources
-of estimators, truth and study.
+A piece is reused only while its inputs are unchanged: the parts of its key, and the source files of
+estimators, truth and study.
 """
 
 import hashlib
@@ -22,13 +22,13 @@ R = TypeVar("R")
 
 
 class Cache(Generic[R]):
-    """One JSON line per piece, appended as soon as it is finished; pieces of other kinds are left alone."""
+    """One JSON line per piece, appended as soon as it is finished; lines of other kinds are ignored."""
 
     def __init__(self, path: Path, kind: type[R], fresh: bool = False) -> None:
-        """Read what is there, unless everything is to be computed afresh; a line cut short is left out.
+        """Read the file, unless ``fresh``; truncated lines are skipped.
 
         Raises:
-            InputError: the file cannot be read or made, or is one of something else.
+            InputError: the file cannot be read or created, or is not a cache.
         """
         self._path = path
         self._kind = kind
@@ -47,23 +47,23 @@ class Cache(Generic[R]):
             self._remember(line)
 
     def get(self, key: str) -> R | None:
-        """A piece; None where it has to be computed."""
+        """A piece; None if the cache does not have it."""
         return self._pieces.get(key)
 
     def add(self, key: str, piece: R) -> None:
-        """Keep a piece, on disk too."""
+        """Store a piece in memory and in the file."""
         self._pieces[key] = piece
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"key": key, "row": vars(piece)}) + "\n")
 
     def _remember(self, line: str) -> None:
         entry = parse_line(line) or {}
-        with suppress(TypeError):  # cut short, or of another kind or version
+        with suppress(TypeError):  # truncated, or of another kind or version
             self._pieces[str(entry.get("key"))] = record(self._kind, entry.get("row"))
 
 
 def key_of(parts: Mapping[str, Any], *modules: ModuleType) -> str:
-    """Names all that a piece rests on: the parts, and the sources in the folders of the modules."""
+    """Hash of the inputs of a piece: the parts, and the source files in the folders of the modules."""
     named = {**parts, "sources": _sources(modules)}
     return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
 

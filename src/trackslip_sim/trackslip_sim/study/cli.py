@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip study``: chapter 6 of the thesis again, with numbers: errors, bounds, consistency."""
+"""``trackslip study``: repeats chapter 6 of the thesis and computes errors, bounds and consistency."""
 
 import argparse
 import os
@@ -34,7 +34,7 @@ _OPTIONS = sorted({option for study in _STUDIES.values() for option in study.PAR
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of ``trackslip study``; what is not given is in ``config/study.yaml``."""
+    """Declare the options of ``trackslip study``; their defaults are in ``config/study.yaml``."""
     add = parser.add_argument
     add("--estimator", choices=tuple(_STUDIES), default="slip", help="which one (default: %(default)s)")
     add("--truth", nargs="+", choices=TRUTHS, help="slip: shearing soil, or the filter's own model")
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the study, print its table, write what was asked for; returns the exit code."""
+    """Run the study, print its table, write the requested files; returns the exit code."""
     study = _study(args)
     _prepare(args, study.files())
     workers = partial(worker_options.chosen, args, most=len(study))
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _study(args: argparse.Namespace) -> Study[Any, Any]:
-    """With the options that were given, of which each must be one of its own."""
+    """The study with the given options; ``InputError`` for an option that it does not have."""
     kind = _STUDIES[args.estimator]
     given = {option: value for option in _OPTIONS if (value := getattr(args, option)) is not None}
     for option in given.keys() - kind.PARAMETERS.keys():
@@ -99,7 +99,7 @@ def _cache_file() -> Path:
 
 
 def _prepare(args: argparse.Namespace, names: Sequence[str]) -> None:
-    """Refuse before the study what cannot be written after it, or is somebody else's."""
+    """Refuse, before the study runs, output files that cannot be written or belong to another program."""
     require_writable(json=args.json)
     files = [] if args.output is None else [args.output / name for name in names]
     for file in files:

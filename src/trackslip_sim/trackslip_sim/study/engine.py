@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all studies have in common: a grid of cells, computed piece by piece, resumed, and put into tables."""
+"""Base of all studies: a grid of cells, computed in pieces, cached, and printed as tables."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -18,17 +18,17 @@ from trackslip_tools.workers import Map
 from trackslip_tools.workers import workers as workers_of
 
 BEGINNING = "<!-- Written by trackslip study. -->\n"  # of a file of tables
-Workers = Callable[[Any], AbstractContextManager[Map]]  # opens workers for what all pieces share
+Workers = Callable[[Any], AbstractContextManager[Map]]  # opens workers with the data that all pieces share
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
-NOTHING = "–"  # there was no such thing
+NOTHING = "–"  # cell of a table without a value
 Columns = Mapping[str, Callable[[Any], str]]
 """Head of a column → what it shows of a row. Spaces behind a head keep two of one name apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GridParameters(Parameters):
-    """The part of the grid and of the sensors that all studies have."""
+    """Grid and sensor parameters common to all studies."""
 
     soils: tuple[str, ...] = parameter("names in config/soils.yaml")
     terrains: tuple[str, ...] = parameter("names in config/terrains, or files; empty: the scenario's own")
@@ -41,14 +41,14 @@ class GridParameters(Parameters):
 
 
 def alone(shared: Any) -> AbstractContextManager[Map]:
-    """This process."""
+    """Workers that compute in this process."""
     return workers_of(1, shared=shared)
 
 
 def spread(
     function: Callable[[Any, Piece], Result], shared: Any, pieces: Sequence[Piece], workers: Workers
 ) -> Generator[Result, None, None]:
-    """The results in order; the first is computed here, so that kernels are compiled once, and before all."""
+    """The results in order; this process computes the first, so that kernels are compiled only once."""
     if pieces:
         yield function(shared, pieces[0])
     if len(pieces) > 1:
@@ -57,27 +57,27 @@ def spread(
 
 
 class Study(ABC, Generic[Piece, Result]):
-    """One grid. A cell of it is a row of a table, and consists of one or more pieces.
+    """A grid of cells. Each cell is one row of a table and consists of one or more pieces.
 
     Attributes:
         cells: the pieces of each cell, in the order of the grid; pieces are dataclasses.
     """
 
-    UNIT: ClassVar[str]  # of the progress bar: what its pieces are
+    UNIT: ClassVar[str]  # name of the pieces in the progress bar
     PARAMETERS: ClassVar[Mapping[str, str]]  # option → parameter
-    RESULT: ClassVar[type[Any]]  # what comes of a piece, a dataclass
-    SOURCES: ClassVar[Sequence[ModuleType]]  # a result rests on all files in the folders of these
-    FILE: ClassVar[str]  # of the tables
+    RESULT: ClassVar[type[Any]]  # result of a piece, a dataclass
+    SOURCES: ClassVar[Sequence[ModuleType]]  # results depend on all files in the folders of these
+    FILE: ClassVar[str]  # name of the tables' file
 
     cells: Mapping[Any, Sequence[Piece]]
 
     @abstractmethod
     def __init__(self, given: Mapping[str, Any], settings: Sequence[str]) -> None:
-        """Check parameters and texts of ``--set``; raise ``InputError`` where one is refused."""
+        """Check parameters and texts of ``--set``; raise ``InputError`` if one is refused."""
 
     @abstractmethod
     def depends_on(self, piece: Piece) -> Mapping[str, Any]:
-        """All parameters and files that its result rests on, beside the piece itself."""
+        """All parameters and files on which the result of a piece depends, except the piece itself."""
 
     @abstractmethod
     def compute(self, pieces: Sequence[Piece], workers: Workers) -> Generator[Result, None, None]:
@@ -92,11 +92,11 @@ class Study(ABC, Generic[Piece, Result]):
         """The tables."""
 
     def __len__(self) -> int:
-        """How many pieces it has."""
+        """Number of pieces."""
         return sum(map(len, self.cells.values()))
 
     def run(self, path: Path, workers: Workers = alone, *, fresh: bool = False) -> Iterator[Result]:
-        """The results as they are finished, in the order of the pieces; those in the cache are not computed.
+        """Yield the results in the order of the pieces; results in the cache are not computed.
 
         Raises:
             InputError: the cache cannot be used, or a piece cannot be driven.
@@ -114,16 +114,16 @@ class Study(ABC, Generic[Piece, Result]):
                 yield result
 
     def rows(self, results: Sequence[Result]) -> list[Any]:
-        """One of each cell."""
+        """One row per cell."""
         found = iter(results)
         return [self.row(cell, [next(found) for _ in of_cell]) for cell, of_cell in self.cells.items()]
 
     def files(self) -> tuple[str, ...]:
-        """What ``write`` writes: the tables, then the figures."""
+        """Names of the files that ``write`` writes: the tables, then the figures."""
         return (self.FILE,)
 
     def write(self, rows: Sequence[Any], folder: Path) -> None:
-        """The tables as a file, in a folder that is there."""
+        """Write the tables as a file into an existing folder."""
         write_whole(folder / self.files()[0], f"{BEGINNING}\n{self.markdown(rows)}")
 
     def _key(self, piece: Any) -> str:
@@ -131,11 +131,11 @@ class Study(ABC, Generic[Piece, Result]):
 
 
 def table(columns: Columns, rows: Sequence[Any], text_columns: int) -> list[str]:
-    """The lines; text stands left in its columns, which are the first ones, numbers right."""
+    """The lines of a Markdown table; the first ``text_columns`` are aligned left, the others right."""
     heading = [head.rstrip() for head in columns]
     return markdown_table(heading, [[show(row) for show in columns.values()] for row in rows], text_columns)
 
 
 def words(name: str) -> str:
-    """A name of the configuration as text."""
+    """A name of the configuration with spaces for underscores."""
     return name.replace("_", " ")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the figures of ``docs/figures`` look."""
+"""Style and helpers of the figures in ``docs/figures``."""
 
 import io
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from trackslip_common.whole_file import write_whole
 COLOURS = ("#c2862d", "#6b4a2f", "#3b6ea5", "#b2483f", "#5f8f4e")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 GREY = "#777777"
-BAND = "#f0ede4"  # behind a range
+BAND = "#f0ede4"  # background of a range
 STYLE: Mapping[str, Any] = MappingProxyType(
     {
         "figure.dpi": 150,
@@ -37,19 +37,19 @@ STYLE: Mapping[str, Any] = MappingProxyType(
 
 
 def panels(columns: int) -> tuple[Figure, list[Axes]]:
-    """A row of equal panels."""
+    """A figure and its row of equal panels."""
     figure = Figure(figsize=(5.2 * columns, 3.6))
     return figure, list(figure.subplots(1, columns, squeeze=False)[0])
 
 
 def label(axes: Axes, title: str, x: str, y: str) -> None:
-    """Title and axis labels with units; a thin line at zero."""
+    """Set title and axis labels with units; draw a thin line at zero."""
     axes.set(title=title, xlabel=x, ylabel=y)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Write a PNG that is the same whenever its content is."""
+    """Write a PNG whose bytes depend only on the content of the figure."""
     image = io.BytesIO()
     figure.savefig(image, format="png", metadata={"Software": None})
     write_whole(file, image.getvalue())

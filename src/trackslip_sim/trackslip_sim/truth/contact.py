@@ -66,7 +66,7 @@ def mobilise(shear: Shear, tracks: Tracks, ground: SoilMap) -> None:
                 ground.table[soil, 2],
             )
             slid = math.sqrt(shear.j[k, e, 0] ** 2 + shear.j[k, e, 1] ** 2)
-            area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0    # 0 where the track has lifted
+            area = tracks.element_area if tracks.load[k, e] > 0.0 else 0.0  # 0 where the track has lifted
             full = cohesion * area + tracks.load[k, e] * tan_friction
             shear.strength[k, e] = full * -math.expm1(-slid / modulus)
 

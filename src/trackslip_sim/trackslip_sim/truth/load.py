@@ -64,7 +64,7 @@ def press(load: Load, tracks: Tracks) -> None:
         for e in range(n):
             share = (1.0 + 12.0 * x * tracks.x_e[e] / length**2) / n
             if abs(x) > length / 6.0:
-                reach = 3.0 * (0.5 - abs(x) / length)    # share of the length that lies on the ground
-                front = (e if x > 0.0 else n - 1 - e) / n    # distance from the loaded end over l
+                reach = 3.0 * (0.5 - abs(x) / length)  # share of the length that lies on the ground
+                front = (e if x > 0.0 else n - 1 - e) / n  # distance from the loaded end over l
                 share = max(1.0 - front / reach, 0.0) ** 2 - max(1.0 - (front + 1.0 / n) / reach, 0.0) ** 2
             tracks.load[k, e] = total * share

@@ -50,15 +50,15 @@ class Newton(NamedTuple):
     """Input, work space and result of one step."""
 
     start: FloatArray  # (5,) q₀
-    target: FloatArray    # (2,) m/s, track speeds at the oil flow
+    target: FloatArray  # (2,) m/s, track speeds at the oil flow
     limits: FloatArray  # (2, 2) N, lowest and highest thrust of each motor
     rolling: FloatArray  # (2,) R_j, N
     push: FloatArray  # (3,) G
     sums: ShearSums
-    gradient: FloatArray    # (5,) unbalanced force
+    gradient: FloatArray  # (5,) unbalanced force
     matrix: FloatArray  # (5, 5) second derivatives, upper triangle
     change: FloatArray  # (5,) the Newton step
-    trial: FloatArray    # (5,) q along the Newton step
+    trial: FloatArray  # (5,) q along the Newton step
     drive: FloatArray  # (2,) N, thrust of the motors
 
 

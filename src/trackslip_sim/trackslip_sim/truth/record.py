@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-KEPT = 20.0    # s, length of the past that remains available
-_AHEAD = 3    # samples: derivatives at the two samples about a time need one more
+KEPT = 20.0  # s, length of the past that remains available
+_AHEAD = 3  # samples: derivatives at the two samples about a time need one more
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

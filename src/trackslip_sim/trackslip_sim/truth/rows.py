@@ -27,14 +27,14 @@ class Column(IntEnum):
     TRACK_SPEED = 6  # r ω, m/s
     ANGLE = 8  # of the sprockets, rad
     THRUST = 10  # N
-    RESISTANCE = 12    # N, sign of v_j
+    RESISTANCE = 12  # N, sign of v_j
     MOMENT = 14  # of lateral shear about C, N m, positive clockwise
     SPOOL = 15
     SOIL = 17  # index under C
-    POWER = 18    # from the tracks to hull and soil, W
+    POWER = 18  # from the tracks to hull and soil, W
     LOSS = 19  # of shear and rolling, W
-    ITERATIONS = 20    # of the solver, the maximum since the previous row
-    DRIVE = 21    # thrust of the motors, N: soil thrust plus acceleration of the track itself
+    ITERATIONS = 20  # of the solver, the maximum since the previous row
+    DRIVE = 21  # thrust of the motors, N: soil thrust plus acceleration of the track itself
     Z = 23
     ROLL = 24
     PITCH = 25
@@ -56,7 +56,7 @@ def start_row(ground: SoilMap, weight: float) -> FloatArray:
 
 
 class UnsolvedStepError(ArithmeticError):
-    """The solver did not balance the forces of an integration step: a defect of the solver, not of the input."""
+    """The solver did not balance the forces of a step: a defect of the solver, not of the input."""
 
 
 def refuse_unsolved(rows: FloatArray, limit: int) -> None:
@@ -82,22 +82,20 @@ class Recorder:
     soil_names: tuple[str, ...]
 
     def truth(self, rows: FloatArray, first: int = 0, swing: FloatArray | None = None) -> Truth:
-        """The record of rows (n, WIDTH) at period ``settings.sample_period``; ``first`` is the first row's number.
+        """The record of rows (n, WIDTH), one each ``settings.sample_period``; the first is number ``first``.
 
         ``swing`` (n, 2): angle and rate of the upper structure; None: both are 0.
 
         Pressures follow from the motors' thrust; the efficiency acts against the flow of power. The supply
         pressure is the higher of them plus the standby pressure, limited by the relief valve.
         """
-        rows = np.asfortranarray(
-            rows
-        )    # contiguous columns: every interpolation would copy them otherwise
+        rows = np.asfortranarray(rows)  # contiguous columns: interpolation would copy them otherwise
         c, vehicle, settings, relief = Column, self.vehicle, self.settings, self.relief_pressure
         v_x, yaw_rate = rows[:, c.V_X], rows[:, c.YAW_RATE]
         left, right = rows[:, c.TRACK_SPEED], rows[:, c.TRACK_SPEED + 1]
         floor, half = settings.slip_floor, 0.5 * vehicle.tread
         swing = np.zeros((len(rows), 2)) if swing is None else swing
-        # The clip acts only in a step in which a track reverses: the thrust limit is that of the step's start.
+        # The clip acts only in steps in which a track reverses: the thrust limit is that of the step's start.
         left_pressure, right_pressure = (
             np.clip(pressure_of_thrust(rows[:, c.DRIVE + k], track, vehicle), -relief, relief)
             for k, track in enumerate((left, right))

@@ -16,7 +16,7 @@ class TruthSettings(Parameters):
     step: float = parameter("integration step", unit="s", gt=0.0, le=0.01)
     sample_period: float = parameter("time between recorded samples", unit="s", gt=0.0)
     elements: int = parameter("elements of each track's contact", ge=2)
-    valve_time_constant: float = parameter("time constant of the spool's lag behind its command", unit="s", gt=0.0)
+    valve_time_constant: float = parameter("time constant of the spool's lag", unit="s", gt=0.0)
     drive_sag: float = parameter("track speed lost at relief pressure", unit="m/s", gt=0.0)
     track_mass: float = parameter("inertia of belt and motor as a mass at the track", unit="kg", gt=0.0)
     standby_pressure: float = parameter("supply pressure above the higher load", unit="Pa", ge=0.0)

@@ -46,8 +46,8 @@ from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, Terrain, TerrainMap, shape_at
 
-SETTLING = 3.0    # s at standstill on a slope before the start: the soil shears until it holds the machine
-BLUNT = 2.0    # contact lengths: least radius of ground on which the tangent plane stands for the ground
+SETTLING = 3.0  # s at standstill on a slope before the start: the soil shears until it holds the machine
+BLUNT = 2.0  # contact lengths: least radius of ground on which the tangent plane stands for the ground
 
 
 class Model(NamedTuple):
@@ -66,7 +66,7 @@ class State(NamedTuple):
 
     pose: FloatArray  # (3,) x, y, yaw
     q: FloatArray  # (5,) as in ``motion``
-    before: FloatArray    # (5,) q of the previous step
+    before: FloatArray  # (5,) q of the previous step
     angle: FloatArray  # (2,) rad, of the sprockets
     spool: FloatArray  # (2,) -1 … 1
     shear: Shear
@@ -131,7 +131,7 @@ def feel(model: Model, state: State) -> None:
 
 @compiled
 def integrate(spool: FloatArray, burden: FloatArray, model: Model, state: State) -> FloatArray:
-    """Advance under spools (1 + steps, 2); return rows (steps // every, WIDTH), one after each ``every`` steps.
+    """Advance under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps.
 
     ``burden``: weight and centre as in ``Load``, (steps, 4), or (1, 4) if constant.
     """
@@ -180,7 +180,7 @@ class ShearDrive:
     ) -> None:
         centre = resting_centre(vehicle, settings)
         _check_load(centre, vehicle)
-        self._high = float(ground.terrain != FLAT)    # factor of h_g: flat ground ignores the height of the centre of gravity
+        self._high = float(ground.terrain != FLAT)  # factor of h_g, 0 on flat ground
         burden = self._burden(np.array(((vehicle.weight, *centre),)))
         self.relief_pressure = relief_pressure
         self._terrain = ground.terrain
@@ -202,7 +202,7 @@ class ShearDrive:
             self._settle(round(SETTLING / settings.step))
 
     def _settle(self, steps: int) -> None:
-        """Integrate ``steps`` at standstill until the soil holds the machine; reset the pose to the origin."""
+        """Integrate ``steps`` at standstill, so that the soil holds the machine; then reset the pose to 0."""
         state = self._state
         integrate(np.zeros((steps + 1, 2)), state.load.burden[None].copy(), self._model, state)
         for start in (state.pose, state.q, state.before, state.angle, state.load.felt):

@@ -63,7 +63,7 @@ def simulate(
     """The true motion of ``scenario`` from rest at the origin; deterministic.
 
     ``soil`` replaces the scenario's own; its patches stay. ``vehicle`` and ``settings`` default to
-    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``; ``upper`` is the upper structure for scenarios that swing it.
+    ``config/vehicles/pc05.yaml`` and ``config/truth.yaml``; ``upper`` is needed by scenarios that swing.
 
     Raises:
         InputError: mode or soil is unknown, a soil lacks a value, or the load leaves the contact.

@@ -66,7 +66,7 @@ class Hill:
     x: float  # m, its top
     y: float  # m
     height: float  # m
-    width: float    # m from the top to the steepest point
+    width: float  # m from the top to the steepest point
 
     @property
     def slope(self) -> float:

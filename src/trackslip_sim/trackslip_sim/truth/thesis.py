@@ -32,7 +32,7 @@ from trackslip_sim.truth.rows import WIDTH, Column, refuse_unsolved, start_row
 from trackslip_sim.truth.settings import TruthSettings
 from trackslip_sim.truth.terrain import FLAT, TerrainMap
 
-TOLERANCE = 1e-6    # N, largest unbalanced force; moments are divided by half the tread
+TOLERANCE = 1e-6  # N, largest unbalanced force; moments are divided by half the tread
 MAX_ITERATIONS = 50
 MAX_HALVINGS = 30
 
@@ -64,11 +64,11 @@ class Balance(NamedTuple):
     """Input of one step, and the forces at the velocity evaluated last."""
 
     start: FloatArray  # (3,) q before the step
-    trial: FloatArray    # (3,) q evaluated last
+    trial: FloatArray  # (3,) q evaluated last
     u: FloatArray  # (2,) m/s
     soil: FloatArray  # (4,) F_max, K, μ_r, μ_l
     force: FloatArray  # (2,) unbalanced force, and moment over ½ B
-    slope: FloatArray    # (3,) ∂force/∂v_x, ∂force/∂φ̇ over ½ B, ∂(moment over ½ B)/∂φ̇
+    slope: FloatArray  # (3,) ∂force/∂v_x, ∂force/∂φ̇ over ½ B, ∂(moment over ½ B)/∂φ̇
     thrust: FloatArray  # (2,)
     resistance: FloatArray  # (2,)
     moment: FloatArray  # (1,) turning moment
@@ -94,7 +94,7 @@ def balance(q: FloatArray, body: Body, at: Balance) -> None:
     for k in range(2):
         side = 1.0 - 2.0 * k
         v = q[0] - side * h * q[2]
-        reach = body.length / (max(abs(at.u[k]), body.slip_floor) * soil[1])    # i l/K of one m/s of sliding
+        reach = body.length / (max(abs(at.u[k]), body.slip_floor) * soil[1])  # i l/K of one m/s of sliding
         x = (at.u[k] - v) * reach
         size = abs(x)
         if size < 1e-4:
@@ -122,7 +122,7 @@ def balance(q: FloatArray, body: Body, at: Balance) -> None:
 
 @compiled
 def solve(q: FloatArray, body: Body, at: Balance) -> int:
-    """Advance q by one implicit step; return the iterations. Newton steps are halved until the residual falls."""
+    """Advance q by one implicit step: Newton's, halved until the residual falls; returns the iterations."""
     trial = at.trial
     for i in range(3):
         at.start[i] = trial[i] = q[i]
@@ -149,7 +149,7 @@ def solve(q: FloatArray, body: Body, at: Balance) -> int:
 
 @compiled
 def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]) -> None:
-    """Fill one row; ``counts`` are the soil and the iterations."""
+    """Fill one row; ``counts`` are the soil's index and the iterations."""
     q, at = state.q, state.step
     for i in range(3):
         row[Column.X + i], row[Column.V_X + i] = state.pose[i], q[i]
@@ -168,7 +168,7 @@ def write_row(row: FloatArray, state: State, body: Body, counts: tuple[int, int]
 
 @compiled
 def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
-    """Advance under spools (1 + steps, 2); return rows (steps // every, WIDTH), one after each ``every`` steps."""
+    """Advance under spools (1 + steps, 2); rows (steps // every, WIDTH) after each ``every`` steps."""
     body, q, at = model.body, state.q, state.step
     top = model.valves.top_speed * model.valves.radius
     before = np.zeros(3)
@@ -195,7 +195,7 @@ def integrate(spool: FloatArray, model: Model, state: State) -> FloatArray:
 
 
 class ThesisDrive:
-    """A machine that starts at rest at the origin and is driven piece by piece; relief pressure has no effect.
+    """A machine that starts at rest at the origin, driven piece by piece; relief pressure has no effect.
 
     Raises:
         InputError: a soil lacks μ_l, or the ground is not flat.

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One soil's drive as the estimator takes it: what all runs on the soil have in common.
+"""The drive on one soil: inputs of the estimator that all runs on this soil share.
 
-Runs differ in their noise. The rounding of the encoders belongs to the drive: it is the same for all.
+Runs differ in their noise. The rounding of the encoders belongs to the drive and is the same for all runs.
 """
 
 from collections.abc import Iterator, Mapping
@@ -32,44 +32,44 @@ from trackslip_tools.replay.scoring import MOVING
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Rows in the order of their stamps, after the fix at time 0 from which the filters start."""
+    """Rows of measurements in the order of their stamps, after the fix at time 0 that starts the filters."""
 
     whole: Truth  # evenly sampled
     truth: Truth  # at the rows
-    begin: Window  # what the estimator holds at the start
-    rows: Rows  # values and noises are each cell's own
-    true_drives: RecordArray  # (k,) as those of the rows, from angles that are not rounded
-    samples: IntArray  # rows of the sprocket samples: there the estimator publishes
-    scored: IntArray  # (s,) those of them after settling
-    moving: BoolArray  # (s,) whether the slips mean something
+    begin: Window  # state of the estimator at the start
+    rows: Rows  # values and noises are set per run and cell
+    true_drives: RecordArray  # (k,) as those of the rows, from angles without rounding
+    samples: IntArray  # rows of the sprocket samples, at which the estimator publishes
+    scored: IntArray  # (s,) ``samples`` after settling
+    moving: BoolArray  # (s,) whether slips are defined
     turning: BoolArray  # (s,) moving, and in a turn
-    seen: FloatArray  # (k, 3) true pose of the sensor whose poses the fixes are
-    begins_at: FloatArray  # (3,) the same at the start
-    shown_rate: FloatArray  # (k,) true yaw rate of what the gyro sits on, rad/s
-    swings: bool  # whether any of them sits on the upper structure
-    fix_size: int  # numbers of a fix: 3, or 2 where the heading is not used
-    noise: SensorNoise  # of the inertial unit's other axes, which are read where there is a terrain
+    seen: FloatArray  # (k, 3) true pose of the sensor of the fixes
+    begins_at: FloatArray  # (3,) true pose of this sensor at the start
+    shown_rate: FloatArray  # (k,) true yaw rate of the gyro's mount, rad/s
+    swings: bool  # whether any sensor is mounted on the upper structure
+    fix_size: int  # components of a fix: 3, or 2 without heading
+    noise: SensorNoise  # of the other axes of the inertial unit, used on terrain
 
     @property
     def fixes(self) -> BoolArray:
-        """(k,) rows of poses."""
+        """(k,) whether a row is a pose."""
         fixes: BoolArray = self.rows.measurements["kind"] == POSE
         return fixes
 
     @property
     def rates(self) -> BoolArray:
-        """(k,) rows of the gyro."""
+        """(k,) whether a row is a yaw rate."""
         rates: BoolArray = self.rows.measurements["kind"] == YAW_RATE
         return rates
 
     @property
     def angles(self) -> BoolArray:
-        """(k,) rows of the swing encoder."""
+        """(k,) whether a row is an angle of the swing encoder."""
         angles: BoolArray = self.rows.measurements["kind"] == ON_SWING
         return angles
 
     def with_noise(self, cell: Cell, sigma_heading: float) -> RecordArray:
-        """(k,) measurements with the noises of a cell; values are each run's own."""
+        """(k,) measurements with the noises of a cell, without the values of a run."""
         measurements = self.rows.measurements.copy()
         measurements["noise"][self.fixes] = np.diag(np.square(fix_deviations(cell, sigma_heading)))
         for axis in range(3 if cell.terrain else 1):
@@ -78,12 +78,12 @@ class Drive:
 
 
 def fix_deviations(cell: Cell, sigma_heading: float) -> FloatArray:
-    """(3,) of a fix in x, y, heading."""
+    """(3,) standard deviations of a fix in x, y, heading; m, m, rad."""
     return np.array((cell.sigma_xy, cell.sigma_xy, sigma_heading))
 
 
 def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str, terrain: str = "") -> Drive:
-    """The scenario on the shear truth of a soil, on its own terrain where none is named.
+    """The drive of the scenario on the shear truth of a soil; an empty ``terrain``: the scenario's own.
 
     Raises:
         InputError: scenario, soil or sources are refused, or on level ground nothing moves after settling.
@@ -101,7 +101,7 @@ def make_drive(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
     if terrain:
         lie(rows.drives, np.stack((at.roll, at.pitch), axis=1), _body_rates(at))
     moving = _moving(at, estimator)[scored]
-    if not moving.any() and not terrain:  # a slope may be too steep: then only the pose is scored
+    if not moving.any() and not terrain:  # too steep a slope: only the pose is scored
         raise InputError(
             f"{NODE}: after {p.settling:g} s of settling nothing moves in '{p.scenario}' on {soil}"
         )
@@ -131,7 +131,7 @@ def _simulated(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
 
 
 def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
-    """The start, and all after it with what the sprockets did."""
+    """The state at the start, and the rows after it with their sprocket speeds."""
     log = make_log(to_records(found, SlipEstimator(p).sources), p)
     start, config = begin_log(log, p, np.zeros(0, EVENT))
     window = run_whole(log.rest, start, config)
@@ -140,12 +140,12 @@ def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window,
             f"{NODE}: sprocket_rate: the estimator takes the time between two samples for silence"
         )
     drives = window.best[1 : window.count].copy()
-    drives["adaptation"]["track_variance"] = 0.0  # the bound and the matched truth know of no such error
+    drives["adaptation"]["track_variance"] = 0.0  # bound and matched truth have no such error
     return start, Rows(log.rest, drives)
 
 
 def _sprockets(truth: Truth, p: StudyParameters, end: float, resolution: float) -> Iterator[Measurement]:
-    """Positions in whole counts."""
+    """Sprocket samples with positions in whole encoder counts."""
     times = np.arange(round(end * p.sprocket_rate) + 1) / p.sprocket_rate
     at = truth.interpolate(times)
     angles = np.stack((at.left_angle, at.right_angle), axis=1)
@@ -155,14 +155,14 @@ def _sprockets(truth: Truth, p: StudyParameters, end: float, resolution: float) 
 
 
 def _rates(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
-    """Empty ones."""
+    """Yaw rates at ``rate`` Hz with placeholder values."""
     source = _first(estimator.gyros(), "yaw_rate_sources")
     for k in range(1, int(end * rate + 1e-6) + 1):
         yield YawRate(source, _ns(k / rate), 0.0, 1.0)
 
 
 def _fixes(p: StudyParameters, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
-    """Empty ones, from time 0 on."""
+    """Fixes from time 0 on, with placeholder values."""
     source = _first(estimator.poses(), "pose_sources")
     covariance = np.diag((1.0, 1.0, p.sigma_heading**2))
     for k in range(int(end * p.fix_rate + 1e-6) + 1):
@@ -170,7 +170,7 @@ def _fixes(p: StudyParameters, end: float, estimator: SlipEstimatorParameters) -
 
 
 def _angles(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
-    """Empty ones, of the first swing encoder, if there is one."""
+    """Angles of the first swing encoder with placeholder values; none without an encoder."""
     stddev = mounting_of(estimator.vehicle).encoder_stddev
     for source in list(estimator.angles())[:1]:
         for k in range(1, int(end * rate + 1e-6) + 1):
@@ -192,7 +192,7 @@ def _seen(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
 
 
 def _shown_rate(at: Truth, estimator: SlipEstimatorParameters) -> FloatArray:
-    """(k,) true yaw rate of what the gyro sits on."""
+    """(k,) true yaw rate of the gyro's mount, rad/s."""
     above = next(iter(estimator.gyros().values())).above
     return at.yaw_rate + at.swing_rate if above else at.yaw_rate
 
@@ -208,7 +208,7 @@ def _ns(t: float) -> int:
 
 
 def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordArray:
-    """(k,) the rows' drives with the true speeds over the interval between samples in which a row lies."""
+    """(k,) the rows' drives with the true mean speeds over the sample interval that contains each row."""
     ends = np.ceil(at.t / period - 1e-6) * period
     before, after = truth.interpolate(ends - period), truth.interpolate(ends)
     drives = rows.drives.copy()
@@ -219,12 +219,12 @@ def _true_drives(truth: Truth, at: Truth, rows: Rows, period: float) -> RecordAr
 
 
 def _body_rates(at: Truth) -> FloatArray:
-    """(k, 3) p, q, r."""
+    """(k, 3) body rates p, q, r, rad/s."""
     return np.stack((at.roll_rate, at.pitch_rate, at.yaw_rate), axis=1)
 
 
 def _moving(at: Truth, estimator: SlipEstimatorParameters) -> BoolArray:
-    """Whether the machine moves, as when a replay is scored, and each track runs: else slips say nothing."""
+    """(k,) whether machine (as in the scores of a replay) and both tracks move; else slips are undefined."""
     vehicle = estimator.vehicle.kinematics
     on_ground = np.abs(at.v_x) + np.abs(at.yaw_rate) * vehicle.tread / 2.0 > MOVING
     slower = vehicle.rolling_radius * np.minimum(np.abs(at.left_speed), np.abs(at.right_speed))

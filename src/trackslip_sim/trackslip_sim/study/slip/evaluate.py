@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A cell's runs: drawn, filtered, and held against the truth and against the bound."""
+"""The runs of a cell: drawn, filtered, and compared with the truth and the Cramér–Rao bound."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -19,11 +19,11 @@ from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParamet
 from trackslip_sim.study.slip.results import IGNORING, Row, Sums, summary, total
 from trackslip_sim.study.slip.trial import Setting, Trial, make_trial, of_machine
 
-_UNKNOWN = "unknown_source"  # of fixes: nobody says how they are stamped
+_UNKNOWN = "unknown_source"  # source of fixes with default settings: their stamp error is unspecified
 
 
 def evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Row:
-    """All runs of a cell; on a terrain also by a filter to which the ground is flat."""
+    """The row of a cell over all its runs; on terrain also the errors of a filter without attitude."""
     row = _evaluate(cell, drive, p, estimator)
     if not cell.terrain:
         return row
@@ -44,28 +44,28 @@ def _evaluate(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstim
 
 
 def make_setting(cell: Cell, drive: Drive, p: StudyParameters, estimator: SlipEstimatorParameters) -> Setting:
-    """What the runs of a cell have in common."""
+    """Data common to the runs of a cell."""
     config, linear = (make_config(estimator.changed({"filter": name})) for name in (cell.filter, "ekf"))
     for c in (config, linear):
         c["heading_ceiling"] = np.inf
         c["position_floor"] = c["heading_floor"] = 0.0
         if cell.truth == DRAWN:
             c["stamp_errors"] = of_drawn(estimator).poses()[_UNKNOWN].stamp_error
-        else:  # what the filters are given is all true
+        else:  # the statistics given to the filters are exact
             c["gate_limits"], c["stamp_errors"] = np.inf, 0.0
-        if drive.swings:  # nor do fixes of a cab repeat an error
+        if drive.swings:  # fixes on a cab have no time-correlated error
             c["repeat_times"] = c["standing_share"] = 0.0
     rows = drive.rows._replace(measurements=drive.with_noise(cell, p.sigma_heading))
     return Setting(cell, drive, rows, config, linear, p.sigma_heading)
 
 
 def of_drawn(estimator: SlipEstimatorParameters) -> SlipEstimatorParameters:
-    """What it is told of a drawn machine: its fixes are those of a source that nobody knows."""
+    """Estimator parameters for a drawn machine: its fixes come from an unspecified source."""
     return estimator.changed({"pose_sources": (_UNKNOWN,)})
 
 
 def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
-    """One run, filtered; ``bounds`` (s, 7) are its least variances."""
+    """Filter and score one run; ``bounds`` (s, 7) are its least variances."""
     drive, scored = setting.drive, setting.drive.scored
     window = _filtered(setting, trial)
     states, nis_of = window.best[1 : window.count], window.updates["nis"][1 : window.count]
@@ -76,7 +76,7 @@ def score(setting: Setting, trial: Trial, bounds: FloatArray) -> Sums:
 
 
 def _filtered(setting: Setting, trial: Trial) -> Window:
-    """The states of a run, after its start."""
+    """The filtered states of a run, after its start."""
     drive = setting.drive
     begin = make_like(drive.begin, 2)
     copy_first(begin, drive.begin)
@@ -85,7 +85,7 @@ def _filtered(setting: Setting, trial: Trial) -> Window:
 
 
 def least(setting: Setting, trial: Trial) -> FloatArray:
-    """(s, 7) variances by the posterior Cramér–Rao bound."""
+    """(s, 7) least variances by the posterior Cramér–Rao bound."""
     drive, linear = setting.drive, setting.linear
     rows, true = of_machine(trial.rows, trial.machine, linear)
     covariances = bound(rows, trial.states, trial.start_state, trial.spread, true)
@@ -93,18 +93,18 @@ def least(setting: Setting, trial: Trial) -> FloatArray:
 
 
 class Trace(NamedTuple):
-    """One run to be drawn, at the sprocket samples."""
+    """One run for a figure, at the sprocket samples."""
 
     t: FloatArray  # (s,) s
     poses: FloatArray  # (s, 3) true
     estimated_poses: FloatArray  # (s, 3)
     slips: FloatArray  # (s, 3) true left slip, right slip, slip angle
     estimated_slips: FloatArray  # (s, 3)
-    slip_deviations: FloatArray  # (s, 3) as the filter sees them
+    slip_deviations: FloatArray  # (s, 3) standard deviations stated by the filter
 
 
 def trace(setting: Setting, seed: int) -> Trace:
-    """One run of a cell."""
+    """One run of a cell for a figure."""
     trial, drive = make_trial(setting, seed), setting.drive
     window = _filtered(setting, trial)
     states = window.best[1 : window.count]

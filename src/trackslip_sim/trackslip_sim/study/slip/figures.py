@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The study as pictures: single runs beside the thesis' Figs 6.3 to 6.14, and what the Monte Carlo says."""
+"""Figures of the study: single runs beside the thesis' Figs 6.3 to 6.14, and Monte Carlo results."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ from trackslip_sim.study.slip.evaluate import Trace, make_setting, trace
 from trackslip_sim.study.slip.parameters import SHEAR, Cell, StudyParameters
 from trackslip_sim.study.slip.results import Row
 
-# name → filter, σ_xy m, σ_ω rad/s, and which figures of the thesis have these
+# name → filter, σ_xy m, σ_ω rad/s, figures of the thesis under these conditions
 CONDITIONS: Mapping[str, tuple[str, float, float, str]] = MappingProxyType(
     {
         "fig_6_3": ("ekf", 0.001, 0.01, "6.3, 6.4"),
@@ -35,11 +35,11 @@ CONDITIONS: Mapping[str, tuple[str, float, float, str]] = MappingProxyType(
 )
 _TRUTH, _LEFT, _RIGHT, _ANGLE = "#222222", COLOURS[2], COLOURS[3], COLOURS[4]
 _PANEL = (3.3, 2.5)  # inches
-_EVERY = 10  # samples, of an estimate that is drawn
+_EVERY = 10  # samples per plotted point of an estimate
 _RMSE = {"position": (1e3, "position (mm)"), "slip": (100.0, "slip (%)")}  # name → scale, label
 _NEES = {"nees_pose": (1.0, "NEES of the pose"), "nees_slip": (1.0, "NEES of the slips")}
 _RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-_ON_TERRAIN = {  # name → what it is divided by, label
+_ON_TERRAIN = {  # name → divisor, label
     "position_rmse": ("position_bound", "position ÷ bound"),
     "turning_slip_rmse": ("turning_slip_bound", "slip in turns ÷ bound"),
     "nees_pose": ("", "NEES of the pose ÷ 3"),
@@ -71,9 +71,9 @@ def write_slopes(rows: Sequence[Row], folder: Path) -> None:
 
 
 def on_terrain(rows: Sequence[Row]) -> Figure:
-    """Errors over their bounds, and NEES over 3, on each terrain; hollow: of the filter that ignores it.
+    """Errors over their bounds, and NEES over 3, on each terrain; hollow: the filter without attitude.
 
-    A column of panels for each soil. A consistent filter at its bound has 1 everywhere.
+    One column of panels per soil. A consistent filter at its bound has 1 everywhere.
     """
     soils = list(dict.fromkeys(row.soil for row in rows))
     terrains = list(dict.fromkeys(row.terrain for row in rows))
@@ -99,7 +99,7 @@ def write_monte_carlo(rows: Sequence[Row], folder: Path) -> None:
 
 
 def monte_carlo(rows: Sequence[Row]) -> Iterator[tuple[str, Figure]]:
-    """Errors and NEES over σ_xy against their bounds, each truth by itself."""
+    """Errors and NEES over σ_xy beside their bounds, one pair of figures per truth."""
     for truth in dict.fromkeys(row.truth for row in rows):
         chosen = [row for row in rows if row.truth == truth]
         title = f"RMSE on the {truth} truth; dotted: the posterior Cramér–Rao bound"
@@ -137,7 +137,7 @@ def _draw_angle(axes: Axes, found: Trace, settling: float) -> None:
 
 
 def _draw_band(axes: Axes, found: Trace, which: int, look: tuple[float, str, str]) -> None:
-    """Truth, estimate, and twice its standard deviation."""
+    """Draw truth, estimate, and a band of two standard deviations."""
     scale, colour, name = look
     t, some = found.t[::_EVERY], slice(None, None, _EVERY)
     mean, sigma = scale * found.estimated_slips[some, which], scale * found.slip_deviations[some, which]
@@ -157,7 +157,7 @@ def _over_sigma(
     quantities: Mapping[str, tuple[float, str]],
     draw: Callable[[Axes, Sequence[Row], str, float, dict[str, Any]], None],
 ) -> Figure:
-    """A column of panels for each soil, a row for each quantity."""
+    """A figure with one column of panels per soil and one row per quantity."""
     soils = list(dict.fromkeys(row.soil for row in rows))
     figure, axes = _grid(len(quantities), len(soils))
     for column, soil in enumerate(soils):
@@ -196,7 +196,7 @@ def _draw_terrains(
 
 
 def _numbers(rows: Sequence[Row], name: str) -> FloatArray:
-    """NaN where nothing moved."""
+    """(n,) a column of the rows; NaN where nothing moved."""
     return np.array([getattr(row, name) for row in rows], np.float64)
 
 
@@ -206,7 +206,7 @@ def _label_ticks(axes: Axes, sigma: Sequence[float]) -> None:
 
 
 def _curves(rows: Sequence[Row]) -> Iterator[tuple[list[Row], dict[str, Any]]]:
-    """Rows that differ in σ_xy only, and how to draw them: the DAF's dashed, as the EKF's lie below."""
+    """Groups of rows that differ in σ_xy only, and their line styles: the DAF is dashed, over the EKF."""
     omegas = list(dict.fromkeys(row.sigma_omega for row in rows))
     for filter_, omega in dict.fromkeys((row.filter, row.sigma_omega) for row in rows):
         curve = sorted(

@@ -4,11 +4,11 @@
 
     x, P      true state of the filter's own model; a covariance about it    (n,), (n, n)
     F, Q      transition and its noise                                       (n, n)
-    h, H, R   what is measured of x, its Jacobian, its noise                 (m,), (m, n), (m, m)
+    h, H, R   measurement function of x, its Jacobian, its noise             (m,), (m, n), (m, m)
     J⁻¹       posterior Cramér–Rao bound (Tichavský et al. 1998)             (n, n)
 
-``Rows`` are measurements in the order of their stamps, after a start at stamp 0, each with what the sprockets
-did up to it.
+``Rows`` are measurements in the order of their stamps, after a start at stamp 0. Each has the sprocket speeds
+up to its stamp.
 """
 
 from typing import NamedTuple
@@ -42,31 +42,31 @@ RecordArray = NDArray[np.void]
 
 ERRORS = 7  # x, y, φ, i_L, i_R, α, σ
 SLIPS, ON_CAB = slice(3, 6), 6  # of these
-_ITERATIONS = 3  # the turning model is linear, the others nearly
+_ITERATIONS = 3  # the turning model is linear, the others nearly so
 
 
 class Rows(NamedTuple):
-    """A log as the kernels read it."""
+    """A log as arrays for kernels."""
 
     measurements: RecordArray  # (k,) of ``MEASUREMENT``
-    drives: RecordArray  # (k,) of ``STATE``, of which only speeds and motion count
+    drives: RecordArray  # (k,) of ``STATE``; only speeds and motion are used
 
 
 class Scratch(NamedTuple):
-    """Room for one state, and for what it means."""
+    """Work space for one state and its outputs."""
 
     state: RecordArray  # (1,) of ``STATE``
     estimate: RecordArray  # (1,) of ``ESTIMATE``
 
 
 def scratch() -> Scratch:
-    """Of its own for each thread."""
+    """New work space; each thread needs its own."""
     return Scratch(np.zeros(1, STATE), np.zeros(1, ESTIMATE))
 
 
 @compiled
 def lie(drives: RecordArray, tilts: FloatArray, rates: FloatArray) -> None:
-    """Put the drives (k,) on ground whose roll and pitch (k, 2) are known, with rates p, q, r (k, 3)."""
+    """Set the attitude of the drives (k,) to known roll and pitch (k, 2) and rates p, q, r (k, 3)."""
     for k in range(drives.size):
         a = drives[k].attitude
         a.known = 1
@@ -81,7 +81,7 @@ def bound(
 ) -> FloatArray:
     """J⁻¹ after each row (k, n, n): J_k = (F J⁻¹ Fᵀ + Q)⁻¹ + Hᵀ R⁻¹ H, linearised at the truth.
 
-    ``states`` (k, n) is the truth at the rows, ``start`` (n,) before the first, P what a filter knows of it.
+    ``states`` (k, n): truth at the rows; ``start`` (n,): truth before the first row; P: covariance there.
     """
     c = config[0]
     bounds = np.empty((rows.drives.size, start.size, start.size))
@@ -107,7 +107,7 @@ def bound(
 def draw(
     rows: Rows, x: FloatArray, normals: FloatArray, config: RecordArray
 ) -> tuple[FloatArray, FloatArray]:
-    """A truth that is the filter's own model: states (k, n) with Q, measurements (k, 3) with R.
+    """A truth drawn from the filter's own model: states (k, n) with Q, measurements (k, 3) with R.
 
     ``normals`` (k, n + 3) are standard normal draws, x (n,) is the state before the first row.
     """
@@ -141,9 +141,8 @@ def nearest(
 ) -> FloatArray:
     """States (k, n) at ``poses`` (k, 3) with v_x and φ̇ of ``twists`` (k, 2), nearest to a prior x by its P.
 
-    ``speeds`` (k, 2) are those of the sprockets; of ``drives`` (k,) the lie of the ground counts.
-
-    The lateral speed, some mm/s, stays the model's: at a small φ̇ it would ask for any x_I.
+    ``speeds`` (k, 2) are the sprocket speeds; only the attitude of ``drives`` (k,) is used. The lateral speed
+    (some mm/s) is not fitted: at small φ̇ it would require arbitrary x_I.
     """
     c = config[0]
     x, P = prior
@@ -164,7 +163,7 @@ def nearest(
 
 @compiled
 def slips_of(states: FloatArray, drives: RecordArray, config: RecordArray) -> FloatArray:
-    """(k, 3) left slip, right slip, slip angle of true states with true sprocket speeds."""
+    """(k, 3) left slip, right slip, slip angle from true states and true sprocket speeds."""
     c, found = config[0], np.empty((states.shape[0], 3))
     for k in range(states.shape[0]):
         left, right = drives[k].speeds.left, drives[k].speeds.right
@@ -181,9 +180,9 @@ def variances(
     room: Scratch,
     config: RecordArray,
 ) -> FloatArray:
-    """(s, 7) of pose, slips and swing, by covariances (k, n, n) about states (k, n), at s of the k rows.
+    """(s, 7) variances of pose, slips and swing from covariances (k, n, n) about states (k, n), at s rows.
 
-    The swing's are nan where nothing sits above.
+    The swing's are nan if no sensor is mounted on the upper structure.
     """
     c, state, estimate = config[0], room.state[0], room.estimate[0]
     found = np.empty((entries.size, ERRORS))
@@ -207,9 +206,9 @@ def compare(
     room: Scratch,
     config: RecordArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors (s, 7) of pose, slips and swing, and NEES (s, 2): of the pose, of both slips.
+    """Errors (s, 7) of pose, slips and swing, and NEES (s, 2) of the pose and of both slips.
 
-    Of ``filtered`` (k,) of ``STATE`` against true states (k, n) and slips (k, 3), at s of the k rows.
+    Compares ``filtered`` (k,) of ``STATE`` with true states (k, n) and slips (k, 3), at s of the k rows.
     """
     c, estimate = config[0], room.estimate[0]
     errors, nees = np.empty((entries.size, ERRORS)), np.empty((entries.size, 2))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study varies and holds (``config/study.yaml``), and one cell of its grid."""
+"""Varied and fixed parameters of the slip study (``config/study.yaml``), and one cell of its grid."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ NODE = "study"
 SHEAR, MATCHED, DRAWN = "shear", "matched", "drawn"
 TRUTHS = (SHEAR, MATCHED, DRAWN)
 FILTERS = ("ekf", "daf")
-_SHORTEST = 1.0  # s to be scored
+_SHORTEST = 1.0  # s, minimum scored time
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyParameters(GridParameters):
-    """The drive, its sensors, and the grid."""
+    """Parameters of the drive, its sensors, and the grid."""
 
     scenario: str = parameter("name in config/scenarios, or a file")
     duration: float = parameter("of the drive, the scenario repeated or cut", unit="s", gt=1.0, le=3600.0)
     settling: float = parameter("time at the start that is not scored", unit="s", ge=0.0)
-    truths: tuple[str, ...] = parameter("how the truth comes about", choices=TRUTHS)
-    filters: tuple[str, ...] = parameter("which filters", choices=FILTERS)
+    truths: tuple[str, ...] = parameter("models of the truth", choices=TRUTHS)
+    filters: tuple[str, ...] = parameter("filters to evaluate", choices=FILTERS)
     swing_rate: float = parameter(
-        "readings of a swing encoder, where sensors sit above", unit="Hz", ge=1.0, le=1000.0
+        "samples of a swing encoder, if sensors are on the upper structure", unit="Hz", ge=1.0, le=1000.0
     )
     sigma_omega: tuple[float, ...] = parameter("noise of the gyro", unit="rad/s", gt=0.0, le=100.0)
 
@@ -43,18 +43,18 @@ class StudyParameters(GridParameters):
 
 @dataclass(frozen=True)
 class Cell:
-    """One combination; its seeds are its runs."""
+    """One combination of the grid; it has one run per seed."""
 
     truth: str
     soil: str
     filter: str
     sigma_xy: float  # m
     sigma_omega: float  # rad/s
-    terrain: str = ""  # the scenario's own
+    terrain: str = ""  # empty: the scenario's own
 
 
 def load_study_parameters(given: dict[str, object]) -> StudyParameters:
-    """The defaults of ``config/`` with names over them.
+    """The defaults of ``config/``, replaced by the ``given`` values.
 
     Raises:
         InputError: a name is unknown or a value refused.
@@ -63,7 +63,7 @@ def load_study_parameters(given: dict[str, object]) -> StudyParameters:
 
 
 def cells(p: StudyParameters) -> Iterator[Cell]:
-    """The grid, what varies fastest last."""
+    """The cells of the grid; the last factor varies fastest."""
     for combination in product(p.terrains, p.truths, p.soils, p.filters, p.sigma_omega, p.sigma_xy):
         terrain, truth, soil, filter_, sigma_omega, sigma_xy = combination
         yield Cell(truth, soil, filter_, sigma_xy, sigma_omega, terrain)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a cell of the study comes to.
+"""Result of one cell of the study.
 
 e      error against the truth
-NEES   eᵀ P⁻¹ e of pose or slips, on average their number if P is consistent
-NIS    νᵀ S⁻¹ ν of a measurement, on average its number
-N      runs; the χ² bounds are those of a mean over N runs
+NEES   eᵀ P⁻¹ e of pose or slips; its mean is their dimension if P is consistent
+NIS    νᵀ S⁻¹ ν of a measurement; its mean is its dimension if consistent
+N      runs; the χ² bounds apply to a mean over N runs
 """
 
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ _SWING = slice(6, 7)
 
 @dataclass(frozen=True)
 class Row:
-    """RMSE and root of the mean bound over runs and scored time; means of NEES and NIS over the same."""
+    """RMSE, root of the mean bound, and means of NEES and NIS; all over runs and scored time."""
 
     truth: str
     soil: str
@@ -46,7 +46,7 @@ class Row:
     position_bound: float
     heading_rmse: float  # rad
     heading_bound: float
-    slip_rmse: float  # both tracks together
+    slip_rmse: float  # 1, RMS over both tracks
     slip_bound: float
     turning_slip_rmse: float
     turning_slip_bound: float
@@ -54,7 +54,7 @@ class Row:
     alpha_bound: float
     nees_pose: float
     nees_pose_bounds: Interval
-    nees_pose_inside: float  # share of the time at which the mean over the runs is inside the bounds
+    nees_pose_inside: float  # share of time with the mean over runs inside the bounds
     nees_slip: float
     nees_slip_bounds: Interval
     nees_slip_inside: float
@@ -63,36 +63,36 @@ class Row:
     nis_yaw_rate: float
     nis_yaw_rate_bounds: Interval
     terrain: str = ""
-    ignoring_position_rmse: float | None = None  # of a filter to which the ground is flat, on a terrain
+    ignoring_position_rmse: float | None = None  # of the filter without attitude, on terrain
     ignoring_turning_slip_rmse: float | None = None
     ignoring_nees_pose: float | None = None
-    swing_rmse: float | None = None  # rad, where sensors sit above
+    swing_rmse: float | None = None  # rad, if sensors are on the upper structure
     swing_bound: float | None = None
 
 
 class Sums(NamedTuple):
-    """Of one run, or of several together, at each scored time."""
+    """Sums over one or more runs, at each scored time."""
 
-    squares: FloatArray  # (s, 7) errors squared: x, y, φ, i_L, i_R, α, σ
+    squares: FloatArray  # (s, 7) squared errors of x, y, φ, i_L, i_R, α, σ
     bounds: FloatArray  # (s, 7) least variances
     nees: FloatArray  # (s, 2) pose, slips
     nis: FloatArray  # (2,) pose, yaw rate; means over time
 
 
 def total(runs: Iterable[Sums]) -> Sums:
-    """Of several runs, one or more."""
+    """The sum over one or more runs."""
     return reduce(lambda a, b: Sums(*map(add, a, b)), runs)
 
 
 def mean_bounds(dof: int, runs: int) -> Interval:
-    """Between which the mean over runs of a χ² number lies with ``CONFIDENCE``."""
+    """Interval that contains the mean over runs of a χ² variable with probability ``CONFIDENCE``."""
     beyond = np.array(((1.0 + CONFIDENCE) / 2.0, (1.0 - CONFIDENCE) / 2.0))
     low, high = chdtri(dof * runs, beyond) / runs
     return float(low), float(high)
 
 
 def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
-    """Means over runs and time."""
+    """The row of a cell: means over runs and time."""
     runs, always = p.seeds, np.ones_like(drive.moving)
     squares, bounds, nees, nis = (part / runs for part in sums)
     values: dict[str, Any] = asdict(cell)
@@ -119,12 +119,12 @@ def summary(cell: Cell, p: StudyParameters, sums: Sums, drive: Drive) -> Row:
 
 
 def _mean(values: NDArray[Any]) -> float:
-    """Nan over no time."""
+    """The mean; nan of no values."""
     return float(np.mean(values)) if values.size else float("nan")
 
 
 def _root_mean(squares: FloatArray, tracks: int) -> float:
-    """Over time, of the sum of the columns, or of their mean over the tracks; nan over no time."""
+    """Root of the mean over time of the columns' sum over ``tracks``; nan of no samples."""
     if not len(squares):
         return float("nan")
     return float(np.sqrt(np.mean(squares.sum(axis=1)) / tracks))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The slip estimator's study; a piece of it is a cell, whose runs share the cores: kernels hold no lock."""
+"""Study of the slip estimator; one piece is one cell."""
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -35,7 +35,7 @@ from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_set
 
-_GRID = ("truths", "soils", "terrains", "filters", "sigma_xy", "sigma_omega")  # a cell has one of each
+_GRID = ("truths", "soils", "terrains", "filters", "sigma_xy", "sigma_omega")  # factors of the grid
 _SLOPES = "slope_table.md"
 _KEPT = 4  # drives in memory, some 60 MB each
 _LEGEND = (
@@ -63,7 +63,7 @@ def _within(name: str) -> Callable[[Row], str]:
 
 
 def _ratio(name: str, of: str = "") -> Callable[[Row], str]:
-    """Of an error to its bound."""
+    """Column with the ratio of an error to its bound."""
 
     def show(row: Row) -> str:
         least = getattr(row, name.removesuffix("rmse") + "bound")
@@ -91,7 +91,7 @@ _COLUMNS: Columns = {
 
 
 def _columns(rows: Sequence[Row]) -> Columns:
-    """With the swing behind the heading, where sensors sit above."""
+    """The columns; with the swing after the heading if sensors are on the upper structure."""
     if all(row.swing_rmse is None for row in rows):
         return _COLUMNS
     columns = list(_COLUMNS.items())
@@ -121,14 +121,14 @@ _TERRAIN_LEGEND = (
 
 
 class _Drives:
-    """The drives that cells have in common; of a process, the last ones."""
+    """Cache of the drives that cells share; each process keeps the last ``_KEPT``."""
 
     def __init__(self, p: StudyParameters, estimator: SlipEstimatorParameters) -> None:
         self.p, self.estimator = p, estimator
         self._known: dict[tuple[str, str], Drive] = {}
 
     def of(self, cell: Cell) -> Drive:
-        """Made where it is not known."""
+        """The drive of a cell; it is computed if not in the cache."""
         key = cell.soil, cell.terrain
         if key not in self._known:
             while len(self._known) >= _KEPT:
@@ -137,12 +137,12 @@ class _Drives:
         return self._known[key]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the drives: each process makes those that it needs."""
+        """State without the drives: each process computes those that it needs."""
         return {**vars(self), "_known": {}}
 
 
 def _above(p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool) -> StudyParameters:
-    """Parameters for sensors above, whose truth is one; ``chosen``: whether truths were asked for."""
+    """Parameters for sensors on the upper structure, shear truth only; ``chosen``: truths were requested."""
     topics = ", ".join(topic for topic, source in estimator.mounted().items() if source.above)
     above = f"cells with {topics} above are on"
     if others := [truth for truth in p.truths if truth != SHEAR and chosen]:
@@ -157,7 +157,7 @@ def _evaluate(drives: _Drives, cell: Cell) -> Row:
 
 
 class SlipStudy(Study[Cell, Row]):
-    """What ``trackslip study`` does unless asked otherwise.
+    """The default study of ``trackslip study``.
 
     Raises:
         InputError: an option is refused.
@@ -215,14 +215,16 @@ class SlipStudy(Study[Cell, Row]):
         return "\n".join((*lines, "", legend)) + "\n"
 
     def files(self) -> tuple[str, ...]:
-        """The table, and in ``figures`` what the Monte Carlo gives."""
+        """The table, and the figures in ``figures``."""
         if any(cell.terrain for cell in self.cells):
             return _SLOPES, "figures/study_slopes.png"
         drawn = [f"study_{what}_{truth}" for truth in self._p.truths for what in ("rmse", "nees")]
         return self.FILE, *(f"figures/{name}.png" for name in drawn)
 
     def write(self, rows: Sequence[Row], folder: Path) -> None:
-        from trackslip_sim.study.slip import figures  # matplotlib: not for every command's start
+        from trackslip_sim.study.slip import (
+            figures,
+        )  # imports matplotlib, which starts slowly
 
         super().write(rows, folder)
         if sloping := [row for row in rows if row.terrain]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One run of a cell: a truth and what the sensors say of it, drawn from one seed."""
+"""One run of a cell: a truth and its measurements, drawn from one seed."""
 
 import math
 import zlib
@@ -33,34 +33,34 @@ from trackslip_sim.study.slip.drive import Drive, fix_deviations
 from trackslip_sim.study.slip.kernels import RecordArray, Rows, draw, nearest, slips_of
 from trackslip_sim.study.slip.parameters import DRAWN, MATCHED, SHEAR, Cell
 
-_DRAWN = 19  # numbers of a state that noise is drawn for; of what lies behind, a study has nothing
+_DRAWN = 19  # leading states with drawn noise; a study does not use the states after them
 
 
 class Setting(NamedTuple):
-    """What the runs of a cell have in common."""
+    """Data common to the runs of a cell."""
 
     cell: Cell
     drive: Drive
     rows: Rows  # measurements without values
     config: ConfigRecord
-    linear: ConfigRecord  # of the same model under the EKF
+    linear: ConfigRecord  # the same model with the EKF
     sigma_heading: float  # rad
 
 
 class Trial(NamedTuple):
-    """One run before it is filtered."""
+    """One run before filtering."""
 
     rows: Rows
-    start: tuple[FloatArray, FloatArray]  # mean and covariance that a filter begins with
-    start_state: FloatArray  # (n,) the truth there
-    spread: FloatArray  # (n, n) covariance of the truth there, about what a filter begins with
-    states: FloatArray  # (k, n) the truth at the rows, as states of the filter's model
+    start: tuple[FloatArray, FloatArray]  # initial mean and covariance of the filter
+    start_state: FloatArray  # (n,) true state at the start
+    spread: FloatArray  # (n, n) covariance of the true state about the filter's initial mean
+    states: FloatArray  # (k, n) true states of the filter's model at the rows
     slips: FloatArray  # (k, 3) left slip, right slip, slip angle
     machine: DrawnMachine = DrawnMachine()
 
 
 def generator(cell: Cell, seed: int) -> np.random.Generator:
-    """The same for every filter and σ, so that these compare; another truth or soil has draws of its own."""
+    """Random generator of a run: equal for all filters and σ, different for each truth and soil."""
     return np.random.default_rng((seed, zlib.crc32(f"{cell.truth} {cell.soil}".encode())))
 
 
@@ -74,7 +74,7 @@ def make_trial(setting: Setting, seed: int) -> Trial:
 
 
 def _feel_tilt(setting: Setting, measurements: RecordArray, random: np.random.Generator) -> None:
-    """What the inertial unit shows beside the yaw rate, into the (k,) measurements of a run."""
+    """Write roll rate, pitch rate and specific force into the (k,) measurements of a run."""
     drive = setting.drive
     noise, rates = replace(drive.noise, gyro_stddev=setting.cell.sigma_omega), drive.rates
     readings = tilt_readings(drive.whole, drive.truth.t[rates], noise, random)
@@ -84,7 +84,7 @@ def _feel_tilt(setting: Setting, measurements: RecordArray, random: np.random.Ge
 
 
 def _matched(setting: Setting, random: np.random.Generator) -> Trial:
-    """The truth is the filter's model: a start from its covariance, noise from its Q and R."""
+    """A run whose truth is the filter's model: start drawn from its covariance, noise from its Q and R."""
     rows, true_drives = setting.rows, setting.drive.true_drives
     mean, covariance = start = _start(setting, np.zeros(3))
     start_state = mean + root(covariance) @ _normals(random, 1, 0)[0]
@@ -96,7 +96,7 @@ def _matched(setting: Setting, random: np.random.Generator) -> Trial:
 
 
 def _normals(random: np.random.Generator, count: int, more: int) -> FloatArray:
-    """(count, SIZE + more), for states and what is measured of them."""
+    """(count, SIZE + more) standard normal draws for states and measurements."""
     drawn = random.standard_normal((count, _DRAWN + more))
     found = np.zeros((count, SIZE + more))
     found[:, :_DRAWN], found[:, SIZE:] = drawn[:, :_DRAWN], drawn[:, _DRAWN:]
@@ -104,9 +104,9 @@ def _normals(random: np.random.Generator, count: int, more: int) -> FloatArray:
 
 
 def _shear(setting: Setting, random: np.random.Generator) -> Trial:
-    """The truth has nothing of the model; what the filter knows at the start errs as it expects.
+    """A run on the shear truth, which is independent of the model; initial errors follow the prior.
 
-    That is the gyro's bias, and the angle of a cab that no encoder shows.
+    These are the errors of the gyro bias, and of the swing angle of a cab without encoder.
     """
     drive = setting.drive
     at, fixes, rates = drive.truth, drive.fixes, drive.rates
@@ -123,7 +123,7 @@ def _shear(setting: Setting, random: np.random.Generator) -> Trial:
     twists = np.stack((at.v_x, at.yaw_rate), axis=1)
     true_speeds = np.stack((at.left_speed, at.right_speed), axis=1)
     states = nearest(poses, twists, true_speeds, drive.true_drives, prior, setting.linear)
-    off = 0.0  # of the cab's angle, as the filter has it at the start
+    off = 0.0  # rad, initial error of the swing angle
     if drive.swings:
         off = _swing(setting, mean, states, values, random)
     start = _start(setting, begins_at, off)
@@ -134,9 +134,9 @@ def _shear(setting: Setting, random: np.random.Generator) -> Trial:
 def _swing(
     setting: Setting, start: FloatArray, states: FloatArray, values: FloatArray, random: np.random.Generator
 ) -> float:
-    """The true swing into ``start`` (n,) and ``states`` (k, n), what an encoder shows into ``values`` (k, 3).
+    """Write the true swing into ``start`` (n,) and ``states`` (k, n), encoder angles into ``values`` (k, 3).
 
-    Returns the error of what the filter takes for σ at the start: none where an encoder shows it soon.
+    Returns the initial error of the filter's σ, rad: 0 with an encoder.
     """
     drive, c = setting.drive, setting.linear[0]
     at, shown = drive.truth, drive.angles
@@ -150,9 +150,9 @@ def _swing(
 
 
 def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
-    """The shear truth as another machine would drive it, whose parameters state the nominal one.
+    """A run of a drawn machine on the shear truth; the estimator has the nominal parameters.
 
-    Slips are those against the rolling radius that is stated: nobody can tell them from another radius.
+    Slips refer to the nominal rolling radius: an error of the radius is not observable apart from slip.
     """
     drive, machine, c = setting.drive, draw_machine(random), setting.config[0]
     whole, at, fixes, rates = drive.whole, drive.truth, drive.fixes, drive.rates
@@ -189,7 +189,7 @@ def _drawn(setting: Setting, random: np.random.Generator) -> Trial:
 
 
 def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple[Rows, ConfigRecord]:
-    """Rows and numbers of the model with the noise that a machine truly has, for the bound."""
+    """Rows and model parameters with the true noise of a machine, for the bound."""
     measurements, true = rows.measurements.copy(), config.copy()
     noise, kind = measurements["noise"], measurements["kind"]
     noise[kind == YAW_RATE] *= machine.gyro_noise**2
@@ -200,7 +200,7 @@ def of_machine(rows: Rows, machine: DrawnMachine, config: ConfigRecord) -> tuple
 
 
 def _start(setting: Setting, pose: FloatArray, swing_error: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Mean (n,) and covariance (n, n) that a filter begins with at a fix, with the swing off by an error."""
+    """Initial mean (n,) and covariance (n, n) of a filter at a fix, with an error of the swing, rad."""
     c = setting.config[0]
     mean, covariance = c["prior_mean"].copy(), c["prior_covariance"].copy()
     mean[:3] = pose

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the Monte Carlo of the soil estimator varies and holds (``config/study.yaml``)."""
+"""Varied and fixed parameters of the soil study (``config/study.yaml``)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,30 +19,30 @@ NODE = "soil_study"
 
 @dataclass(frozen=True, kw_only=True)
 class SoilStudyParameters(GridParameters):
-    """The drives, their sensors, and the grid."""
+    """Parameters of the drives, their sensors, and the grid."""
 
     scenarios: tuple[str, ...] = parameter("names in config/scenarios, or files")
-    duration: float = parameter("of each drive, repeated or cut; 0: as it is", unit="s", ge=0.0, le=3600.0)
-    standstill: float = parameter("standing before each drive", unit="s", ge=1.0, le=600.0)
-    drawn: bool = parameter("also machines drawn from what the estimator expects")
-    fix_delay: float = parameter("until a pose arrives", unit="s", ge=0.0, le=10.0)
-    offset_stddev: float = parameter("offset of a pressure transducer", unit="Pa", ge=0.0)
-    load_stddev: float = parameter("centre of gravity of a drawn machine", unit="m", ge=0.0)
+    duration: float = parameter("of each drive, repeated or cut; 0: unchanged", unit="s", ge=0.0, le=3600.0)
+    standstill: float = parameter("standstill before each drive", unit="s", ge=1.0, le=600.0)
+    drawn: bool = parameter("also machines drawn from the estimator's priors")
+    fix_delay: float = parameter("delay until a pose arrives", unit="s", ge=0.0, le=10.0)
+    offset_stddev: float = parameter("spread of a pressure transducer's offset", unit="Pa", ge=0.0)
+    load_stddev: float = parameter("spread of a drawn machine's centre of gravity", unit="m", ge=0.0)
 
 
 @dataclass(frozen=True)
 class SoilCell:
-    """One combination; its seeds are its runs."""
+    """One combination of the grid; it has one run per seed."""
 
     scenario: str
-    soil: str  # where the drive begins
+    soil: str  # at the start of the drive
     drawn: bool
     sigma_xy: float  # m
-    terrain: str = ""  # the scenario's own
+    terrain: str = ""  # empty: the scenario's own
 
 
 def load_soil_study_parameters(given: dict[str, object]) -> SoilStudyParameters:
-    """The defaults of ``config/`` with names over them.
+    """The defaults of ``config/``, replaced by the ``given`` values.
 
     Raises:
         InputError: a name is unknown or a value refused.
@@ -51,7 +51,7 @@ def load_soil_study_parameters(given: dict[str, object]) -> SoilStudyParameters:
 
 
 def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
-    """The grid, what varies fastest last; a scenario with patches is driven on the soils it names.
+    """The cells; the last factor varies fastest. A scenario with patches uses the soils it names.
 
     Raises:
         InputError: a scenario, terrain or soil is unknown, or the soil lacks a value that the truth needs.
@@ -70,5 +70,5 @@ def soil_cells(p: SoilStudyParameters) -> Iterator[SoilCell]:
 
 
 def _check(base: str, scenario: Scenario) -> None:
-    """Refuse before the first run what the truth would refuse in it."""
+    """Raise ``InputError`` before the first run for a ground that the truth would refuse."""
     build_ground(soil(base), scenario.patches, load_soils())

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the runs of a cell come to: medians, the worst, and how many intervals hold the truth.
+"""Results of the runs of a cell: medians, worst values, and how many intervals contain the truth.
 
-A consistent interval from 5 to 95 % holds it in nine of ten runs.
+A consistent interval from 5 to 95 % contains the truth in nine of ten runs.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,7 +17,7 @@ from trackslip_sim.study.soil.score import Interval, Result
 
 @dataclass(frozen=True)
 class SoilRow:
-    """One soil: errors over the truth, and counts of runs."""
+    """Results on one soil: errors relative to the truth, and counts of runs."""
 
     scenario: str
     soil: str
@@ -39,7 +39,7 @@ class SoilRow:
     mu_r_inside: int
     M_r_error: float  # in steady turns
     M_r_worst: float
-    M_r_inside: int  # in the last of them
+    M_r_inside: int  # in the last steady turn
     driving_thrust_error: float
     driving_thrust_worst: float
     braking_thrust_error: float
@@ -50,7 +50,7 @@ class SoilRow:
 
 @dataclass(frozen=True)
 class ChangeRow:
-    """One border between two soils."""
+    """Results at one border between two soils."""
 
     scenario: str
     soil: str  # before
@@ -59,10 +59,10 @@ class ChangeRow:
     sigma_xy: float  # m
     terrain: str  # empty: the scenario's own
     seeds: int
-    recognised: int  # runs
-    recognised_after: float  # s; inf where more than half of the runs never did
+    recognised: int  # number of runs
+    recognised_after: float  # s; inf if more than half of the runs did not recognise it
     recognised_after_worst: float  # s
-    wrong_before: float  # probability
+    wrong_before: float  # probability of all wrong classes at the border
     wrong_before_worst: float
 
 
@@ -70,14 +70,14 @@ AnyRow: TypeAlias = SoilRow | ChangeRow
 
 
 def summary(cell: SoilCell, results: Sequence[Result]) -> AnyRow:
-    """The row of a cell: of a border where one was crossed, else of the soil."""
+    """The row of a cell: a ``ChangeRow`` if a border was crossed, else a ``SoilRow``."""
     return _change(cell, results) if any(r.into for r in results) else _soil(cell, results)
 
 
 def _soil(cell: SoilCell, results: Sequence[Result]) -> SoilRow:
     values: dict[str, Any] = {**asdict(cell), "seeds": len(results)}
     for name, of in (("F_max", "limit"), ("K", "modulus"), ("mu_r", "mu_r")):
-        ratios = [abs(getattr(r, of) - 1.0) for r in results]  # over the truth
+        ratios = [abs(getattr(r, of) - 1.0) for r in results]  # relative to the truth
         values[f"{name}_error"], values[f"{name}_worst"] = _spread(ratios)
         values[f"{name}_inside"] = _inside(getattr(r, f"{of}_interval") for r in results)
     for name, of in (("M_r", "moment"), ("driving_thrust", "driving"), ("braking_thrust", "braking")):
@@ -111,11 +111,11 @@ def _change(cell: SoilCell, results: Sequence[Result]) -> ChangeRow:
 
 
 def _spread(values: Iterable[float]) -> tuple[float, float]:
-    """Median and worst; nan of nothing but nan."""
+    """Median and maximum without nan; nan if all values are nan."""
     there = np.array([value for value in values if not np.isnan(value)])
     return (float(np.median(there)), float(there.max())) if there.size else (float("nan"), float("nan"))
 
 
 def _inside(intervals: Iterable[Interval]) -> int:
-    """How many hold the truth, 1."""
+    """How many intervals contain the truth, 1."""
     return sum(low <= 1.0 <= high for low, high in intervals)

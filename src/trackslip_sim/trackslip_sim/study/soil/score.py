@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run of the soil estimator compared with its truth.
+"""Comparison of a run of the soil estimator with its truth.
 
 F_j      thrust of the soil on a track                                    N
 M_r      moment of the lateral resistance, μ_l W l/3 of the mobilised μ_l N m
@@ -39,19 +39,19 @@ from trackslip_tools.replay.scoring import MOVING
 
 Interval = tuple[float, float]
 
-RECOGNISED = 0.8  # probability of a class that is regarded as certain
+RECOGNISED = 0.8  # probability above which a class counts as recognised
 _NAN = float("nan")
-_TAIL = 1.645  # standard deviations: a normal variable is within with 90 %
-_STEADY = 2.0  # s for which a turn has lasted
-_UNEQUAL = 0.1  # of the faster track, by which the other is slower in a turn
-_CONSTANT = 0.05  # of the faster track, within which both stay
+_TAIL = 1.645  # standard deviations that contain 90 % of a normal distribution
+_STEADY = 2.0  # s, minimum duration of a turn
+_UNEQUAL = 0.1  # of the faster track's speed: minimum difference of the tracks in a turn
+_CONSTANT = 0.05  # of the faster track's speed: maximum change of each track
 
 
 @dataclass(frozen=True)
 class Result:
-    """One run. Numbers at its end, and their intervals from 5 to 95 %, are over the truth.
+    """Result of one run: values at its end and their intervals from 5 to 95 %, relative to the truth.
 
-    An error is its RMS over that of the truth. What did not happen, such as a turn, is nan.
+    An error is an RMS over the RMS of the truth. Values without data, such as M_r without turns, are nan.
     """
 
     limit: float  # F_max
@@ -59,22 +59,22 @@ class Result:
     modulus: float  # K
     modulus_interval: Interval
     identifiable: bool
-    reason: str  # why not
+    reason: str  # why it is not identifiable
     probability: float  # of the true class
     mu_r: float
     mu_r_interval: Interval
     moment_error: float  # of M_r, in steady turns
-    moment_interval: Interval  # of M_r, in the last of them
-    driving_error: float  # of F_j, while the motor drives
+    moment_interval: Interval  # of M_r, in the last steady turn
+    driving_error: float  # of F_j, while the motor drives the track
     braking_error: float  # of F_j, while the track drives the motor
-    offset_residue: float  # Pa, of the worse transducer after standing
-    into: str  # the soil beyond the first border that was crossed; empty: none was
-    recognised_after: float  # s from there to a probability of RECOGNISED; inf: never
-    wrong_before: float  # probability of all but the true class, as it was crossed
+    offset_residue: float  # Pa, of the worse transducer after the standstill
+    into: str  # soil beyond the first border crossed; empty: no border
+    recognised_after: float  # s from the border to a probability of RECOGNISED; inf: never
+    wrong_before: float  # probability of all wrong classes at the border
 
 
 def run(trial: Trial, setting: Setting | None = None) -> Result:
-    """Drive, estimate, compare."""
+    """Simulate one trial, run the estimators, and compare them with the truth."""
     setting = setting or load_setting()
     truth = drive(trial, setting=setting)
     readings = read(trial, truth, setting)
@@ -92,7 +92,7 @@ def run(trial: Trial, setting: Setting | None = None) -> Result:
 
 
 def _strength(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
-    """What is known at the end of the soil that is there."""
+    """Errors of the estimate at the end, against the soil under C."""
     ground, found = soil(truth.soil_name()), last.strength
     modulus, limit, mu_r = ground.value("shear_modulus"), limit_of(ground, vehicle), ground.value("mu_r")
     return {
@@ -123,7 +123,7 @@ def _moment(states: Sequence[SoilState], truth: Truth, vehicle: Vehicle) -> dict
 
 
 def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin: float) -> dict[str, Any]:
-    """Of both tracks together, where they run, after ``begin`` s."""
+    """Thrust errors over both tracks while they move, after ``begin`` s."""
     forces = [force for force, t in zip(forces, _times(forces), strict=True) if t > begin]
     at = truth.interpolate(_times(forces))
     true = np.column_stack((at.left_thrust, at.right_thrust))
@@ -137,7 +137,7 @@ def _thrust(forces: Sequence[TrackForces], truth: Truth, vehicle: Vehicle, begin
 
 
 def _offset_residue(readings: Readings, setting: Setting, standstill: float) -> float:
-    """What the estimator's calibration of offsets leaves after standing."""
+    """Largest pressure offset, Pa, that remains after the estimator's calibration at standstill."""
     p, period = setting.soil.thrust, 1.0 / setting.study.sprocket_rate
     offsets, numbers = new_offsets(p)[0], record_of(ThrustParameters, p)[0]
     for reading in readings.pressures[: round(standstill / period)]:
@@ -147,7 +147,7 @@ def _offset_residue(readings: Readings, setting: Setting, standstill: float) -> 
 
 
 def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
-    """How the first border between soils is noticed."""
+    """Detection of the first border between soils: delay, s, and wrong probability at the border."""
     crossings = np.flatnonzero(np.diff(truth.soil_index))
     if not crossings.size:
         return {"into": "", "recognised_after": _NAN, "wrong_before": _NAN}
@@ -164,7 +164,7 @@ def change_of(states: Sequence[SoilState], truth: Truth) -> dict[str, Any]:
 
 
 def steady_turns(truth: Truth, times: FloatArray) -> BoolArray:
-    """(n,) whether at times (n,), s, the machine has turned for a while with hardly changing tracks."""
+    """(n,) whether at times (n,), s, the tracks have turned at nearly constant speeds for ``_STEADY`` s."""
     window = times[:, np.newaxis] - np.linspace(0.0, _STEADY, 21)
     tracks = np.stack([np.interp(window, truth.t, speed) for speed in (truth.left_speed, truth.right_speed)])
     fastest = np.abs(tracks).max(axis=(0, 2))
@@ -175,7 +175,7 @@ def steady_turns(truth: Truth, times: FloatArray) -> BoolArray:
 
 
 def _times(published: Sequence[SoilState] | Sequence[TrackForces]) -> FloatArray:
-    """(n,) s of the truth."""
+    """(n,) times of the truth, s."""
     return np.array([(one.stamp_ns - START_NS) * 1e-9 for one in published])
 
 
@@ -190,7 +190,7 @@ def _over(interval: Interval, truth: float) -> Interval:
 
 
 def _relative(found: FloatArray, true: FloatArray) -> float:
-    """RMS of the error over that of the truth; nan of nothing."""
+    """RMS of the error over the RMS of the truth; nan of no values."""
     if not true.size:
         return _NAN
     return float(np.sqrt(np.mean(np.square(found - true)) / np.mean(np.square(true))))

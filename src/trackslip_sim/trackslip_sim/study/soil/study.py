@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator's study; a piece of it is a run, and a process's work."""
+"""Study of the soil estimator; one piece is one run in one process."""
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -28,7 +28,7 @@ from trackslip_sim.truth import shear
 from trackslip_sim.truth.settings import load_settings
 from trackslip_tools.cli.replay_options import parse_settings
 
-_GRID = (  # a trial has one of each
+_GRID = (  # fields of a trial
     *("scenarios", "duration", "standstill", "soils", "drawn", "sigma_xy"),
     *("terrains", "seeds"),
 )
@@ -46,7 +46,7 @@ _CHANGE_LEGEND = (
 
 
 def _spread(median: float, worst: float, scale: float = 100.0) -> str:
-    """Median and worst; – for what there was not."""
+    """Text of median and worst; – for nan."""
     if math.isnan(median):
         return NOTHING
     return f"{scale * median:.1f} ({scale * worst:.1f})".replace("inf", "never")
@@ -94,7 +94,7 @@ _CHANGE: Columns = {
 
 
 class SoilStudy(Study[Trial, Result]):
-    """What ``trackslip study --estimator soil`` does.
+    """The study of ``trackslip study --estimator soil``.
 
     Raises:
         InputError: an option is refused, or a scenario or soil cannot be driven.
@@ -147,7 +147,7 @@ class SoilStudy(Study[Trial, Result]):
         return summary(cell, results)
 
     def markdown(self, rows: Sequence[AnyRow]) -> str:
-        """A table of each scenario, and what it means."""
+        """A table and its legend for each scenario."""
         scenarios = dict.fromkeys(row.scenario for row in rows)
         return "\n".join(_tables([row for row in rows if row.scenario == name]) for name in scenarios)
 
@@ -157,7 +157,7 @@ def _run(setting: Setting, trial: Trial) -> Result:
 
 
 def _tables(rows: Sequence[AnyRow]) -> str:
-    """Of one scenario."""
+    """The tables of one scenario."""
     soils = [row for row in rows if isinstance(row, SoilRow)]
     changes = [row for row in rows if isinstance(row, ChangeRow)]
     scenario = rows[0].scenario

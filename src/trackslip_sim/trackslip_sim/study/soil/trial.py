@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the soil estimator on the shear truth, drawn from one seed.
 
-Encoders, gyro, fixes and pressures are drawn as the emulator has them, and pass the slip estimator and the
-soil estimator in the order of their arrival.
+Encoders, gyro, fixes and pressures have the noise of the emulator. Slip estimator and soil estimator process
+them in the order of arrival.
 """
 
 import dataclasses
@@ -36,21 +36,21 @@ START_NS = 1_000_000_000  # the stamp at time 0 of the truth
 
 @dataclass(frozen=True)
 class Trial:
-    """What is driven, and the seed of all that is drawn."""
+    """Drive and seed of one run."""
 
-    soil: str  # where the drive begins
+    soil: str  # at the start of the drive
     sigma_xy: float  # m, of the fixes
     seed: int
-    drawn: bool = False  # a machine that differs from the nominal one as the estimator's parameters expect
+    drawn: bool = False  # a machine drawn from the estimator's priors about the nominal one
     scenario: str = "field_trial"
-    duration: float = 0.0  # s, the scenario repeated or cut; 0: as it is
-    standstill: float = 0.0  # s of standing before it
+    duration: float = 0.0  # s, the scenario repeated or cut; 0: unchanged
+    standstill: float = 0.0  # s, before the scenario
     terrain: str = ""  # in config/terrains, or a file; empty: the scenario's own
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What all runs have in common."""
+    """Parameters common to all runs."""
 
     study: SoilStudyParameters
     slip: SlipEstimatorParameters
@@ -59,9 +59,9 @@ class Setting:
 
 
 class Readings(NamedTuple):
-    """What the sensors say of a drive."""
+    """Sensor readings of one drive."""
 
-    arrivals: Sequence[Measurement]  # all that the slip estimator gets, in the order of arrival
+    arrivals: Sequence[Measurement]  # measurements for the slip estimator, in the order of arrival
     pressures: Sequence[Hydraulics]  # one at each stamp of the sprockets
     offsets: FloatArray  # (2,) Pa, of the left and the right transducer
 
@@ -71,7 +71,7 @@ def load_setting(
     slip: Mapping[str, Any] = MappingProxyType({}),
     soil: Mapping[str, Any] = MappingProxyType({}),
 ) -> Setting:
-    """The defaults of ``config/``, with dotted names over those of the two estimators.
+    """The defaults of ``config/``; dotted names in ``slip`` and ``soil`` replace those of the estimators.
 
     Raises:
         InputError: a name is unknown or a value refused.
@@ -83,7 +83,7 @@ def load_setting(
 
 
 def drive(trial: Trial, scenario: Scenario | None = None, setting: Setting | None = None) -> Truth:
-    """The true motion of the nominal or of a drawn machine; another scenario than the trial's as it is."""
+    """True motion of the nominal or a drawn machine; ``scenario`` replaces that of the trial, unchanged."""
     scenario, setting = scenario or _scenario_of(trial), setting or load_setting()
     vehicle, settings = setting.soil.vehicle.whole(), load_settings()
     if trial.drawn:
@@ -105,7 +105,7 @@ def _scenario_of(trial: Trial) -> Scenario:
 
 
 def estimates(trial: Trial, truth: Truth, setting: Setting | None = None) -> Iterator[SoilState]:
-    """What the soil estimator says of the soil on a drive."""
+    """Soil states that the soil estimator publishes on a drive."""
     setting = setting or load_setting()
     for output in outputs(read(trial, truth, setting), setting):
         if isinstance(output, SoilState):
@@ -113,11 +113,11 @@ def estimates(trial: Trial, truth: Truth, setting: Setting | None = None) -> Ite
 
 
 def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
-    """All that the soil estimator publishes."""
+    """All outputs of the soil estimator."""
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
     samples = results[[isinstance(measurement, Sprockets) for measurement in readings.arrivals]]
-    given = np.repeat(inputs_of(samples["estimate"]), 2)  # a reading, and the state at it where there is one
+    given = np.repeat(inputs_of(samples["estimate"]), 2)  # each reading, and its state if published
     for record, reading in zip(given[::2], readings.pressures, strict=True):
         reading.write_to(record)
     is_there = np.ones(len(given), np.bool_)
@@ -127,14 +127,14 @@ def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
 
 
 def read(trial: Trial, truth: Truth, setting: Setting) -> Readings:
-    """Draw what the sensors say of a drive."""
+    """Draw the sensor readings of a drive."""
     random = np.random.default_rng((trial.seed, round(trial.sigma_xy * 1e6)))
     arrivals = _arrivals(trial, truth, setting, random)
     return Readings(arrivals, *_pressures(truth, setting, random))
 
 
 def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Generator) -> list[Measurement]:
-    """The first fix, at rest, comes first."""
+    """Measurements in the order of arrival; the first fix, at rest, is the first of them."""
     p, noise, resolution = setting.study, setting.noise, setting.slip.encoder_resolution
     arrivals: list[tuple[float, int, Measurement]] = []
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / p.sprocket_rate))
@@ -162,7 +162,7 @@ def _arrivals(trial: Trial, truth: Truth, setting: Setting, random: np.random.Ge
 def _pressures(
     truth: Truth, setting: Setting, random: np.random.Generator
 ) -> tuple[list[Hydraulics], FloatArray]:
-    """At the stamps of the sprockets, and (2,) the offsets of the transducers."""
+    """Pressures at the stamps of the sprockets, and the offsets of the transducers (2,), Pa."""
     at = truth.interpolate(np.arange(0.0, truth.duration, 1.0 / setting.study.sprocket_rate))
     offsets = setting.study.offset_stddev * random.standard_normal(2)
     values = np.stack((at.left_pressure, at.right_pressure), axis=1) + offsets
