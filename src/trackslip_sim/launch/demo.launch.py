@@ -25,7 +25,7 @@ _OWN = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The machine starts to drive some seconds after its key is turned; the bag is written here."""
+    """Launch all nodes; the drive starts some seconds after power-on, the bag is in the working directory."""
     return LaunchDescription([*declared(_executables(), **_OWN), OpaqueFunction(function=_nodes)])
 
 
@@ -55,6 +55,6 @@ def _launched(specs: Iterable[NodeSpec]) -> list[Launched]:
 
 
 def _executables() -> list[str]:
-    """Of all nodes that there may be."""
+    """Executables of all nodes that the demo can have."""
     everything = DemoOptions(Path(), Path(), 0, 0.0, "", "", ASSUMED, autostart=True, laser=True, gnss=True)
     return [node.executable for node in (*demo_nodes(everything), LIVE)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip simulate``: drives a scenario on the truth model, and says where it ends."""
+"""``trackslip simulate``: drives a scenario on the truth model and prints its final state."""
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate, print, and write what was asked for; returns the exit code."""
+    """Simulate, print, and write the requested files; returns the exit code."""
     if arguments.duration is not None and not 0.0 < arguments.duration <= _LONGEST:
         raise InputError(
             f"--duration: {arguments.duration:g} s is refused; accepted: > 0 and <= {_LONGEST:g} s"
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:
-    """To the end, with a bar."""
+    """Simulate to the end, with a progress bar; returns the last window."""
     with counted(duration, "simulating") as advance:
         window = TruthWindow(_followed(pieces, advance), duration)
         window.advance(duration)
@@ -92,7 +92,7 @@ def _driven(pieces: Iterable[Truth], duration: float) -> TruthWindow:
 
 
 def _recorded(p: EmulatorParameters, pieces: Iterable[Truth], duration: float, path: Path) -> TruthWindow:
-    """To the end, into a new bag, with a bar: it is recording that takes its time."""
+    """Simulate and record to the end into a new bag, with a progress bar; returns the last window."""
     with counted(p.lead_in + duration, "simulating") as advance:
         window = TruthWindow(pieces, duration)
         record_drive(p, window, path, advance)
@@ -109,7 +109,7 @@ def _followed(pieces: Iterable[Truth], advance: Callable[[float], None]) -> Iter
 
 
 def text(vehicle: str, truth: Truth, elapsed: float) -> str:
-    """The same for people."""
+    """Text of the summary for the terminal."""
     end = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
     speed = truth.duration / elapsed
     return "\n".join(
@@ -128,6 +128,6 @@ def text(vehicle: str, truth: Truth, elapsed: float) -> str:
 
 
 def summary(truth: Truth, elapsed: float) -> dict[str, object]:
-    """What the JSON file holds: the last sample, the duration, and the time that all of it took, s."""
+    """Content of the JSON file: last sample, duration, s, and elapsed time, s."""
     final = {name: float(getattr(truth, name)[-1]) for name in _FINAL}
     return {"final": final, "duration_s": truth.duration, "elapsed_s": elapsed}

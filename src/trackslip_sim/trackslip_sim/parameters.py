@@ -32,26 +32,26 @@ class EmulatorParameters(WithVehicle):
     terrain: str = parameter("name in config/terrains, or a file; empty: the scenario's own")
     mode: str = parameter("truth model", choices=("shear", "thesis"))
     duration: float = parameter(
-        "driving, the scenario cut or repeated; 0: as it is", unit="s", ge=0.0, le=3600.0
+        "of the drive, the scenario cut or repeated; 0: unchanged", unit="s", ge=0.0, le=3600.0
     )
-    seed: int = parameter("of all noise", ge=0)
-    lead_in: float = parameter("standing after power-on", unit="s", ge=0.0)
+    seed: int = parameter("seed of all noise", ge=0)
+    lead_in: float = parameter("standstill after power-on", unit="s", ge=0.0)
     can_delay: float = parameter("from power-on to the first CAN frame", unit="s", ge=0.0)
     start_after: tuple[str, ...] = parameter(
-        "nodes that must be active before the machine is switched on; '' names none"
+        "nodes that must be active before the machine is switched on; '': none"
     )
-    frame_prefix: str = parameter("before base_link, such as 'one/' where there are several machines")
-    device_directory: str = parameter("where the serial ports appear")
+    frame_prefix: str = parameter("prefix of base_link, such as 'one/' with several machines")
+    device_directory: str = parameter("directory of the serial ports")
     can_interface: str = parameter("python-can interface")
     can_channel: str = parameter("device or multicast address")
     can_port: int = parameter("UDP port, for udp_multicast only", ge=1024, le=65535)
 
     def body_frame(self) -> str:
-        """That of the machine, base_link, with its prefix."""
+        """Name of the machine's body frame: base_link with its prefix."""
         return self.frame_prefix + BODY_FRAME
 
     def mounted_gnss(self) -> GnssParameters:
-        """The receiver, its antenna where the vehicle has it."""
+        """The receiver's parameters with the antenna position of the vehicle."""
         antenna = self.vehicle.sensors.antenna if self.vehicle.sensors is not None else None
         if antenna is None:
             return self.gnss
@@ -59,7 +59,7 @@ class EmulatorParameters(WithVehicle):
 
 
 def load_emulator_parameters(given: Mapping[str, Any]) -> EmulatorParameters:
-    """The defaults of ``config/`` with dotted names over them.
+    """The defaults of ``config/``, replaced by the dotted names in ``given``.
 
     Raises:
         InputError: a name is unknown or a value refused.

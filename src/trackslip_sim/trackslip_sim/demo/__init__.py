@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``make demo``: the whole graph on a laptop, driven, recorded, replayed and scored."""
+"""``make demo``: runs the whole graph on one computer: drive, recording, replay and scores."""

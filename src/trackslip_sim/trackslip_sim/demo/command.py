@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip demo``: a drive is simulated, replayed and shown, by the commands that a user would type."""
+"""``trackslip demo``: simulates, replays and shows a drive by the commands of a user."""
 
 import argparse
 import shlex
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     if output.exists():
         raise InputError(f"--output: '{output}' exists; accepted: a directory that does not")
     load_scenario(arguments.scenario)
-    soil(arguments.soil)  # refused here, if it is unknown
+    soil(arguments.soil)  # raises InputError if unknown
     make_folder("output", output)
     if (code := run_commands(_lines(arguments))) != ExitCode.DONE:
         return code
@@ -63,7 +63,7 @@ def run_commands(lines: Iterable[Sequence[str]]) -> int:
 
 
 def _lines(arguments: argparse.Namespace) -> Iterator[list[str]]:
-    """The arguments of each command."""
+    """The arguments of each command of the demo."""
     bag, page = str(arguments.output / "bag"), str(arguments.output / "report.html")
     drive = ["--scenario", arguments.scenario, "--vehicle", arguments.vehicle, "--soil", arguments.soil]
     yield ["simulate", *drive, "--duration", f"{arguments.duration:g}", "--output", bag]

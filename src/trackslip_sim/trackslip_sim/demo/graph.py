@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which nodes the demo runs, and with which parameters: shared by the demo and by ``demo.launch.py``."""
+"""Nodes of the demo and their parameters, shared by the demo and ``demo.launch.py``."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +29,7 @@ class NodeSpec:
     package: str
     executable: str
     parameters: dict[str, object] = field(default_factory=dict)
-    is_needed: bool = True  # whether its end is the end of the demo
+    is_needed: bool = True  # whether the demo ends when this node ends
 
 
 LIVE = NodeSpec("trackslip_tools", "live", is_needed=False)
@@ -37,22 +37,22 @@ LIVE = NodeSpec("trackslip_tools", "live", is_needed=False)
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What differs from one demo to the next."""
+    """Options of a demo."""
 
-    devices: Path  # where the emulated serial ports appear
-    bag: Path  # where the recorder writes; must not exist
+    devices: Path  # directory of the emulated serial ports
+    bag: Path  # output of the recorder; must not exist
     can_port: int
     duration: float  # s of driving
     soil: str
     scenario: str
     vehicle: str  # a name of config/vehicles, or a file
-    autostart: bool  # of the emulator: False where somebody else turns the key
+    autostart: bool  # of the emulator; False: the demo activates it
     laser: bool = True  # the scanner at the site, and the box on the machine
     gnss: bool = False  # a GNSS receiver with two antennas
 
 
 def demo_nodes(options: DemoOptions) -> list[NodeSpec]:
-    """The emulator, the drivers, the estimators and the recorder; poses from the laser, GNSS, or both."""
+    """Emulator, drivers, estimators and recorder; poses from laser, GNSS, or both."""
     can = {**_CAN, "can_port": options.can_port}
     vehicle: dict[str, object] = {"vehicle": options.vehicle}
     emulator = {
@@ -88,7 +88,7 @@ def _laser(options: DemoOptions, vehicle: dict[str, object]) -> list[NodeSpec]:
 
 
 def _receiver(options: DemoOptions) -> list[NodeSpec]:
-    """The map's origin is the emulated site's, so that estimates and truth are in one frame."""
+    """Nodes of the GNSS receiver; the map's origin is that of the emulated site, as for the truth."""
     site = node_defaults("emulator", "emulator.yaml")
     datum = {f"datum_{name}": site[f"gnss.{name}"] for name in ("latitude", "longitude", "altitude")}
     return [

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m trackslip_sim.demo.main``: the demo, which loads only once Ctrl-C is looked after."""
+"""``python -m trackslip_sim.demo.main``: runs the demo, loaded once Ctrl-C is handled."""
 
 from trackslip_sim.executables import demo
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A directory of results: marked as such, so that nothing of a user's is ever removed."""
+"""A directory of results with a marker file, so that a user's files are never removed."""
 
 import fcntl
 import os
@@ -14,24 +14,24 @@ from trackslip_common.errors import InputError
 
 
 class Results(NamedTuple):
-    """Of one kind of run."""
+    """Files and messages of the results of one kind of run."""
 
     of: str
-    made: tuple[str, ...]  # what a run writes, and a later one replaces
-    option: str = ""  # by which the directory was given
+    made: tuple[str, ...]  # files that a run writes and a later one replaces
+    option: str = ""  # prefix of messages: the option of the directory
 
     @property
     def marker(self) -> str:
-        """Name of the file that marks a directory of these."""
+        """Name of the file that marks a directory of these results."""
         return f".trackslip-{self.of}"
 
     def refusal(self, reason: str) -> InputError:
-        """In one line."""
+        """The error for a refused directory, in one line."""
         accepted = f"a new or an empty directory, or that of an earlier {self.of}"
         return InputError(f"{self.option}{reason}; accepted: {accepted}")
 
 
-# One of each node that a demo may run; a name of a user's own ends in .log, too.
+# Logs of all nodes of a demo, by name: a user's own files may end in .log, too.
 LOGS = (
     *("emulator.log", "can_driver.log", "watson_imu.log", "sick_pls.log", "nmea_gnss.log"),
     *("box_localizer.log", "gnss_localizer.log", "slip_estimator.log", "soil_estimator.log"),
@@ -41,10 +41,10 @@ DEMO = Results("demo", ("bag", "dev", *LOGS, "summary.json", "report.html"), "--
 
 
 def claim(output: Path, results: Results = DEMO) -> AbstractContextManager[None]:
-    """Mark ``output``, remove an earlier run's results, and keep other runs of the kind out until the exit.
+    """Mark ``output``, remove the results of an earlier run, and lock out other runs until the exit.
 
     Raises:
-        InputError: it cannot be made, holds what no such run made, or another one is writing there.
+        InputError: the directory cannot be created, has other files, or another run is writing there.
     """
     try:
         return _claim(output, results)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the nodes as processes of their own, and ends them all, whatever happens."""
+"""Starts each node in its own process, and ends all of them in any case."""
 
 import contextlib
 import ctypes
@@ -19,17 +19,17 @@ from trackslip_common.errors import InputError
 from trackslip_sim.demo.graph import NodeSpec
 
 _PR_SET_PDEATHSIG = 1
-_GRACE = 10.0  # s between asking and insisting: a recorder that is killed leaves a bag without its end
-_AGAIN = 2.0  # s between asking and asking again
+_GRACE = 10.0  # s from SIGINT to SIGKILL: a killed recorder leaves an incomplete bag
+_AGAIN = 2.0  # s between repeated SIGINTs
 _POLL = 0.02  # s
 
 
 class DemoFailure(RuntimeError):
-    """The demo cannot go on; its text is the line to show."""
+    """A failure that ends the demo; its text is shown to the user."""
 
 
 class Processes:
-    """Child processes with their output in one log each."""
+    """Child processes; the output of each goes to its own log."""
 
     def __init__(self, logs: Path, environment: Mapping[str, str]) -> None:
         self._logs = logs
@@ -55,21 +55,21 @@ class Processes:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self._environment,
-                start_new_session=True,  # Ctrl-C reaches the demo alone, which ends the others in order
+                start_new_session=True,  # Ctrl-C reaches only the demo, which ends the others in order
                 preexec_fn=end_with_parent,
             )
 
     def log(self, name: str) -> str:
-        """What a node has written."""
+        """Content of a node's log."""
         return (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip()
 
     def ended(self) -> dict[str, int]:
-        """Exit codes of those that are needed and no longer running."""
+        """Exit codes of the needed nodes that have ended."""
         codes = {name: self._running[name].poll() for name in self._needed & self._running.keys()}
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, names: Iterable[str] | None = None) -> None:
-        """Interrupt these (or all), and kill what does not end in time; a further Ctrl-C waits until then."""
+        """Interrupt these nodes (or all); kill those still running after ``_GRACE``; Ctrl-C is deferred."""
         with interrupts_noted():
             self._stop(names)
 
@@ -79,7 +79,7 @@ class Processes:
         }
         give_up, ask = time.monotonic() + _GRACE, 0.0
         while (left := _running(chosen)) and (now := time.monotonic()) < give_up:
-            if now >= ask:  # more than once: what comes while Python itself starts may get lost there
+            if now >= ask:  # repeated: a signal may be lost while Python starts
                 for process in left.values():
                     _signal(process, signal.SIGINT)
                 ask = now + _AGAIN
@@ -94,10 +94,10 @@ class Processes:
 
 
 def executable(package: str, name: str) -> Path:
-    """Where a package's executable is installed.
+    """Path of a package's installed executable.
 
     Raises:
-        InputError: nowhere on AMENT_PREFIX_PATH.
+        InputError: it is not on AMENT_PREFIX_PATH.
     """
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix) / "lib" / package / name
@@ -108,9 +108,9 @@ def executable(package: str, name: str) -> Path:
 
 @contextmanager
 def interrupts_noted() -> Iterator[Callable[[], None]]:
-    """Ctrl-C is raised only where the function given asks for it, and at the end.
+    """Defer Ctrl-C: the yielded function raises it when called, else the exit raises it.
 
-    Raised wherever it happens to come, it could get lost in a fork or break off the executor's own work.
+    An immediate KeyboardInterrupt could be lost in a fork or interrupt the executor.
     """
     asked: list[int] = []
 
@@ -136,6 +136,6 @@ def _signal(process: "subprocess.Popen[bytes]", number: int) -> None:
 
 
 def end_with_parent() -> None:
-    """In the child: get a signal when the parent dies; heed Ctrl-C even if a shell turned it off."""
+    """In the child: request SIGINT when the parent dies; handle Ctrl-C even if the shell disabled it."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)

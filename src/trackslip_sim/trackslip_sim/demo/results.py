@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a demo run came to: messages counted on their way, and what falls short of what the demo shows."""
+"""Results of a demo run: message counts, and requirements that the run misses."""
 
 import math
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from trackslip_bags.reader import Bag
 from trackslip_sim.demo.graph import SENSOR_TOPICS
 
 POSITION_LIMIT = 0.15  # m, RMSE
-NEES_LIMIT = 8.0  # of the position: 2 σ where no fixes come, as the estimate states it
-RECEIVED_LIMIT = 0.99  # of what was emitted
+NEES_LIMIT = 8.0  # of the position: an error of 2 σ in both axes, σ as estimated
+RECEIVED_LIMIT = 0.99  # share of the emitted messages
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Messages of one topic on their way."""
+    """Message counts of one topic."""
 
     emitted: int
     received: int
@@ -25,12 +25,12 @@ class Counts:
 
     @property
     def share(self) -> float:
-        """Received of emitted."""
+        """Received share of the emitted messages."""
         return self.received / self.emitted if self.emitted else 0.0
 
 
 def counts_of(bag: Bag, emitted: Mapping[str, int], received: Mapping[str, int]) -> dict[str, Counts]:
-    """Of the sensors that have sent anything."""
+    """Counts of the sensor topics with emitted messages."""
     recorded = {topic: info.count for topic, info in bag.topics.items()}
     return {
         topic: Counts(emitted[topic], received.get(topic, 0), recorded.get(f"/{topic}", 0))
@@ -40,7 +40,7 @@ def counts_of(bag: Bag, emitted: Mapping[str, int], received: Mapping[str, int])
 
 
 def shortfalls(summary: Mapping[str, Any], counts: Mapping[str, Counts]) -> list[str]:
-    """Lines on what the demo is there to show, and does not; ``summary`` is that of ``trackslip replay``."""
+    """One line per missed requirement of the demo; ``summary`` is that of ``trackslip replay``."""
     lines = [
         f"{topic}: {100.0 * count.share:.2f} % received, at least {100.0 * RECEIVED_LIMIT:g} % expected"
         for topic, count in counts.items()

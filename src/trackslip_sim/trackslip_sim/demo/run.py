@@ -35,15 +35,15 @@ from trackslip_tools.cli.outputs import write_json
 from trackslip_tools.live.parameters import DEFAULT_FILES, LiveParameters
 
 _LONGEST = 3600.0  # s
-_FIRST, _COUNT = 1, 100  # up to 101 the ports of a domain are no client's
+_FIRST, _COUNT = 1, 100  # domains up to 101 use no ephemeral ports
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run it; returns the exit code."""
+    """Run the demo; returns the exit code."""
     console = Console(highlight=False)
     try:
         options = _options(argv)
-        with claimed_domain() as domain, claim(options.output):  # refused, it leaves what is there
+        with claimed_domain() as domain, claim(options.output):  # if refused, files stay unchanged
             code = _run(options, domain, console)
         sys.stdout.flush()
         return code
@@ -70,7 +70,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-live", dest="live", action="store_false", help="serve no live page")
     options = parser.parse_args(argv)
     options.duration = _duration(options.duration)
-    soil(options.soil)  # refused here, if it is unknown
+    soil(options.soil)  # raises InputError if unknown
     options.vehicle = options.vehicle or load_scenario(options.scenario).vehicle
     machine = load_vehicle(options.vehicle)
     machine.whole()
@@ -122,7 +122,7 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
                 session.watch(options.duration)
             finally:
                 session.close()
-                processes.stop(["record"])  # first, so that nothing it should hear is cut off
+                processes.stop(["record"])  # first, while the other nodes still publish
         finally:
             processes.stop()
             shutil.rmtree(nodes.devices, ignore_errors=True)
@@ -130,7 +130,7 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
 
 
 def _conclude(output: Path, session: Session, path: Path, console: Console) -> int:
-    """Replay and report as a user would, count what came through; returns the exit code."""
+    """Run replay and report, count the messages; returns the exit code."""
     numbers, page = output / "summary.json", output / "report.html"
     code = run_commands(
         (["replay", str(path), "--json", str(numbers)], ["report", str(path), "--output", str(page)])
@@ -150,7 +150,7 @@ def _conclude(output: Path, session: Session, path: Path, console: Console) -> i
 
 
 def _free_tcp_port() -> int:
-    """That of ``config/live.yaml``; another where it is taken."""
+    """The port in ``config/live.yaml``; another one if it is in use."""
     usual = load_parameters(LiveParameters, LIVE.executable, DEFAULT_FILES).port
     for requested in (usual, 0):
         with socket.socket() as probe, suppress(OSError):
@@ -169,12 +169,12 @@ def _free_udp_port() -> int:
 
 @contextmanager
 def claimed_domain() -> Iterator[int]:
-    """A ROS domain that no other demo of this host uses: two in one would drive each other's machine.
+    """A ROS domain that no other demo of this host uses: demos in one domain would interfere.
 
-    The one of ``ROS_DOMAIN_ID``, or a free one; until the exit.
+    The domain of ``ROS_DOMAIN_ID``, or a free one; reserved until the exit.
 
     Raises:
-        InputError: another demo runs in it, or it is no number.
+        InputError: another demo runs in the domain, or ``ROS_DOMAIN_ID`` is not a number.
     """
     stated = os.environ.get("ROS_DOMAIN_ID")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as claim:
@@ -194,7 +194,7 @@ def _candidates(stated: str | None) -> list[int]:
 
 
 def _is_bound(claim: socket.socket, domain: int) -> bool:
-    """Whether the name of that domain is ours now: such a name is in no file, and ends with its owner."""
+    """Bind the abstract socket name of a domain; False if it is taken. The name ends with the process."""
     try:
         claim.bind(f"\0trackslip-demo-domain-{domain}")
     except OSError:

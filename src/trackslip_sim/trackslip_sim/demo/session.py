@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live part of the demo: the nodes come up, the machine drives, the terminal shows it."""
+"""The live part of the demo: starts the nodes, activates the emulator, shows the drive."""
 
 import time
 from collections import Counter
@@ -15,20 +15,20 @@ from trackslip_sim.demo.processes import DemoFailure, Processes
 from trackslip_sim.demo.show import status
 from trackslip_sim.nodes.demo_monitor import DemoMonitor, join_graph, leave_graph
 
-_COMPILE = 180.0  # s, longest preparation of the drive; the first run compiles its kernel
+_COMPILE = 180.0  # s, longest preparation of the drive; the first run compiles its kernels
 _APPEAR = 60.0  # s for the nodes to find each other, on a busy machine
 _LINE_PERIOD = 0.5  # s
-_PLAIN_PERIOD = 5.0  # s, where the output is no terminal
-_RATES = ("sprockets", "imu/data_raw", "scan", "fix", "odometry")  # of those that come
-_PATIENCE = 0.2  # s between looks at whether the nodes still run
-_LATE = 30.0  # s after the drive should have ended
+_PLAIN_PERIOD = 5.0  # s, if the output is not a terminal
+_RATES = ("sprockets", "imu/data_raw", "scan", "fix", "odometry")  # topics of the status line
+_PATIENCE = 0.2  # s between checks that the nodes still run
+_LATE = 30.0  # s, longest delay of the drive's end
 
 
 class Session:
     """One drive; afterwards ``emitted`` and ``received`` describe it."""
 
     def __init__(self, processes: Processes, console: Console, check: Callable[[], None]) -> None:
-        self._check = check  # raises KeyboardInterrupt, if it was asked for
+        self._check = check  # raises KeyboardInterrupt after Ctrl-C
         self._processes = processes
         self._console = console
         join_graph()
@@ -36,19 +36,19 @@ class Session:
 
     @property
     def emitted(self) -> dict[str, int]:
-        """What the emulator's devices have sent, per topic."""
+        """Messages sent by the emulator's devices, per topic."""
         return self._monitor.emitted
 
     @property
     def received(self) -> Counter[str]:
-        """What has arrived here, per topic."""
+        """Messages received here, per topic."""
         return self._monitor.received
 
     def bring_up(self, nodes: Sequence[NodeSpec]) -> None:
-        """Start the nodes, wait until all have found each other and their ports, turn the key.
+        """Start the nodes, wait until they are connected and their ports open, activate the emulator.
 
         Raises:
-            DemoFailure: a node does not come up.
+            DemoFailure: a node does not start in time.
         """
         self._console.print(f"starting {len(nodes)} nodes …")
         for node in nodes:
@@ -66,10 +66,10 @@ class Session:
         self._ask_emulator("start", self._monitor.turn_key, _APPEAR)
 
     def watch(self, duration: float) -> None:
-        """Show the drive until the emulator says that it is over.
+        """Show the drive until the emulator reports its end.
 
         Raises:
-            DemoFailure: a node ended meanwhile, or the emulator never finished.
+            DemoFailure: a node ended, or the emulator did not finish in time.
         """
         began = shown = time.monotonic()
         until = began + duration + _LATE
@@ -108,7 +108,7 @@ class Session:
                 raise DemoFailure(f"emulator did not {verb} within {timeout:g} s: {last}")
 
     def _look_around(self) -> None:
-        """The user's wish, or a node that has ended, is the end of the demo."""
+        """Raise KeyboardInterrupt after Ctrl-C, DemoFailure after the end of a needed node."""
         self._check()
         for name, code in self._processes.ended().items():
             last = (self._processes.log(name).splitlines() or ["(no output)"])[-1]

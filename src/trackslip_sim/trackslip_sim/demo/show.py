@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo says on the terminal: a status line while it drives, a table at the end."""
+"""Terminal output of the demo: a status line during the drive, a table at the end."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from rich.table import Table
 
 from trackslip_sim.demo.results import Counts
 
-_MARGIN = " " * 9  # as wide as the time
+_MARGIN = " " * 9  # width of the time
 
 
 def status(
@@ -18,7 +18,7 @@ def status(
     slips: tuple[float, float, float],
     rates: Mapping[str, float],
 ) -> str:
-    """Two lines: time, pose and slips of the tracks; slip angle and rates in Hz."""
+    """The status, two lines: time, pose and slips of the tracks; slip angle and rates in Hz."""
     hertz = f"Hz: {'  '.join(f'{topic} {rate:.0f}' for topic, rate in rates.items())}"
     if math.isnan(pose[0]):
         return f"{elapsed:5.1f} s  waiting for the first fix\n{_MARGIN}{hertz}"
@@ -32,7 +32,7 @@ def status(
 
 
 def counts_table(counts: Mapping[str, Counts]) -> Table:
-    """Messages of the sensors on their way from the devices into the bag."""
+    """Table of the sensors' messages: emitted, received and recorded."""
     table = Table(title="Messages", title_justify="left")
     table.add_column("topic")
     for column in ("emitted", "received", "recorded", "received %"):

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles kernels, so that no first run has to: ``python -m trackslip_sim.demo.warm_up [FAMILY…]``.
+"""Compiles kernels before the first run: ``python -m trackslip_sim.demo.warm_up [FAMILY…]``.
 
-What is compiled already is only loaded. ``make setup`` asks for what the demo needs, beside a short replay,
-which compiles the rest of the slip estimator; the studies and the thesis' own truth compile theirs when first
-run.
+Compiled kernels are only loaded. ``make setup`` compiles the families of the demo, and by a short replay the
+rest of the slip estimator. The studies and the thesis' truth compile their kernels at the first run.
 """
 
 import sys
@@ -35,11 +34,11 @@ from trackslip_sim.study.slip.parameters import TRUTHS, cells, load_study_parame
 from trackslip_sim.truth.simulate import MODES, simulate
 
 _SHORT = 0.1  # s
-_ROLLING = 4.0  # s of the slalom, half of them straight on
+_ROLLING = 4.0  # s of the slalom, half of it straight
 
 
 def main(families: Sequence[str]) -> None:
-    """Run the kernels of these families, or of all, and print the processor time that each took."""
+    """Compile the kernels of these families (or of all) and print the processor time of each."""
     collect_garbage_seldom()
     for name in families or FAMILIES:
         begin = time.process_time()
@@ -54,7 +53,7 @@ def _truth() -> None:
 
 
 def _last() -> None:
-    """What the slip estimator's own compilation comes to last, for another processor meanwhile."""
+    """Compile the kernels that the slip estimator needs last, in parallel with its own compilation."""
     state, measurement, c, estimate = map(numba.from_dtype, (STATE, MEASUREMENT, CONFIG, ESTIMATE))
     parts: tuple[tuple[Any, tuple[Any, ...]], ...] = (
         (tilt_by, (state, measurement, numba.int64, c)),

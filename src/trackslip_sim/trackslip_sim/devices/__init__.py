@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Devices that talk the bytes of the real ones: time is an argument, no ports."""
+"""Emulated devices that send and receive the bytes of the real ones; time is an argument, no ports."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The excavator's valve controller on the CAN bus: three frames a cycle, as ``config/excavator.dbc`` says."""
+"""The excavator's valve controller on the CAN bus: three frames per cycle as in ``config/excavator.dbc``."""
 
 import math
 from collections import Counter, deque
@@ -15,17 +15,17 @@ _STAMPS_KEPT = 10_000
 
 
 class CanDevice:
-    """Samples and sends every cycle; readings beyond a signal's range saturate, as transducers do.
+    """Samples and sends each cycle; readings saturate at a signal's range, as those of transducers do.
 
     Args:
-        frames: the contract.
-        sprockets: true sprockets at a stamp; their positions are what the encoders see.
+        frames: the frames of the DBC file.
+        sprockets: true sprockets at a stamp; the encoders measure their positions.
         hydraulics: true pressures and spools at a stamp.
         start_ns: time of the first cycle.
 
     Attributes:
-        frames_emitted: how many of each name.
-        stamps: of the latest cycles, ns.
+        frames_emitted: number of frames per name.
+        stamps: stamps of the latest cycles, ns.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class CanDevice:
         self.start(start_ns)
 
     def start(self, start_ns: int) -> None:
-        """Restart, after a loss of power: the first cycle comes at ``start_ns``."""
+        """Restart after a loss of power; the first cycle is at ``start_ns``."""
         self._next_ns = start_ns
         self._alive_counter = 0
 
@@ -83,7 +83,7 @@ class CanDevice:
         return (ENCODERS, counts), *((name, self._saturated(name, levels)) for name in (SPOOLS, PRESSURES))
 
     def _count(self, position: float) -> int:
-        """Raw count of an encoder whose sprocket stands at ``position``, rad."""
+        """Raw count of an encoder at sprocket angle ``position``, rad."""
         return math.floor(position * self._counts_per_rad) % self._counts
 
     def _saturated(self, frame: str, levels: Mapping[str, float]) -> Mapping[str, float]:

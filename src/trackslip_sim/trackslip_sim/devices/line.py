@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A serial line: characters leave one after the other, no faster than the baud rate lets them."""
+"""A serial line that transmits characters one after the other at its baud rate."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-NEVER_NS = 2**62  # a time that does not come
+NEVER_NS = 2**62  # later than any time of a run
 
 _NS_PER_S = 1_000_000_000
 
@@ -20,7 +20,7 @@ class _Burst:
     data: bytes
     start_ns: int
     baud: int
-    read: int = 0  # characters of it
+    read: int = 0  # number of characters read
     reads_ns: tuple[int, ...] = ()  # see ``BaudLine.next_read_ns``
 
 
@@ -39,11 +39,11 @@ class BaudLine:
         self._bursts: deque[_Burst] = deque()
 
     def transfer_ns(self, count: int) -> int:
-        """How long ``count`` characters occupy the line at the present rate, rounded up."""
+        """Time for which ``count`` characters occupy the line at the current rate, ns, rounded up."""
         return -(-count * self.bits_per_char * _NS_PER_S // self.baud)
 
     def send(self, data: bytes, now_ns: int) -> None:
-        """Queue characters; they start now, or when those already queued have left."""
+        """Queue characters; they start now, or after those already queued."""
         if not data:
             return
         start_ns = max(now_ns, self.busy_until_ns)
@@ -51,15 +51,15 @@ class BaudLine:
         self.busy_until_ns = start_ns + self.transfer_ns(len(data))
 
     def cut(self, now_ns: int) -> None:
-        """Lose all that has not been read: the transmitter has lost power."""
+        """Drop all characters not yet read: the transmitter has lost power."""
         self._bursts.clear()
         self.busy_until_ns = now_ns
 
     def next_read_ns(self, now_ns: int, tick_ns: int) -> int:
-        """When to call ``read`` next, of all times whole ticks from now, for the same result as at each tick.
+        """Next time to call ``read``, whole ticks from now, for the same result as reading at each tick.
 
-        A receiver that bounds the start of what it got by the time of each read needs two of a burst: the
-        one that came closest behind a character's last bit, and the first that has all.
+        A receiver that bounds the start of a burst by the times of reads needs two reads: the one closest
+        after a character's last bit, and the first that completes the burst.
         """
         if not self._bursts:
             return NEVER_NS
@@ -92,7 +92,7 @@ class BaudLine:
 
 @lru_cache(maxsize=256)
 def _reads_of(count: int, baud: int, bits: int, first_ns: int, tick_ns: int) -> tuple[int, int]:
-    """The two reads of ``count`` characters, ns after the first begins; ticks go on from ``first_ns``."""
+    """The two reads of a burst of ``count`` characters, ns after its start; ticks start at ``first_ns``."""
     end_ns = -(-count * bits * _NS_PER_S // baud)
     ticks = np.arange(first_ns, end_ns + tick_ns, tick_ns)
     complete = np.minimum(ticks * baud // _NS_PER_S // bits, count)

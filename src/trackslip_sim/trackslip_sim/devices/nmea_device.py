@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A GNSS receiver on a serial line: at each epoch a burst of GGA, GST, RMC and PASHR, some time after it.
+"""A GNSS receiver on a serial line: a burst of GGA, GST, RMC and PASHR per epoch, with a latency.
 
-After power-on it says nothing, then that it has no fix and no time, then finds its position in steps: code
-alone, carrier phase with floating ambiguities, fixed.
+After power-on it sends nothing, then sentences without fix and time. Its position then improves in steps:
+code only, carrier phase with float ambiguities, fixed.
 """
 
 from collections.abc import Callable
@@ -15,40 +15,40 @@ from trackslip_common.parameters import Parameters, parameter
 from trackslip_drivers.protocols.nmea_sentences import Position, gga, gst, pashr, rmc
 from trackslip_sim.devices.line import NEVER_NS, BaudLine
 
-RECEIVER_RATE = 10.0  # Hz, of a machine that has an antenna, where nobody says another
+RECEIVER_RATE = 10.0  # Hz, default rate of a machine with an antenna
 SINGLE, FLOAT, FIXED = 1, 5, 4  # quality
 _STEPS = (
     (2.0, None),
     (5.0, 0),
     (8.0, SINGLE),
     (12.0, FLOAT),
-)  # s since power-on until which it is in a state
+)  # s since power-on at which a state ends; quality in the state
 _NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class NmeaDeviceParameters(Parameters):
-    """What the emulated receiver sends, and when."""
+    """Rate and latency of the emulated receiver."""
 
     rate: float = parameter(
         "epochs, on whole fractions of a second; 0: there is no receiver", unit="Hz", ge=0.0, le=20.0
     )
-    latency: float = parameter("from an epoch to the first byte, at its shortest", unit="s", ge=0.0, lt=0.5)
-    latency_jitter: float = parameter("mean of what comes on top, exponential", unit="s", ge=0.0, le=0.1)
+    latency: float = parameter("shortest time from an epoch to the first byte", unit="s", ge=0.0, lt=0.5)
+    latency_jitter: float = parameter("mean of the additional exponential latency", unit="s", ge=0.0, le=0.1)
 
 
 class NmeaDevice:
-    """The receiver, on for long when the emulator starts.
+    """The receiver; it has been powered for long when the emulator starts.
 
     Args:
         p: epochs and latency.
         line: its transmitter.
         measure: position and heading at an epoch, with a quality no better than the one given.
-        start_ns: from when on it is looked at.
-        seed: of its latency.
+        start_ns: time of the first epoch or earlier.
+        seed: seed of the latency.
 
     Attributes:
-        fixes_emitted, velocities_emitted, headings_emitted: how many were begun to be sent.
+        fixes_emitted, velocities_emitted, headings_emitted: number of each so far.
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class NmeaDevice:
         self._schedule()
 
     def power_cycle(self, now_ns: int) -> None:
-        """Lose and regain power: what is on the line is lost, and it starts cold."""
+        """Lose and regain power: bytes on the line are lost, and the receiver starts cold."""
         self._line.cut(now_ns)
         self._on_ns = now_ns
         self._epoch_ns = -(-now_ns // self._period_ns) * self._period_ns
         self._schedule()
 
     def step(self, now_ns: int) -> bytes:
-        """What has left the line by now."""
+        """The bytes that have left the line by now."""
         while self._send_ns <= now_ns:
             for sentence in self._burst(self._epoch_ns):
                 self._line.send(sentence, self._send_ns)
@@ -86,7 +86,7 @@ class NmeaDevice:
         return self._line.read(now_ns)
 
     def next_ns(self, now_ns: int, tick_ns: int) -> int:
-        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        """Next time to call ``step``, whole ticks from now; see ``BaudLine.next_read_ns``."""
         return min(self._send_ns, self._line.next_read_ns(now_ns, tick_ns))
 
     def _schedule(self) -> None:
@@ -94,7 +94,7 @@ class NmeaDevice:
         self._send_ns = self._epoch_ns + round(late * 1e9)
 
     def _burst(self, epoch_ns: int) -> tuple[bytes, ...]:
-        """All sentences of one epoch."""
+        """The sentences of one epoch."""
         best: int | None = FIXED
         if self._on_ns is not None:
             since = (epoch_ns - self._on_ns) / _NS_PER_S

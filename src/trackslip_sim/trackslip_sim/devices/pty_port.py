@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A pty that a driver opens as if it were a serial device."""
+"""A pseudo-terminal (pty) that a driver opens like a serial device."""
 
 import contextlib
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 from trackslip_common.errors import InputError
 
 _MOST_BYTES = 65536
-_PORTS = "/dev/pts/"  # to which links of ours lead
+_PORTS = "/dev/pts/"  # target of an emulator's links
 _BAUD_OF_CODE = {
     getattr(termios, name): int(name[1:])
     for name in dir(termios)
@@ -21,11 +21,11 @@ _BAUD_OF_CODE = {
 
 
 class PtyPort:
-    """The device's end; the client opens ``link``, a symbolic link to the other end.
+    """The device's end of a pty; the client opens ``link``, a symbolic link to the other end.
 
-    The slave is raw from the start and stays open here, so that nothing is echoed and a client may come and
-    go. What a client does not read in time is refused by the kernel once its buffer is full, as a UART
-    overruns: those bytes are lost and counted. So are those sent while it is unplugged.
+    The slave is raw from the start and stays open here: nothing is echoed, and clients may reconnect. If a
+    client does not read, the kernel's buffer fills; further bytes are lost, as in a UART overrun. Lost
+    bytes are counted, also those written while the port is unplugged.
     """
 
     def __init__(self, link: Path) -> None:
@@ -35,10 +35,10 @@ class PtyPort:
         self.plug()
 
     def plug(self) -> None:
-        """Appear, as a new device under the old name.
+        """Create the pty and its link, as a device that is plugged in.
 
         Raises:
-            InputError: something else has that name.
+            InputError: another file has the name of the link.
         """
         if os.path.lexists(self.link) and not self._is_port():
             raise InputError(
@@ -55,11 +55,11 @@ class PtyPort:
 
     @property
     def baud(self) -> int | None:
-        """The rate that the client has set; None while unplugged."""
+        """The baud rate set by the client; None while unplugged."""
         return _BAUD_OF_CODE[termios.tcgetattr(self._master)[5]] if self.plugged else None
 
     def read(self) -> bytes:
-        """What the client has written; empty when nothing."""
+        """Bytes written by the client; may be empty."""
         if not self.plugged:
             return b""
         try:
@@ -68,7 +68,7 @@ class PtyPort:
             return b""
 
     def write(self, data: bytes) -> int:
-        """Hand to the client; the number of bytes that it, or the kernel for it, accepted."""
+        """Send bytes to the client; returns how many the kernel accepted."""
         sent = 0
         with contextlib.suppress(BlockingIOError):
             while self.plugged and sent < len(data):
@@ -80,7 +80,7 @@ class PtyPort:
         return self.link.is_symlink() and str(self.link.readlink()).startswith(_PORTS)
 
     def close(self) -> None:
-        """Unplug: the client sees the device disappear; safe to call twice."""
+        """Unplug: remove the link and close the pty; safe to call twice."""
         if self.plugged:
             self.plugged = False
             self.link.unlink(missing_ok=True)

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A SICK scanner as its serial line shows it: boots, answers commands, turns its mirror, streams scans.
+"""A SICK scanner on its serial line: boots, answers commands, streams scans.
 
-The mirror turns on from the end of the boot, one scan a turn, and a scan is sent when its turn is
-complete and the line is free: at 38400 Bd a telegram takes 210 ms, so every sixth scan is.
+The mirror turns from the end of the boot on, one scan per turn. A scan is sent when its turn is complete and
+the line is free. At 38400 Bd a telegram takes 210 ms, so every sixth scan is sent.
 """
 
 from collections import deque
@@ -35,9 +35,9 @@ Measure = Callable[[int], FloatArray]  # stamp of the first ray → (361,) m
 
 _ACK_DELAY_NS = 5_000_000
 _REPLY_DELAY_NS = 20_000_000
-_RATE_KEPT_NS = 5_000_000  # after the reply to a change of rate has left
+_RATE_KEPT_NS = 5_000_000  # from the end of the reply to the change of the rate
 _RATE_SETTLES_NS = (
-    200_000_000  # ignores all for so long after a change of rate: manuals ask hosts to pause 250 ms
+    200_000_000  # ignores input for this time after a change of rate; manuals ask hosts to pause 250 ms
 )
 _STAMPS_KEPT = 10_000
 _NS_PER_S = 1_000_000_000
@@ -48,14 +48,14 @@ _BAUDS = {code: baud for baud, code in commands.BAUD_CODES.items()}
 
 @dataclass(frozen=True, kw_only=True)
 class SickDeviceParameters(Parameters):
-    """How the emulated scanner starts."""
+    """Start of the emulated scanner."""
 
-    boot_delay: float = parameter("from power-on to the first answer; 15 to 35 s in truth", unit="s", ge=0.0)
+    boot_delay: float = parameter("from power-on to the first answer; really 15 to 35 s", unit="s", ge=0.0)
     power_on_baud: int = parameter("rate after power-on", unit="Bd", gt=0)
 
 
 class Mode(Enum):
-    """What the scanner sends of its own accord; the values are the mode codes."""
+    """Continuous output of the scanner; the values are the mode codes."""
 
     ALL = commands.STREAM_ALL[1]
     MINIMA = commands.STREAM_MINIMA[1]
@@ -63,14 +63,14 @@ class Mode(Enum):
 
 
 class SickDevice:
-    """The scanner at the other end of the line.
+    """The emulated scanner.
 
     Attributes:
-        baud: its present rate; what it sends reads as noise at any other.
-        status: the status byte of its telegrams, to be set from outside.
+        baud: current rate, Bd; a host at another rate receives noise.
+        status: status byte of its telegrams, set by the caller.
         scans_emitted: scans whose last byte has left.
-        stamps: the true stamps (ns) of the latest of those.
-        bytes_ignored: came while it booted or carried out a command, or at another rate.
+        stamps: true stamps, ns, of the latest of these scans.
+        bytes_ignored: bytes received during boot or a command, or at another rate.
     """
 
     def __init__(
@@ -87,17 +87,17 @@ class SickDevice:
         self.power_cycle(now_ns)
 
     def power_cycle(self, now_ns: int) -> None:
-        """Lose and regain power: what is on the line is lost, and the rate is that of power-on."""
+        """Lose and regain power: bytes on the line are lost, and the rate is that of power-on."""
         self.baud = self._start.power_on_baud
         bits = self._parameters.bits_per_char
         self._line = BaudLine(self.baud, bits)
         self._tally = Tally()
         self._parser = TelegramParser(TO_SENSOR, self.baud, bits, self._tally, _SOURCE)
-        self._leaving: deque[tuple[int, int]] = deque()  # (last byte gone, stamp), ns
+        self._leaving: deque[tuple[int, int]] = deque()  # (time of the last byte, stamp), ns
         self._boot(now_ns)
 
     def receive(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
-        """Process what the host wrote; ``host_baud`` None: its rate is not known, assumed to be right."""
+        """Process bytes from the host at ``host_baud`` Bd; None: the rate is assumed to be right."""
         self._advance(now_ns)
         if not self._awake or now_ns < self._occupied_until_ns or host_baud not in (None, self.baud):
             self.bytes_ignored += len(data)
@@ -111,7 +111,7 @@ class SickDevice:
             self._line.send(bytes((Control.NAK.value,)), now_ns + _ACK_DELAY_NS)
 
     def step(self, now_ns: int) -> bytes:
-        """Live until now; gives the bytes that have arrived at the host since the last step."""
+        """Advance to now; return the bytes that have arrived at the host since the last step."""
         self._advance(now_ns)
         arrived = self._line.read(now_ns)
         while self._leaving and self._leaving[0][0] <= now_ns:
@@ -120,7 +120,7 @@ class SickDevice:
         return arrived
 
     def next_ns(self, now_ns: int, tick_ns: int) -> int:
-        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        """Next time to call ``step``, whole ticks from now; see ``BaudLine.next_read_ns``."""
         if self._mode is Mode.NOTHING:
             return now_ns + tick_ns
         return min(self._complete_ns(), self._line.next_read_ns(now_ns, tick_ns))
@@ -149,7 +149,7 @@ class SickDevice:
             self._send_scan(complete_ns)
 
     def _complete_ns(self) -> int:
-        """When the next scan to be sent is."""
+        """Time at which the next scan to be sent is complete, ns."""
         turns = max(1, -((self._ready_ns - self._line.busy_until_ns) // self._turn_ns))
         return self._ready_ns + turns * self._turn_ns
 
@@ -178,7 +178,7 @@ class SickDevice:
             self._occupied_until_ns += _RATE_SETTLES_NS
 
     def _reply(self, command: bytes) -> bytes:
-        """Carry out a command, all but what must wait until its reply, which this gives, has left."""
+        """Carry out a command and return its reply; reset and change of rate take effect after the reply."""
         if command == commands.RESET:
             return bytes((ReplyCode.RESET,))
         if command == commands.STATUS:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Watson inertial unit on a serial line: banner, then decimal lines or binary frames at its own rate.
 
-The unit works in ticks of 1/71.11 s. A decimal line comes every sixth tick (11.85 lines/s), a binary frame
-every tick, or as often as the line can carry it. A line holds what was measured as its first character left.
+The unit works in ticks of 1/71.11 s. It sends a decimal line every sixth tick (11.85 lines/s) or a binary
+frame every tick; a slow line reduces this rate. A line is measured when its first character is sent.
 """
 
 from collections import deque
@@ -36,18 +36,18 @@ _STAMPS_KEPT = 10_000
 
 
 class WatsonDevice:
-    """The unit from power-on.
+    """The emulated unit, powered from ``start_ns`` on.
 
     Args:
-        layout: what it sends.
+        layout: channels and formats of its output.
         line: its transmitter.
-        measure: the true motion at a stamp, in records' axes; ``over_range`` makes the label lower case.
+        measure: true motion at a stamp, in the axes of records; ``over_range`` makes the label lower case.
         reference: whether its memory holds the reference mode, as in the thesis.
         start_ns: power-on.
 
     Attributes:
-        lines_emitted: lines or frames begun.
-        stamps: when the latest of those were measured, ns.
+        lines_emitted: number of lines or frames begun.
+        stamps: stamps of the latest of these, ns.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class WatsonDevice:
     ) -> None:
         self.lines_emitted = 0
         self.stamps: deque[int] = deque(maxlen=_STAMPS_KEPT)
-        self.north_offset_stored = False  # the accident that no driver may cause
+        self.north_offset_stored = False  # must stay False: no driver may store an offset
         self._layout = layout
         self._line = line
         self._measure = measure
@@ -68,17 +68,17 @@ class WatsonDevice:
         self._boot(start_ns, INITIALISATION_NS)
 
     def power_cycle(self, now_ns: int) -> None:
-        """Lose and regain power: what is on the line is lost, and it initialises."""
+        """Lose and regain power: bytes on the line are lost, and the unit initialises."""
         self._line.cut(now_ns)
         self._boot(now_ns, INITIALISATION_NS)
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Bytes from the host: commands, one character each."""
+        """Process bytes from the host: commands of one character each."""
         for byte in data:
             self._command(byte, now_ns)
 
     def step(self, now_ns: int) -> bytes:
-        """What has left the line by now."""
+        """The bytes that have left the line by now."""
         while self._next_ns <= now_ns:
             sent = self._output(self._next_ns)
             self._line.send(sent, self._next_ns)
@@ -89,11 +89,11 @@ class WatsonDevice:
         return self._line.read(now_ns)
 
     def next_ns(self, now_ns: int, tick_ns: int) -> int:
-        """When to call ``step`` next, of all times whole ticks from now; see ``BaudLine.next_read_ns``."""
+        """Next time to call ``step``, whole ticks from now; see ``BaudLine.next_read_ns``."""
         return min(self._next_ns, self._line.next_read_ns(now_ns, tick_ns))
 
     def _boot(self, now_ns: int, space_window_ns: int) -> None:
-        """Send the banner and listen for the two spaces."""
+        """Send the banner and wait for the two spaces of command mode."""
         self._label = self._stored_label
         self._binary = False
         self._next_ns = now_ns + INITIALISATION_NS
@@ -114,7 +114,7 @@ class WatsonDevice:
         return encode_line(label, values, self._layout)
 
     def _command(self, byte: int, now_ns: int) -> None:
-        """One character; all but the reinitialise command need the two spaces first."""
+        """Process one character; all commands but reinitialise require the two spaces before."""
         command = bytes([byte])
         if command == REINITIALISE:
             self._boot(now_ns, _SPACE_WINDOW_NS)
@@ -127,7 +127,7 @@ class WatsonDevice:
             self._north_armed = command == REFERENCE
 
     def _change(self, command: bytes) -> None:
-        """Output format or mode."""
+        """Change output format or mode."""
         if command in (DECIMAL, BINARY):
             self._binary = command == BINARY
         elif command == REFERENCE:

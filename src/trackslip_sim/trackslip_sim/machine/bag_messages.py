@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records on their way into a bag: serialized many at a time, and written in the order in which they came."""
+"""Batches of records for a bag: serialized together per topic, written in the order of arrival."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ Serialize = Callable[[Sequence[Any]], Iterable[bytes]]
 
 
 class Recording:
-    """What is to be written; ``serializers`` has those topics whose records are not messages already."""
+    """Records to be written; ``serializers`` has the topics whose records are not messages already."""
 
     def __init__(self, bag: BagWriter, serializers: Mapping[str, Serialize]) -> None:
         self._bag = bag
@@ -31,12 +31,12 @@ class Recording:
         self._records: defaultdict[str, list[Any]] = defaultdict(list)
 
     def add(self, topic: str, record: Any, log_time_ns: int) -> None:
-        """One record, behind all that came before."""
+        """Append one record."""
         self._order.append((topic, log_time_ns))
         self._records[topic].append(record)
 
     def write(self) -> None:
-        """Write all that was added, and forget it."""
+        """Write all added records to the bag and clear them."""
         messages = {
             topic: iter(self._serializers.get(topic, _one_by_one)(records))
             for topic, records in self._records.items()
@@ -53,13 +53,13 @@ def _one_by_one(messages: Sequence[Any]) -> Iterable[bytes]:
 
 
 def like(blank: Any, columns: Callable[[Sequence[Any]], Columns]) -> Serialize:
-    """Of messages that are as ``blank`` but for the columns of their records."""
+    """A serializer of messages equal to ``blank`` except for the columns of their records."""
     layout = MessageColumns(blank)
     return lambda records: layout.serialize(columns(records))
 
 
 def sensor_serializers(watson: WatsonParameters, base_frame: str) -> dict[str, Serialize]:
-    """Of the drivers' records; what is the same in all messages comes from the drivers' own conversions."""
+    """Serializers of the drivers' records; the constant fields come from the drivers' conversions."""
     stddevs = (watson.linear_acceleration_stddev, watson.angular_velocity_stddev)
     imu = conversions.blank_imu(make, watson.frame_id, *stddevs)
     field = conversions.blank_magnetic_field(make, watson.frame_id, watson.magnetic_field_stddev)

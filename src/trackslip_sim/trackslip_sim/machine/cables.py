@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator's bus and serial ports: what joins the excavator's devices to the drivers."""
+"""The emulator's CAN bus and serial ports, which connect the emulated devices to the drivers."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,7 +15,7 @@ from trackslip_sim.parameters import EmulatorParameters
 
 
 class Cables:
-    """Open from the start.
+    """Bus and ports, opened at construction.
 
     Raises:
         can.CanError, OSError: bus or port cannot be opened.
@@ -33,11 +33,11 @@ class Cables:
 
     @property
     def bytes_lost(self) -> int:
-        """Sent on serial lines that nobody read."""
+        """Number of bytes lost on serial lines that no client reads."""
         return sum(port.bytes_lost for port in self._ports.values())
 
     def exchange(self, excavator: EmulatedExcavator, now_ns: int) -> None:
-        """Carry frames and bytes, both ways.
+        """Transfer frames and bytes between devices and drivers, in both directions.
 
         Raises:
             OSError: bus or port failed.
@@ -63,5 +63,5 @@ class Cables:
         self._ports[GNSS].write(excavator.step_gnss(now_ns))
 
     def close(self) -> None:
-        """Pull them out; safe to call twice."""
+        """Close bus and ports; safe to call twice."""
         self._opened.close()

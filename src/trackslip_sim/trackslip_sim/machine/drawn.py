@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Machines as real ones are: each differs from what its parameters say, by as much as real ones were seen to.
+"""Random machines: each differs from its nominal parameters as real machines do.
 
-    V, D    mean of the tracks' speeds, right less left                     m/s
-    d       how far they depart from their mean of late                     m/s
-    e_v     error of v beside what the truth has, of size σ_v               m/s
-    e_ω     the same of ω, of size σ_ω                                      rad/s
-    f       size of the velocity errors over the emulated excavator's       1
+    V, D    mean of the track speeds; right track speed minus left          m/s
+    d       deviation of the track speeds from their recent mean            m/s
+    e_v     error of v in addition to that of the truth, of size σ_v        m/s
+    e_ω     the same for ω, of size σ_ω                                     rad/s
+    f       velocity errors over those of the emulated excavator            1
     τ       correlation time of both                                        s
 
     σ_v² = (f² − 1) ((0.0024 V)² + (0.042 d)²)     B² σ_ω² = (f² − 1) ((0.001 V)² + (0.042 d)²)
 
-The shapes are those measured on the shear truth, which has errors of the size of f = 1 already.
+The terms were measured on the shear truth, whose own errors are those of f = 1.
 """
 
 import math
@@ -24,30 +24,30 @@ from trackslip_common.arrays import FloatArray
 
 STEADY, STEADY_TURN, CHANGING = 0.0024, 0.001, 0.042  # shares of V and of d
 CORRELATION = 0.14  # s, τ
-GYRO_SCALE, ASYMMETRY, RADIUS, FIX_DELAY = 0.02, 0.02, 0.01, 0.1  # by which a machine differs at the most
-_MEMORY = 0.5  # s, of the mean speeds
+GYRO_SCALE, ASYMMETRY, RADIUS, FIX_DELAY = 0.02, 0.02, 0.01, 0.1  # largest deviations of a machine
+_MEMORY = 0.5  # s, time constant of the recent mean
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnMachine:
-    """How it differs; the defaults are a machine that is as its parameters say."""
+    """Deviations of a machine from its parameters; the defaults are the nominal machine."""
 
-    gyro_scale: float = 1.0  # what the gyro shows of 1 rad/s
+    gyro_scale: float = 1.0  # gyro output over true rate
     asymmetry: float = 0.0  # ε, rad/m
-    radius: float = 1.0  # true rolling radius over the one that is stated
+    radius: float = 1.0  # true rolling radius over the stated one
     velocity_errors: float = 1.0  # f
-    fix_delay: float = 0.0  # s by which a fix is older than its stamp
-    gyro_noise: float = 1.0  # true standard deviation over the one that is stated
+    fix_delay: float = 0.0  # s, age of a fix at its stamp
+    gyro_noise: float = 1.0  # true standard deviation over the stated one
     fix_variance: float = 1.0  # true over stated
 
 
 def uniform_variance(most: float) -> float:
-    """Of a number between −``most`` and ``most``."""
+    """Variance of a uniform variable between −``most`` and ``most``."""
     return most * most / 3.0
 
 
 def draw_machine(random: np.random.Generator) -> DrawnMachine:
-    """One at random."""
+    """A random machine."""
     return DrawnMachine(
         gyro_scale=1.0 + random.uniform(-GYRO_SCALE, GYRO_SCALE),
         asymmetry=random.uniform(-ASYMMETRY, ASYMMETRY),
@@ -60,7 +60,7 @@ def draw_machine(random: np.random.Generator) -> DrawnMachine:
 
 
 class MotionErrors:
-    """What becomes of a nominal machine's motion on a drawn one, piece by piece of a drive."""
+    """Converts the motion of the nominal machine to that of a drawn one, in pieces of a drive."""
 
     def __init__(
         self, machine: DrawnMachine, tread: float, period: float, random: np.random.Generator
@@ -74,7 +74,7 @@ class MotionErrors:
         self._mean_state = np.zeros((1, 2))
 
     def apply(self, tracks: FloatArray, twists: FloatArray) -> FloatArray:
-        """(n, 3) v_x, v_y, ω of the drawn machine, by the tracks' speeds (n, 2) and nominal twists (n, 3)."""
+        """(n, 3) v_x, v_y, ω of the drawn machine from track speeds (n, 2) and nominal twists (n, 3)."""
         machine = self._machine
         mean, self._mean_state = lfilter(*self._mean, tracks, axis=0, zi=self._mean_state)
         white = self._random.standard_normal(tracks.shape)
@@ -89,12 +89,12 @@ class MotionErrors:
 
 
 def interpolated(times: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
-    """(k, m) at times (k,), s, of columns (n, m) at times ``t`` (n,)."""
+    """(k, m) columns (n, m), given at times ``t`` (n,), interpolated at ``times`` (k,), s."""
     return np.stack([np.interp(times, t, column) for column in columns.T], axis=1)
 
 
 def integrated(twists: FloatArray, period: float, start: FloatArray) -> FloatArray:
-    """(n, 3) poses after each of n periods with twists (n, 3) at their ends, from a pose (3,) on."""
+    """(n, 3) poses after each of n periods, from a pose (3,) and twists (n, 3) at the periods' ends."""
     yaw = start[2] + period * np.cumsum(twists[:, 2])
     halfway = yaw - 0.5 * period * twists[:, 2]
     cos, sin = np.cos(halfway), np.sin(halfway)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated excavator: one true drive behind its devices that speak bytes. No port, no clock."""
+"""The emulated excavator: devices that send bytes, measured from one true drive. No port, no clock."""
 
 import math
 from collections.abc import Callable
@@ -39,7 +39,7 @@ T = TypeVar("T", bound=Parameters)
 
 
 class InertialUnit:
-    """Samples at ``rate`` Hz from ``start_ns`` on; ``measure`` has the readings at a stamp."""
+    """An inertial unit that samples at ``rate`` Hz from ``start_ns`` on; ``measure`` reads it at a stamp."""
 
     def __init__(self, rate: float, measure: Callable[[int], ImuSample], start_ns: int) -> None:
         self._period_ns = round(1e9 / rate)
@@ -47,7 +47,7 @@ class InertialUnit:
         self.next_ns = start_ns
 
     def step(self, now_ns: int, powered: bool) -> list[ImuSample]:
-        """Those due by now; none where it has no power, or nobody listens."""
+        """The samples due by now; none without ``powered``."""
         found = []
         while self.next_ns <= now_ns:
             if powered:
@@ -57,7 +57,7 @@ class InertialUnit:
 
 
 def drive(p: EmulatorParameters) -> Truth:
-    """The true motion that the parameters ask for.
+    """The true motion of the drive in the parameters.
 
     Raises:
         InputError: scenario, soil or terrain is unknown, or refused.
@@ -68,10 +68,10 @@ def drive(p: EmulatorParameters) -> Truth:
 
 
 class EmulatedExcavator:
-    """Devices from power-on at ``start_ns``; they measure ``truth`` from ``drive_start_ns`` on.
+    """The devices, powered from ``start_ns``; they measure ``truth`` from ``drive_start_ns`` on.
 
-    Each device is set up as its driver's defaults in ``config/`` expect it, and fails as ``faults`` says. A
-    machine whose inertial unit is no Watson has both: ``inertial``, which has no port, for ``offline``.
+    Each device has the settings of its driver's defaults in ``config/`` and the failures in ``faults``. A
+    machine with another inertial unit than a Watson has both; ``offline`` reads ``inertial``, without a port.
     """
 
     def __init__(self, p: EmulatorParameters, truth: Truth | TruthWindow, start_ns: int) -> None:
@@ -121,7 +121,7 @@ class EmulatedExcavator:
         self._lines = {sensor: FaultySerial(sensor, self.faults, p.seed) for sensor in (WATSON, SICK, GNSS)}
 
     def next_ns(self, sensor: str, now_ns: int, tick_ns: int) -> int:
-        """When to step a sensor next, of all times whole ticks from now, for the same result as at each."""
+        """Next time to step a sensor, whole ticks from now, for the same result as stepping at each tick."""
         if self.faults:
             return now_ns + tick_ns
         if now_ns < self.end_ns:
@@ -135,37 +135,37 @@ class EmulatedExcavator:
         return self._bus.transmit(frames, now_ns)
 
     def step_watson(self, now_ns: int) -> bytes:
-        """Characters that have left by now; the last line drains after the end."""
+        """Characters sent by now; the last line is completed after the end of the drive."""
         return self._sent(WATSON, self.watson, self._watson_line, now_ns)
 
     def step_inertial(self, now_ns: int) -> list[ImuSample]:
-        """Samples due by now of a unit that is no Watson; a fault of bytes is none of its."""
+        """Samples due by now of an inertial unit other than a Watson; faults of bytes do not apply."""
         if self.inertial is None:
             return []
         return self.inertial.step(min(now_ns, self.end_ns), self._can_receive(WATSON, now_ns))
 
     def step_sick(self, now_ns: int) -> bytes:
-        """Characters that have left by now."""
+        """Characters sent by now."""
         self.sick.status = self._readings.status(now_ns)
         on = self._powered(SICK, now_ns) and now_ns < self.end_ns
         return self._lines[SICK].transmit(self.sick.step(now_ns) if on else b"", now_ns)
 
     def step_gnss(self, now_ns: int) -> bytes:
-        """Characters that have left by now; the last burst drains after the end."""
+        """Characters sent by now; the last burst is completed after the end of the drive."""
         return self._sent(GNSS, self.gnss, self._gnss_line, now_ns)
 
     def receive_watson(self, data: bytes, now_ns: int) -> None:
-        """What the host has written to the inertial unit."""
+        """Pass bytes from the host to the inertial unit."""
         if data and self._can_receive(WATSON, now_ns):
             self.watson.receive(data, now_ns)
 
     def receive_sick(self, data: bytes, now_ns: int, host_baud: int | None) -> None:
-        """What the host has written to the scanner, and at which rate."""
+        """Pass bytes from the host, sent at ``host_baud`` Bd, to the scanner."""
         if data and self._can_receive(SICK, now_ns):
             self.sick.receive(data, now_ns, host_baud)
 
     def emitted(self) -> dict[str, int]:
-        """How many messages of each sensor topic the devices have sent so far, whatever became of them."""
+        """Number of messages sent so far per sensor topic, received or not."""
         frames, lines = self.can.frames_emitted, self.watson.lines_emitted
         return {
             "sprockets": frames[ENCODERS],
@@ -193,7 +193,7 @@ class EmulatedExcavator:
         return self._scanner.scan(self.sensors.time(stamp_ns), poses)
 
     def _powered(self, sensor: str, now_ns: int) -> bool:
-        """Whether it lives; it boots as its power comes back."""
+        """Whether the sensor has power; boots it when the power returns."""
         if self.faults.at(sensor, POWER_CYCLE, now_ns) is not None:
             self._without_power.add(sensor)
         elif sensor in self._without_power:
@@ -214,7 +214,7 @@ def _inertial_unit(
 
 
 def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> FullScales:
-    """What the contract of the frames, the unit's layout and the scanner's range give."""
+    """Full scales from the CAN frames, the inertial unit's layout and the scanner's range."""
     pressure = frames.by_name[PRESSURES].get_signal_by_name("supply_pressure").maximum
     inertial = {channel.name: channel.full_scale for channel in layout.channels}
     return FullScales(
@@ -227,5 +227,5 @@ def _full_scales(frames: FrameSet, layout: Layout, sick: SickParameters) -> Full
 
 
 def default_parameters(cls: type[T], node: str, *files: str) -> T:
-    """A node's own default parameters, from its file or these of ``config/``."""
+    """Default parameters of a node from ``files`` in ``config/``, by default ``<node>.yaml``."""
     return load_parameters(cls, node, files or (f"{node}.yaml",))

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with the emulated sensors, and when: records, and the list of those at work.
+"""Faults of the emulated sensors: records with times, and the list of active faults.
 
     {sensor: watson, kind: power_cycle, start: 12.0, duration: 0.5}
     {sensor: sick, kind: corrupted_bytes, start: 20.0, duration: 5.0, value: 0.01}
 
-Times are seconds of the drive: 0 as it begins, negative while the machine stands before it. The effects are
-in ``faulty_line`` (bytes and frames), ``faulty_readings`` (what is measured) and ``excavator`` (power).
+Times are seconds of the drive: 0 at its begin, negative during the standstill before it. The effects are in
+``faulty_line`` (bytes and frames), ``faulty_readings`` (measurements) and ``excavator`` (power).
 """
 
 import math
@@ -28,7 +28,7 @@ _KEYS = ("sensor", "kind", "start", "duration", "value")
 
 @dataclass(frozen=True)
 class Kind:
-    """One way to fail: who can, and what its ``value`` means (0 < value ≤ largest; empty: it has none)."""
+    """A kind of fault: its sensors, and the meaning of ``value`` (0 < value ≤ largest; empty: no value)."""
 
     sensors: tuple[str, ...]
     value: str = ""
@@ -58,23 +58,23 @@ CLOCK_STEP = "clock_step"
 _SHARE_OF_BYTES = "share of all bytes"
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
-        POWER_CYCLE: Kind(SENSORS),  # off for the duration, then it boots
-        UNPLUG: Kind(SENSORS),  # a serial port disappears, a bus falls silent; the sensor lives on
+        POWER_CYCLE: Kind(SENSORS),  # off for the duration, then boots
+        UNPLUG: Kind(SENSORS),  # a serial port disappears, a bus is silent; the sensor keeps running
         LOST_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
         DOUBLED_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
         CORRUPTED_BYTES: Kind(SENSORS, _SHARE_OF_BYTES),
-        WRONG_BAUD: Kind(_SERIAL),  # either end reads the other as noise
-        BUS_OFF: Kind((CAN,)),  # an error frame, silence, and in the end another: restarted
+        WRONG_BAUD: Kind(_SERIAL),  # both ends receive noise
+        BUS_OFF: Kind((CAN,)),  # an error frame, silence, then the error frame "restarted"
         LOST_FRAMES: Kind((CAN,), "share of all frames"),
         BURSTS: Kind(SENSORS, "s for which all is held back, to come at once", 60.0),
-        STUCK: Kind(SENSORS),  # measures what it did as the fault began
+        STUCK: Kind(SENSORS),  # repeats the measurement at the fault's begin
         NOISE: Kind((CAN, WATSON, SICK), "standard deviation, as a share of full scale"),
         POLLUTION: Kind((SICK,)),
         OCCLUSION: Kind((SICK,), "rad around the middle beam that something near covers", math.pi),
         GLARE: Kind((SICK,), "share of the rays that are dazzled"),
         RTK_FLOAT: Kind((GNSS,)),  # ambiguities are no longer fixed
         CODE_ONLY: Kind((GNSS,)),  # corrections are lost
-        NO_FIX: Kind((GNSS,)),  # the sky is
+        NO_FIX: Kind((GNSS,)),  # too few satellites
         MULTIPATH: Kind(
             (GNSS,), "m eastward that the position is off, of which the receiver knows nothing", 100.0
         ),
@@ -88,14 +88,14 @@ class Fault:
     """One failure of one sensor.
 
     Raises:
-        InputError: there is no such sensor or kind, they do not go together, or a number is out of range.
+        InputError: sensor or kind is unknown, the sensor has no such fault, or a number is out of range.
     """
 
     sensor: str
     kind: str
     start: float  # s of the drive
     duration: float  # s
-    value: float = 0.0  # as its ``Kind`` says
+    value: float = 0.0  # meaning and unit as in its ``Kind``
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -120,7 +120,7 @@ class Fault:
             )
 
     def __str__(self) -> str:
-        """As diagnostics show it."""
+        """Text for diagnostics."""
         value = f" {self.value:g}" if self.value else ""
         return f"{self.sensor} {self.kind}{value} until {self.start + self.duration:.1f} s"
 
@@ -138,7 +138,7 @@ def read_fault(tree: Mapping[str, Any]) -> Fault:
 
 
 def parse_fault(yaml_text: str, now: float) -> Fault:
-    """A fault from one YAML mapping, such as a message holds; without ``start`` it begins now (s).
+    """A fault from the text of one YAML mapping, as in a message; without ``start`` it begins at ``now``, s.
 
     Raises:
         InputError: the text is no YAML mapping, or its content is refused.
@@ -150,14 +150,14 @@ def parse_fault(yaml_text: str, now: float) -> Fault:
 
 
 class Faults:
-    """Those known, asked by the time of the emulator's clock.
+    """The faults of a drive, looked up by the emulator's clock.
 
     Args:
-        faults: scripted beforehand.
-        drive_start_ns: where the time of the faults is 0.
+        faults: the faults of the scenario.
+        drive_start_ns: clock time at which the time of the faults is 0.
 
     Attributes:
-        added: how many more have come since.
+        added: number of faults added since.
     """
 
     def __init__(self, faults: tuple[Fault, ...], drive_start_ns: int) -> None:
@@ -166,11 +166,11 @@ class Faults:
         self.added = 0
 
     def __bool__(self) -> bool:
-        """Whether any is known, at work or still to come."""
+        """Whether any fault is active or pending."""
         return bool(self._faults)
 
     def add(self, fault: Fault, now_ns: int) -> None:
-        """One more; those that are over are forgotten."""
+        """Add a fault; remove those that are over."""
         now = self.time(now_ns)
         self._faults = [known for known in self._faults if known.start + known.duration > now]
         self._faults.append(fault)
@@ -181,7 +181,7 @@ class Faults:
         return (now_ns - self._start_ns) / _NS_PER_S
 
     def at(self, sensor: str, kind: str, now_ns: int) -> Fault | None:
-        """The fault of that kind at work now; the latest, where there are several."""
+        """The active fault of a kind; the one added last if there are several."""
         if not self._faults:
             return None
         now = self.time(now_ns)
@@ -191,7 +191,7 @@ class Faults:
         return None
 
     def at_work(self, now_ns: int) -> list[Fault]:
-        """All at work now."""
+        """All active faults."""
         now = self.time(now_ns)
         return [fault for fault in self._faults if _covers(fault, now)]
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a bad line does to what a sensor sends: bytes on a serial line, frames on a CAN bus."""
+"""Faults of transmission: bytes on a serial line, frames on a CAN bus."""
 
 from collections.abc import Sequence
 from typing import Generic, TypeVar
@@ -16,23 +16,23 @@ Frame = tuple[int, bytes]  # (arbitration id, payload)
 
 BUS_OFF_FRAME: Frame = (ERROR_FLAG | 0x40, bytes(8))
 RESTARTED_FRAME: Frame = (ERROR_FLAG | 0x100, bytes(8))
-_FRAME_LENGTH = 8  # the most bytes of payload
+_FRAME_LENGTH = 8  # largest payload, bytes
 _NS_PER_S = 1_000_000_000
 
 
 class _HeldBack(Generic[T]):
-    """Lets things pass, or keeps them until the next whole multiple of the fault's value."""
+    """Passes items through, or holds them until the next multiple of the fault's value."""
 
     def __init__(self) -> None:
         self._held: list[T] = []
         self._burst = 0
 
     def __bool__(self) -> bool:
-        """Whether it holds anything."""
+        """Whether any item is held."""
         return bool(self._held)
 
     def transmit(self, things: Sequence[T], fault: Fault | None, now: float) -> list[T]:
-        """What comes out now (s)."""
+        """The items released at ``now``, s."""
         self._held += things
         burst = 0 if fault is None else int((now - fault.start) / fault.value)
         if fault is not None and burst == self._burst:
@@ -43,7 +43,7 @@ class _HeldBack(Generic[T]):
 
 
 class FaultySerial:
-    """From a serial sensor to the host."""
+    """The line from a serial sensor to the host."""
 
     def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
         self._sensor = sensor
@@ -52,7 +52,7 @@ class FaultySerial:
         self._held: _HeldBack[int] = _HeldBack()
 
     def transmit(self, data: bytes, now_ns: int) -> bytes:
-        """What arrives now of what was sent."""
+        """The bytes that arrive now."""
         if not self._faults and not self._held:
             return data
         if self._faults.at(self._sensor, f.UNPLUG, now_ns) is not None:
@@ -65,7 +65,7 @@ class FaultySerial:
 
 
 class FaultyBus:
-    """From the valve controller to whoever listens; its checks find what happens to bytes on the way."""
+    """The CAN bus from the valve controller to its listeners; byte faults change the payloads."""
 
     def __init__(self, sensor: str, faults: Faults, seed: int) -> None:
         self._sensor = sensor
@@ -76,7 +76,7 @@ class FaultyBus:
         self._off = False
 
     def transmit(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
-        """What is on the bus now of what was sent."""
+        """The frames on the bus now."""
         if not (self._faults or self._held or self._off):
             return list(frames)
         was_off, self._off = self._off, self._at(f.BUS_OFF, now_ns) is not None
@@ -96,7 +96,7 @@ class FaultyBus:
 
 
 class _BadBytes:
-    """Loses, doubles and changes bytes at the rates asked for."""
+    """Drops, doubles and changes bytes at the rates of the faults."""
 
     def __init__(self, sensor: str, faults: Faults, random: np.random.Generator) -> None:
         self._sensor = sensor
@@ -119,7 +119,7 @@ class _BadBytes:
         return data
 
     def noise(self, count: int) -> bytes:
-        """What bytes become that are read at another rate."""
+        """Random bytes, as received at a wrong baud rate."""
         return self._random.bytes(count)
 
     def _chosen(self, data: bytes, fault: Fault) -> list[bool]:
@@ -128,7 +128,7 @@ class _BadBytes:
 
 
 def corrupt(data: bytes, rate: float, random: np.random.Generator) -> bytes:
-    """Each byte changed to any other with probability ``rate``."""
+    """The bytes, each changed to a random other one with probability ``rate``."""
     values = np.frombuffer(data, dtype=np.uint8)
     change = random.integers(1, 256, len(values), dtype=np.uint8)
     hit = random.random(len(values)) < rate

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a bad sensor measures: nothing new, with more noise, or what stands in its way."""
+"""Faults of measurement: stuck sensors, additional noise, occlusion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from trackslip_sim.machine.sensors import MachineSensors
 
 T = TypeVar("T")
 
-_NEAR = 0.5  # m, distance of what covers the laser
-_POLLUTED = 0x80  # in the scanner's status
+_NEAR = 0.5  # m, distance of an occlusion
+_POLLUTED = 0x80  # bit of the scanner's status
 
 
 @dataclass(frozen=True)
 class FullScales:
-    """What a share of 1 means as noise."""
+    """Full scale of each quantity, to which the shares of noise refer."""
 
     pressure: float  # Pa
     acceleration: float  # m/s²
@@ -32,7 +32,7 @@ class FullScales:
 
 
 class FaultyReadings:
-    """The readings of ``sensors`` and ``scan``, with what is wrong with them at their stamp."""
+    """The readings of ``sensors`` and ``scan`` with the faults active at their stamp."""
 
     def __init__(
         self,
@@ -50,11 +50,11 @@ class FaultyReadings:
         self._held: dict[str, object] = {}
 
     def sprockets(self, stamp_ns: int) -> SprocketSample:
-        """An encoder is stuck or is not: it has no noise."""
+        """Encoder readings, possibly stuck; encoders have no noise."""
         return self._fresh("sprockets", f.CAN, stamp_ns, self._sensors.sprockets)
 
     def hydraulics(self, stamp_ns: int) -> HydraulicsSample:
-        """Pressures with more noise."""
+        """Hydraulics; a fault adds noise to the pressures."""
         sample = self._fresh("hydraulics", f.CAN, stamp_ns, self._sensors.hydraulics)
         noise = self._noise(f.CAN, stamp_ns, 3)
         if noise is None:
@@ -67,7 +67,7 @@ class FaultyReadings:
         )
 
     def imu(self, stamp_ns: int) -> ImuSample:
-        """All channels with more noise."""
+        """Inertial readings; a fault adds noise to all channels."""
         sample = self._fresh("imu", f.WATSON, stamp_ns, self._sensors.imu)
         noise = self._noise(f.WATSON, stamp_ns, 9)
         if noise is None:
@@ -80,7 +80,7 @@ class FaultyReadings:
         )
 
     def ranges(self, stamp_ns: int) -> FloatArray:
-        """(361,) m; nan where dazzled."""
+        """Ranges (361,), m; nan where glare hides the target."""
         ranges = self._fresh("ranges", f.SICK, stamp_ns, self._scan)
         noise = self._noise(f.SICK, stamp_ns, len(ranges))
         ranges = np.maximum(ranges if noise is None else ranges + noise * self._full.range, 0.0)
@@ -96,7 +96,7 @@ class FaultyReadings:
         return _POLLUTED if self._faults.at(f.SICK, f.POLLUTION, stamp_ns) else 0
 
     def _fresh(self, name: str, sensor: str, stamp_ns: int, read: Callable[[int], T]) -> T:
-        """What is measured now, or while stuck what was first measured then."""
+        """The current reading, or while stuck the reading at the begin of the fault."""
         if self._faults.at(sensor, f.STUCK, stamp_ns) is None:
             self._held.pop(name, None)
             return read(stamp_ns)
@@ -105,7 +105,7 @@ class FaultyReadings:
         return self._held[name]  # type: ignore[return-value]  # each name holds one type
 
     def _noise(self, sensor: str, stamp_ns: int, count: int) -> FloatArray | None:
-        """(count,) of full scale; None: there is none."""
+        """(count,) additional noise as a share of full scale; None without the fault."""
         fault = self._faults.at(sensor, f.NOISE, stamp_ns)
         return None if fault is None else fault.value * self._random.standard_normal(count)
 

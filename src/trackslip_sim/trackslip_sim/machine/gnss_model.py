@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a GNSS receiver on the machine finds of the truth: position by quality, velocity, heading of a pair.
+"""Model of a GNSS receiver: position by quality, velocity, heading of an antenna pair.
 
-    e     error of a position, east and north: white, and a first-order Gauss–Markov process of σ, τ;
-          that of the altitude is twice as large                                                       m
-    q     quality as in GGA: 1 code alone, 4 carrier phase with fixed ambiguities, 5 floating
+e     error of a position, east and north: white noise plus a first-order Gauss–Markov process
+      of σ, τ; the error of the altitude is twice as large                                         m
+q     quality as in GGA: 1 code only, 4 carrier phase with fixed ambiguities, 5 float
 
-Faults make it worse: floating ambiguities, code alone, no fix, and multipath, a step of the position that the
-receiver does not know of. The heading is that of one antenna from the other: it needs no corrections.
+Faults reduce the quality to float, code only or no fix. Multipath adds a step to the position, which the
+stated accuracy does not include. The heading from one antenna to the other needs no corrections.
 """
 
 import math
@@ -26,22 +26,22 @@ from trackslip_sim.machine import faults as f
 from trackslip_sim.machine.faults import Faults
 from trackslip_sim.machine.placement import Placement
 
-_FIXED_SPREAD = 0.5  # of the error of a fixed solution that lasts, as a share; the rest is white
-_FIXED_TIME = 5.0  # s
+_FIXED_SPREAD = 0.5  # time-correlated share of a fixed solution's variance; the rest is white
+_FIXED_TIME = 5.0  # s, correlation time
 _UP_SHARE = 2.0  # error of an altitude over that of the position
-_CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m, s
+_CODE_STDDEV, _CODE_TIME = 1.5, 60.0  # m; s, correlation time
 _NS_PER_S = 1_000_000_000
-_APART_NS = 10_000_000  # from an epoch to both places whose difference is the velocity
+_APART_NS = 10_000_000  # half the interval of the central difference for the velocity
 
 
 @dataclass(frozen=True, kw_only=True)
 class GnssParameters(Parameters):
-    """The receiver, where its antennas are, and how far it errs."""
+    """Receiver, mounting of its antennas, and its errors."""
 
     device: NmeaDeviceParameters
-    latitude: float = parameter("of the site's origin", unit="°", ge=-89.0, le=89.0)
-    longitude: float = parameter("of the site's origin", unit="°", ge=-180.0, le=180.0)
-    altitude: float = parameter("of the site's origin above the ellipsoid", unit="m")
+    latitude: float = parameter("latitude of the site's origin", unit="°", ge=-89.0, le=89.0)
+    longitude: float = parameter("longitude of the site's origin", unit="°", ge=-180.0, le=180.0)
+    altitude: float = parameter("height of the site's origin above the ellipsoid", unit="m")
     antenna_x: float = parameter("antenna ahead of base_link", unit="m")
     antenna_y: float = parameter("antenna left of base_link", unit="m")
     antenna_z: float = parameter("antenna above base_link", unit="m")
@@ -52,11 +52,11 @@ class GnssParameters(Parameters):
     )
     fixed_stddev: float = parameter("error of a fixed solution, east and north", unit="m", gt=0.0)
     float_stddev: float = parameter("error of a floating solution", unit="m", gt=0.0)
-    float_time: float = parameter("for which that error lasts", unit="s", gt=0.0)
+    float_time: float = parameter("correlation time of that error", unit="s", gt=0.0)
 
 
 class _GaussMarkov:
-    """Components of a first-order Gauss–Markov process, asked at rising times."""
+    """A first-order Gauss–Markov process, evaluated at increasing times."""
 
     def __init__(self, stddev: float, time: float) -> None:
         self._stddev, self._time = stddev, time
@@ -64,7 +64,7 @@ class _GaussMarkov:
         self._at = 0.0
 
     def at(self, t: float, normal: FloatArray) -> FloatArray:
-        """(k,) m; ``normal`` (k,) drives it."""
+        """The process (k,) at ``t``, m; ``normal`` (k,) are its standard normal draws."""
         kept = 0.0 if self._value is None else math.exp(-abs(t - self._at) / self._time)
         before = np.zeros_like(normal) if self._value is None else self._value
         self._value = kept * before + math.sqrt(1.0 - kept * kept) * self._stddev * normal
@@ -73,13 +73,13 @@ class _GaussMarkov:
 
 
 class GnssModel:
-    """Measurements of a drive; an epoch after the other.
+    """GNSS measurements of a drive, epoch by epoch.
 
     Args:
-        p: places and errors.
-        placement: where the machine truly is at a stamp.
-        faults: what is wrong with the receiver, and when.
-        seed: of its errors.
+        p: mounting and errors.
+        placement: true placement of the machine at a stamp.
+        faults: faults of the receiver.
+        seed: seed of the errors.
     """
 
     def __init__(
@@ -93,14 +93,14 @@ class GnssModel:
         self._placement = placement
         self._faults = faults
         self._random = np.random.default_rng(seed)
-        self._of_altitude = np.random.default_rng((seed, 1))  # its own: the other draws stay what they are
+        self._of_altitude = np.random.default_rng((seed, 1))  # separate: the other draws stay unchanged
         self._of_velocity = np.random.default_rng((seed, 2))
         self._correlated, self._correlated_up = self._processes(1.0), self._processes(_UP_SHARE)
         self._stddevs = {FIXED: p.fixed_stddev, FLOAT: p.float_stddev, SINGLE: _CODE_STDDEV}
         self._held: Placement | None = None
 
     def measure(self, stamp_ns: int, best: int) -> Position:
-        """What the receiver finds, with ``best`` as the quality that it can have."""
+        """The receiver's solution, of quality ``best`` or worse."""
         p, quality = self._p, self._quality(best, stamp_ns)
         east, north, up = self._error(stamp_ns, quality)
         heading_error = p.heading_stddev * self._random.standard_normal()
@@ -129,7 +129,7 @@ class GnssModel:
         return at._replace(heading=heading, heading_stddev=math.degrees(p.heading_stddev))
 
     def _velocity(self, stamp_ns: int) -> tuple[float, float]:
-        """Speed, m/s, and course, °, of the antenna; a receiver that is stuck stands."""
+        """Speed, m/s, and course, °, of the antenna; a stuck receiver measures noise about 0."""
         arm = self._p.antenna_x, self._p.antenna_y, self._p.antenna_z
         error, velocity = self._p.velocity_stddev * self._of_velocity.standard_normal(2), np.zeros(2)
         if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
@@ -142,7 +142,7 @@ class GnssModel:
         return math.hypot(east, north), heading_of_yaw(math.atan2(north, east))
 
     def _processes(self, share: float) -> dict[int, _GaussMarkov]:
-        """What lasts of the errors, by quality, times a share."""
+        """Time-correlated errors by quality, scaled by ``share``."""
         p = self._p
         return {
             FIXED: _GaussMarkov(share * p.fixed_stddev * math.sqrt(_FIXED_SPREAD), _FIXED_TIME),
@@ -151,7 +151,7 @@ class GnssModel:
         }
 
     def _error(self, stamp_ns: int, quality: int) -> tuple[float, float, float]:
-        """East, north, up, m; all processes go on, whichever of them shows."""
+        """Position error east, north, up, m; all processes advance, whatever the quality."""
         normal = self._random.standard_normal((len(self._correlated), 2))
         t = stamp_ns / _NS_PER_S
         errors = {
@@ -171,7 +171,7 @@ class GnssModel:
         return float(east + spread * white[0]), float(north + spread * white[1]), float(up)
 
     def _machine(self, stamp_ns: int) -> Placement:
-        """True, or while stuck the one at its beginning."""
+        """The true placement; while stuck the one at the begin of the fault."""
         if self._faults.at(f.GNSS, f.STUCK, stamp_ns) is None:
             self._held = None
             return self._placement(stamp_ns)

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the soil estimator is given on a true drive: hydraulics, and slips with errors that last.
+"""Inputs of the soil estimator from a true drive: hydraulics, and slips with time-correlated errors.
 
-v_x, v_y, φ̇   true twist, and what an estimator with time-correlated errors makes of it   m/s, rad/s
-r ω_j          true track speeds: encoders are good                               m/s
+v_x, v_y, φ̇   twist: true, and estimated with time-correlated errors             m/s, rad/s
+r ω_j          track speeds, without error                                        m/s
 i_j            1 − v_j/(r ω_j) with the estimated v_j                             1
 """
 
@@ -27,27 +27,27 @@ from trackslip_sim.truth.record import Truth
 
 START_NS = 10_000_000_000
 _PERIOD_NS = 10_000_000
-_HYDRAULICS_DELAY_NS = 4_000_000  # after the slips: frames of their own
-_SLOWEST = 0.005  # m/s of a track, below which it has no slip
+_HYDRAULICS_DELAY_NS = 4_000_000  # after the slips, as in separate frames
+_SLOWEST = 0.005  # m/s, track speed below which slip is 0
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """Errors of what is given."""
+    """Errors of the inputs."""
 
     pressure_stddev: float = 3.0e4  # Pa
-    offsets: tuple[float, float] = (0.0, 0.0)  # Pa, of the left and the right transducer
+    offsets: tuple[float, float] = (0.0, 0.0)  # Pa, of the left and right transducer
     speed_stddev: float = 0.003  # m/s, of v_x and v_y
     yaw_rate_stddev: float = 0.003  # rad/s
     position_stddev: float = 0.003  # m
-    error_time: float = 0.5  # s, for which errors of the twist and the position last
-    swing_stddev: float | None = None  # rad, as stated with the true swing; None: nobody knows it
+    error_time: float = 0.5  # s, correlation time of the errors of twist and position
+    swing_stddev: float | None = None  # rad, stated with the true swing; None: swing unknown
 
 
 def soil_inputs(
     truth: Truth, vehicle: Vehicle, limits: MotionParameters, sensing: Sensing, seed: int = 0
 ) -> Iterator[SoilInput]:
-    """At 100 Hz each, in the order in which they come."""
+    """Machine states and hydraulics at 100 Hz each, in the order of arrival."""
     rng = np.random.default_rng(seed)
     step = _PERIOD_NS * 1e-9
     at = truth.interpolate(np.arange(round(truth.duration / step)) * step)
@@ -88,7 +88,7 @@ def soil_inputs(
 
 
 def _slips(twist: FloatArray, tracks: FloatArray, vehicle: Vehicle) -> FloatArray:
-    """(2,) of left and right; 0 while the track stands."""
+    """Slips (2,) of left and right track; 0 at standstill of a track."""
     rolls = np.abs(tracks) > _SLOWEST
     frames = np.array(frame_speeds(twist, vehicle.tread))
     share: FloatArray = np.divide(frames, tracks, out=np.ones(2), where=rolls)

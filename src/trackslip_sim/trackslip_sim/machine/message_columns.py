@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many messages of one type at once: columns of numbers to CDR, or one row of them to a live message.
+"""Serializes many messages of one type from columns of numbers, or fills a live message from one row.
 
-Messages of a topic differ in their numbers alone. Strings and the lengths of sequences are those of a blank
-message, so each field has one place in the bytes of all.
+Messages of a topic differ only in numbers. Strings and lengths of sequences are those of a blank message, so
+each field has the same position in the bytes of all messages.
 """
 
 import functools
@@ -24,20 +24,20 @@ _NS_PER_S = 1_000_000_000
 
 
 def stamp_columns(stamps_ns: Sequence[int]) -> Columns:
-    """The stamp of a header."""
+    """Columns of a header's stamp."""
     sec, nanosec = np.divmod(np.array(stamps_ns, dtype=np.int64), _NS_PER_S)
     return {"header.stamp.sec": sec, "header.stamp.nanosec": nanosec}
 
 
 def set_fields(message: Any, columns: Columns) -> None:
-    """Put the first row of each column into a message; numbers, not arrays of them."""
+    """Set fields of a message from the first row of each column; scalar fields only."""
     for name, column in columns.items():
         *path, field = name.split(".")
         setattr(functools.reduce(getattr, path, message), field, column[0].item())
 
 
 class MessageColumns:
-    """Messages like ``blank``, which was made by ``trackslip_bags.messages.make``."""
+    """Serializer of messages like ``blank``, which ``trackslip_bags.messages.make`` has made."""
 
     def __init__(self, blank: Any) -> None:
         self._blank = serialize(blank)
@@ -45,7 +45,7 @@ class MessageColumns:
         self._fields = Layout(fields_by(ensure(type_name)), type_name, self._blank).dtype
 
     def serialize(self, columns: Columns) -> list[bytes]:
-        """CDR of the blank with these values in it, a message for each row."""
+        """CDR of the blank with the values of each row: one message per row."""
         (count,) = {len(column) for column in columns.values()}
         size = len(self._blank)
         rows = np.frombuffer(self._blank * count, dtype=np.uint8).copy()

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A drive recorded faster than real time: the emulator's bytes through the drivers' protocols into a bag.
+"""Records a drive faster than real time: bytes of the emulator pass the drivers' protocols into a bag.
 
-The same devices, protocols, conversions and localizer as live, on a clock that is only counted: each device
-is looked at only when it has something to say. There are no ports and no processes, so each message is logged
-at the tick at which its last byte arrives.
+Devices, protocols, conversions and localizer are those of live operation; the clock is a counter. Each device
+is read only when it has data. There are no ports and no processes, so each message is logged at the tick at
+which its last byte arrives.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,10 +53,10 @@ from trackslip_sim.machine.truth_messages import soil_message, swing_columns, tr
 from trackslip_sim.parameters import EmulatorParameters
 from trackslip_sim.truth.record import KEPT, Truth, TruthWindow
 
-START_NS = 1_000_000_000  # of the counted clock
+START_NS = 1_000_000_000  # start of the counted clock
 _SECOND_NS = 1_000_000_000
-_LOOK_NS = 100_000_000  # between two looks at a port, at the most: as live
-_WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes, while the window still has the truth
+_LOOK_NS = 100_000_000  # longest time between two reads of a port, as live
+_WRITE_NS = round(0.5 * KEPT * 1e9)  # between writes; the window must still hold the truth
 
 
 def record_drive(
@@ -65,9 +65,9 @@ def record_drive(
     path: Path,
     advance: Callable[[float], None] = lambda _: None,
 ) -> dict[str, int]:
-    """Write what the sensors see of the drive, and the truth; returns the messages per topic.
+    """Write sensor data and truth of the drive to a bag; returns the messages per topic.
 
-    ``advance`` hears of every second that is done, counted from power-on.
+    ``advance`` is called with the number of simulated seconds since its last call, from power-on.
 
     Raises:
         InputError: the bag exists already.
@@ -87,15 +87,15 @@ def record_drive(
 
 @dataclass
 class _Task:
-    """Something that the host does again and again."""
+    """A repeated task of the host."""
 
     step: Callable[[int], None]
-    after: Callable[[int], int]  # when it is due after a step
+    after: Callable[[int], int]  # due time after a step
     due_ns: int = START_NS
 
 
 class _Host:
-    """The computer on the vehicle, with its ports joined straight to the devices."""
+    """The computer on the vehicle, connected to the devices without ports."""
 
     def __init__(self, p: EmulatorParameters, window: TruthWindow, bag: BagWriter) -> None:
         self.excavator = EmulatedExcavator(p, window, START_NS)
@@ -137,28 +137,28 @@ class _Host:
 
     @property
     def next_ns(self) -> int:
-        """The next tick at which there is anything to do."""
+        """The next tick at which a task is due."""
         return min([task.due_ns for task in self._tasks])
 
     def step(self, now_ns: int) -> None:
-        """All that is due, in the order of the tasks."""
+        """Run the tasks that are due, in their order."""
         for task in self._tasks:
             if task.due_ns <= now_ns:
                 task.step(now_ns)
                 task.due_ns = task.after(now_ns)
 
     def _next_look_ns(self, sensor: str, now_ns: int) -> int:
-        """The next tick at which a sensor may be received."""
+        """The next tick at which a sensor is read."""
         requested_ns = min(self.excavator.next_ns(sensor, now_ns, TICK_NS), now_ns + _LOOK_NS)
         return now_ns + max(1, -((now_ns - requested_ns) // TICK_NS)) * TICK_NS
 
     def _next_talk_ns(self, now_ns: int) -> int:
-        """The same of the scanner, which waits for answers until it streams."""
+        """The next tick at which the scanner is read: every tick until it streams."""
         is_streaming = self._session.phase is Phase.STREAMING
         return self._next_look_ns(SICK, now_ns) if is_streaming else now_ns + TICK_NS
 
     def _repeated_ns(self, period_ns: int, now_ns: int) -> int:
-        """A period later, to the end of the drive."""
+        """One period later; ``NEVER_NS`` after the end of the drive."""
         next_ns = now_ns + period_ns
         return next_ns if next_ns <= self.excavator.end_ns else NEVER_NS
 
@@ -195,7 +195,7 @@ class _Host:
     def _on_scan(self, scan: ScanSample, now_ns: int) -> None:
         message = of_sensors.laser_scan(make, scan, self._sick.frame_id)
         self.recording.add("scan", message, now_ns)
-        ranges = np.asarray(message.ranges, dtype=np.float64)  # as rounded on the way to the localizer
+        ranges = np.asarray(message.ranges, dtype=np.float64)  # rounded as in the message
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         fix = self._localizer.locate(Scan(scan.stamp_ns, ranges, *geometry))
         if isinstance(fix, BoxFix):
@@ -220,7 +220,7 @@ class _Host:
             self.recording.add("gnss_pose", pose, now_ns)
 
     def _record_truth(self, now_ns: int) -> None:
-        """Stamps; what the truth is then is looked up when it is written."""
+        """Add the stamps of the truth; the truth is looked up when they are written."""
         since_ns = now_ns - START_NS
         self._window.advance(self.excavator.sensors.time(now_ns))
         for name, topic in self._truth.items():
@@ -232,7 +232,7 @@ class _Host:
             self.recording.add("truth/soil", soil, now_ns)
 
     def _record_swing(self, now_ns: int) -> None:
-        """The encoder's reading, of now, and the truth."""
+        """Add the reading of the swing encoder and the stamp of the true swing."""
         self._window.advance(self.excavator.sensors.time(now_ns))
         for topic in self._swings:
             sample = self.excavator.sensors.swing(now_ns) if topic == "swing" else now_ns

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the machine is and how it lies, for what is mounted on it."""
+"""Pose of the machine, and of sensors mounted on it."""
 
 import math
 from typing import NamedTuple
@@ -11,13 +11,13 @@ from trackslip_common.arrays import FloatArray
 
 
 def about_z(angle: float) -> FloatArray:
-    """(3, 3) rotation about z."""
+    """(3, 3) rotation about z by ``angle``, rad."""
     cos, sin = math.cos(angle), math.sin(angle)
     return np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
 
 
 def upper_poses(poses: FloatArray, swing: FloatArray, axis: tuple[float, float]) -> FloatArray:
-    """(k, 3) x, y, heading of the upper structure's frame, which is base_link while it looks forward.
+    """(k, 3) x, y, heading of the upper structure's frame, which equals base_link at σ = 0.
 
     ``poses`` (k, 3) are those of base_link on level ground, ``swing`` (k,) is σ about the axis at (x, y), m.
     """
@@ -30,7 +30,7 @@ def upper_poses(poses: FloatArray, swing: FloatArray, axis: tuple[float, float])
 
 
 class Placement(NamedTuple):
-    """Of base_link in the site frame; angles ZYX as in REP-103."""
+    """Pose of base_link in the site frame; angles ZYX as in REP-103."""
 
     x: float  # m
     y: float
@@ -40,7 +40,7 @@ class Placement(NamedTuple):
     roll: float = 0.0
 
     def rotation(self) -> FloatArray:
-        """(3, 3), from base_link to the site's axes."""
+        """(3, 3) rotation from base_link to the site frame."""
         (c_r, s_r), (c_p, s_p), (c_y, s_y) = (
             (math.cos(angle), math.sin(angle)) for angle in (self.roll, self.pitch, self.yaw)
         )
@@ -58,7 +58,7 @@ class Placement(NamedTuple):
         return self.x + east, self.y + north, self.z + up
 
     def turned(self, angle: float, axis: tuple[float, float]) -> "Placement":
-        """Of what is turned by an angle about an axis of base_link at (x, y), m, and was base_link before."""
+        """Placement of a frame: base_link rotated by ``angle``, rad, about its z axis through (x, y), m."""
         rotation, (along, across) = about_z(angle), axis
         x, y, z = self.point(*((along, across, 0.0) - rotation @ (along, across, 0.0)).tolist())
         R = self.rotation() @ rotation
@@ -67,6 +67,6 @@ class Placement(NamedTuple):
         return Placement(x, y, yaw, z, -math.asin(R[2, 0]), math.atan2(R[2, 1], R[2, 2]))
 
     def azimuth(self, direction: float) -> float:
-        """Seen from above, of a direction in the plane of the tracks, rad from x; within ±π of ``yaw``."""
+        """Azimuth, rad, of a ``direction`` in the track plane, rad from x; within ±π of ``yaw``."""
         east, north, _ = (self.rotation() @ (math.cos(direction), math.sin(direction), 0.0)).tolist()
         return self.yaw + math.remainder(math.atan2(north, east) - self.yaw, 2.0 * math.pi)

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a laser scanner standing on the site measures of the box on the moving vehicle, and of all else there.
+"""Model of a laser scanner on the site that measures the box on the moving vehicle and the background.
 
-    β_i, t_i  angle of beam i in the laser frame, its time after the scan's stamp  rad, s
-    δ         angle between beams; the mirror turns once in T, so t_i = i T δ/2π   rad
-    ρ_i       nearest of box, walls and posts along the beam                       m
-    σ         Gaussian noise of one range, before it is rounded to the resolution  m
+β_i, t_i  angle of beam i in the laser frame; its time after the scan's stamp  rad, s
+δ         angle between beams; the mirror turns once in T: t_i = i T δ/2π      rad
+ρ_i       distance along the beam to the nearest of box, walls and posts       m
+σ         Gaussian noise of one range before rounding to the resolution        m
 
-Each beam meets the box where the vehicle is at that beam's own time. On a slope too the box is taken to stand
-upright over base_link, and as high as the scanner sees: only x, y and yaw of the vehicle count.
+Each beam uses the pose of the vehicle at the beam's time. Only x, y and yaw of the vehicle are used: the
+box is vertical over base_link on slopes too, and as high as the scan plane.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ TIME_INCREMENT = TURN_TIME * ANGLE_INCREMENT / (2.0 * np.pi)
 
 @dataclass(frozen=True, kw_only=True)
 class SiteParameters(Parameters):
-    """Where the laser stands, how well it measures, and what else stands there; frame odom."""
+    """Pose and noise of the laser, and the background; frame odom."""
 
     laser_x: float = parameter("laser in the frame odom, x", unit="m")
     laser_y: float = parameter("laser in the frame odom, y", unit="m")
@@ -51,7 +51,7 @@ class SiteParameters(Parameters):
 
 
 class SiteScanner:
-    """The laser on its site: scans of the vehicle's box before a fixed background."""
+    """The laser on its site: scans the vehicle's box in front of a fixed background."""
 
     def __init__(self, site: SiteParameters, box: Box, seed: int) -> None:
         self._site = site
@@ -64,7 +64,7 @@ class SiteScanner:
         self._background = self._fixed_ranges()
 
     def scan(self, stamp_s: float, pose_at: Callable[[FloatArray], Poses]) -> FloatArray:
-        """Ranges (361,), m, counter-clockwise; +inf where nothing returns.
+        """Ranges (361,), m, counter-clockwise; +inf without return.
 
         ``stamp_s`` is the time of the first beam; ``pose_at`` gives x, y, yaw of base_link in odom (m, m,
         rad) at an array of times, s.
@@ -81,7 +81,7 @@ class SiteScanner:
         return np.minimum(box, self._background)
 
     def _box_ranges(self, x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
-        """Entry into the box by the slab method: beams and laser in the frame of the box, one per beam."""
+        """Range of each beam to the box by the slab method in the frame of the box; +inf without a hit."""
         cos, sin = np.cos(yaw), np.sin(yaw)
         laser_x, laser_y = self._site.laser_x - x, self._site.laser_y - y
         ahead = cos * laser_x + sin * laser_y - self._box.x
@@ -104,14 +104,14 @@ class SiteScanner:
 
 
 def _slab(origin: FloatArray, direction: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
-    """Where a ray enters and leaves the strip |coordinate| < half."""
+    """Distances at which a ray enters and leaves the strip |coordinate| < half."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (-half - origin) / direction, (half - origin) / direction
     return np.fmin(one, other), np.fmax(one, other)
 
 
 def _wall_ranges(ends: FloatArray, direction: FloatArray) -> FloatArray:
-    """Along each beam (N, 2) to the segment between two points (2, 2), m; +inf beside it."""
+    """Distance along each beam (N, 2) to the segment between two points (2, 2), m; +inf without a hit."""
     along = ends[1] - ends[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         across = direction[:, 0] * along[1] - direction[:, 1] * along[0]
@@ -121,7 +121,7 @@ def _wall_ranges(ends: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def _post_ranges(centre: FloatArray, radius: float, direction: FloatArray) -> FloatArray:
-    """Along each beam (N, 2) to a circle, m; +inf beside it."""
+    """Distance along each beam (N, 2) to a circle, m; +inf without a hit."""
     middle = direction @ centre
     half_chord2 = radius**2 - (centre @ centre - middle**2)
     distance = middle - np.sqrt(np.maximum(half_chord2, 0.0))

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors on the machine measure of the true motion, before their protocols make bytes of it.
+"""Models of the machine's sensors: measurements of the true motion, before the protocols encode them.
 
-a       specific force at C, acceleration less gravity in the body frame:
+a       specific force at C, acceleration minus gravity in the body frame:
         v̇ + ω × v + g (-sin θ, cos θ sin ϕ, cos θ cos ϕ)      m/s²
 v, ω    (v_x, v_y, 0), (p, q, r), body frame                   m/s, rad/s
 θ, ϕ    pitch (nose down > 0), roll (left side up > 0)         rad
 b_g     constant bias of the gyro                              rad/s
-σ       angle of the upper structure; an inertial unit on it feels a and B in its own axes, rates ψ̇ + σ̇
+σ       angle of the upper structure; an inertial unit on it measures a, B in its axes and the rate ψ̇ + σ̇
 B       earth's field, horizontal (to the north, +y of the site) and downward   T
 """
 
@@ -29,7 +29,7 @@ from trackslip_sim.truth.record import Truth, TruthWindow
 
 @dataclass(frozen=True, kw_only=True)
 class SensorNoise(Parameters):
-    """How far the machine's sensors are from the truth."""
+    """Noise and biases of the machine's sensors, and the earth's field."""
 
     pressure_stddev: float = parameter("noise of each pressure", unit="Pa", ge=0.0)
     gyro_stddev: float = parameter("noise of each rate", unit="rad/s", ge=0.0)
@@ -46,7 +46,7 @@ class SensorNoise(Parameters):
 
 
 class Measurable(NamedTuple):
-    """What there is to measure at one time; names and units as in ``Truth``, and v̇ + ω × v."""
+    """The measurable quantities at one time; names and units as in ``Truth``, and v̇ + ω × v."""
 
     left_angle: float
     right_angle: float
@@ -74,11 +74,11 @@ class Measurable(NamedTuple):
 
 
 class Mounting(NamedTuple):
-    """What of the sensors sits on the upper structure, and where that swings."""
+    """Sensors on the upper structure, and its swing axis."""
 
     axis: tuple[float, float] = (0.0, 0.0)  # in base_link, m
     imu_above: bool = False
-    encoder_stddev: float = 0.0  # rad, of the swing encoder; 0: there is none
+    encoder_stddev: float = 0.0  # rad, of the swing encoder; 0: no encoder
 
 
 BELOW = Mounting()
@@ -86,23 +86,23 @@ _UP = np.array((0.0, 0.0, GRAVITY))
 
 
 def mounting_of(vehicle: VehicleParameters) -> Mounting:
-    """As the vehicle's file says."""
+    """The mounting in the vehicle's file."""
     encoder = vehicle.sensors.swing_encoder if vehicle.sensors is not None else None
     stddev = encoder.stddev if encoder is not None else 0.0
     return Mounting(vehicle.swing_axis, vehicle.mount_of("imu") == UPPER, stddev)
 
 
 def swing_topics(vehicle: VehicleParameters) -> tuple[str, ...]:
-    """On which angles of the upper structure appear: of an encoder, and the truth."""
+    """Topics with swing angles: of the encoder, if any, and the truth."""
     if vehicle.upper_structure is None:
         return ()
     return ("swing", "truth/swing") if mounting_of(vehicle).encoder_stddev > 0.0 else ("truth/swing",)
 
 
 class MachineSensors:
-    """Readings at any stamp of a drive that begins at ``drive_start_ns``; standing before and after.
+    """Readings at any stamp of a drive from ``drive_start_ns`` on; standstill before and after it.
 
-    Stamps may go back by as much as the window keeps.
+    Stamps may go back by at most the length of the window.
     """
 
     def __init__(
@@ -134,34 +134,34 @@ class MachineSensors:
         return x, y, yaw
 
     def placement(self, stamp_ns: int) -> Placement:
-        """True pose and attitude."""
+        """True pose and attitude of base_link."""
         at = self._at(stamp_ns)
         return Placement(x=at.x, y=at.y, z=at.z, roll=at.roll, pitch=at.pitch, yaw=at.yaw)
 
     def upper_placement(self, stamp_ns: int) -> Placement:
-        """The same of the upper structure's frame, which is base_link while it looks forward."""
+        """True pose and attitude of the upper structure's frame, which equals base_link at σ = 0."""
         return self.placement(stamp_ns).turned(self._at(stamp_ns).swing, self._mounting.axis)
 
     def upper_pose_at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The same of the upper structure's frame, which is base_link while it looks forward."""
+        """True x, y, yaw of the upper structure's frame at times of the drive, s."""
         x, y, yaw = self.pose_at(times)
         swing = np.interp(times, self._window.truth.t, self._window.truth.swing)
         x, y, above = upper_poses(np.stack((x, y, yaw), axis=1), swing, self._mounting.axis).T
         return x, y, above
 
     def swing(self, stamp_ns: int) -> SwingSample:
-        """Of the encoder."""
+        """Reading of the swing encoder with noise."""
         true = self.true_swing(stamp_ns)
         angle = true.position + self._mounting.encoder_stddev * self._of_encoder.standard_normal()
         return true._replace(position=math.remainder(angle, 2.0 * math.pi))
 
     def true_swing(self, stamp_ns: int) -> SwingSample:
-        """What it would read without error."""
+        """True swing angle, within ±π, and rate."""
         at = self._at(stamp_ns)
         return SwingSample(stamp_ns, math.remainder(at.swing, 2.0 * math.pi), at.swing_rate)
 
     def sprockets(self, stamp_ns: int) -> SprocketSample:
-        """Without noise: the encoder's rounding is the device's."""
+        """Sprocket angles and speeds without noise; the device rounds them."""
         at = self._at(stamp_ns)
         return SprocketSample(stamp_ns, at.left_angle, at.right_angle, at.left_speed, at.right_speed)
 
@@ -179,7 +179,7 @@ class MachineSensors:
         )
 
     def imu(self, stamp_ns: int) -> ImuSample:
-        """At C, in the axes of what it sits on; standing before and after the drive."""
+        """Inertial readings at C, in the axes of the mount; at standstill before and after the drive."""
         at, noise = self._at(stamp_ns), self._noise
         driving = 0.0 <= self.time(stamp_ns) <= self._window.duration
         to_sensor = self.placement(stamp_ns).rotation().T
@@ -205,7 +205,7 @@ class MachineSensors:
         return ImuSample(stamp_ns, _vector(acceleration), _vector(rates), _vector(field), over_range=False)
 
     def _at(self, stamp_ns: int) -> Measurable:
-        """As ``Truth.interpolate``, of one time."""
+        """The truth interpolated at one stamp, as by ``Truth.interpolate``."""
         if stamp_ns != self._looked_ns:
             t = self.time(stamp_ns)
             self._advance(t)
@@ -223,7 +223,7 @@ class MachineSensors:
             self._tabulate()
 
     def _tabulate(self) -> None:
-        """The window's stretch as rows of ``Measurable``."""
+        """Tabulate the truth within the window as rows of ``Measurable``."""
         truth = self._window.truth
         named = [getattr(truth, name) for name in Measurable._fields[:-3]]
         self._times: list[float] = truth.t.tolist()
@@ -247,7 +247,7 @@ def accelerations(truth: Truth) -> FloatArray:
 def tilt_readings(
     truth: Truth, times: FloatArray, noise: SensorNoise, random: np.random.Generator
 ) -> FloatArray:
-    """(m, 5) roll and pitch rate, rad/s, and specific force, m/s², of an inertial unit at C."""
+    """(m, 5) readings of roll and pitch rate, rad/s, and specific force, m/s², of an inertial unit at C."""
     at = truth.interpolate(times)
     moved = [np.interp(times, truth.t, column) for column in accelerations(truth).T]
     down = np.cos(at.pitch)

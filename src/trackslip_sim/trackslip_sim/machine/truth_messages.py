@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The truth in the messages that the estimators publish: what differs from sample to sample, as columns."""
+"""The truth as messages of the estimators' types: columns of the fields that vary."""
 
 import array
 import math
@@ -21,12 +21,12 @@ from trackslip_sim.machine.emulation import FORCES_NS, SITE_FRAME, TRUTH_NS
 from trackslip_sim.machine.message_columns import Columns
 from trackslip_sim.truth.record import Truth
 
-_STANDING = 1e-3  # rad/s, both sprockets
-_STRAIGHT = 0.02  # of the faster sprocket
+_STANDING = 1e-3  # rad/s, limit of both sprockets at standstill
+_STRAIGHT = 0.02  # of the faster sprocket: largest difference in straight motion
 
 
 class TruthTopic(NamedTuple):
-    """A topic of the truth, whose messages differ in their numbers alone."""
+    """A topic of the truth; its messages differ only in numbers."""
 
     period_ns: int
     blank: Any  # message
@@ -34,7 +34,7 @@ class TruthTopic(NamedTuple):
 
 
 def truth_topics(make: Make, vehicle: Vehicle, body_frame: str) -> dict[str, TruthTopic]:
-    """Those of every machine, live and offline; beside them are swing and soil."""
+    """Topics of the truth of every machine, live and offline; without swing and soil."""
     slip, forces = (
         make(f"trackslip_msgs/msg/{name}", header=header(make, 0, body_frame))
         for name in ("TrackSlip", "TrackForces")
@@ -48,21 +48,21 @@ def truth_topics(make: Make, vehicle: Vehicle, body_frame: str) -> dict[str, Tru
 
 
 def _odometry(make: Make, base_frame: str) -> Any:
-    """nav_msgs/Odometry without variance."""
+    """A blank nav_msgs/Odometry with zero covariances."""
     message = blank_odometry(make, SITE_FRAME, base_frame)
     message.pose.covariance, message.twist.covariance = np.zeros(36), np.zeros(36)
     return message
 
 
 def _attitude(make: Make, base_frame: str) -> Any:
-    """sensor_msgs/Imu without variance and without acceleration."""
+    """A blank sensor_msgs/Imu with zero variances and without acceleration."""
     message = blank_imu(make, base_frame, acceleration_stddev=0.0, rate_stddev=0.0)
     message.orientation_covariance[0], message.linear_acceleration_covariance[0] = 0.0, -1.0
     return message
 
 
 def _odometry_columns(truth: Truth) -> Columns:
-    """Of nav_msgs/Odometry; twists in base_link."""
+    """Columns of nav_msgs/Odometry; twists in base_link."""
     return {
         "pose.pose.position.x": truth.x,
         "pose.pose.position.y": truth.y,
@@ -75,7 +75,7 @@ def _odometry_columns(truth: Truth) -> Columns:
 
 
 def _attitude_columns(truth: Truth) -> Columns:
-    """Of sensor_msgs/Imu: orientation and rates of base_link."""
+    """Columns of sensor_msgs/Imu: orientation and rates of base_link."""
     return {**_orientation(truth, "orientation"), **_rates(truth, "angular_velocity")}
 
 
@@ -97,12 +97,12 @@ def _orientation(truth: Truth, field: str) -> Columns:
 
 
 def _each(function: Callable[[float], float], angles: FloatArray) -> FloatArray:
-    """Of the half of each angle, as a live message has it: numpy's own differ in the last bit."""
+    """``function`` of half of each angle as in live messages; numpy's functions differ in the last bit."""
     return np.array([function(half) for half in (angles / 2.0).tolist()])
 
 
 def _slip_columns(truth: Truth) -> Columns:
-    """Of trackslip_msgs/TrackSlip."""
+    """Columns of trackslip_msgs/TrackSlip."""
     fastest = np.maximum(np.abs(truth.left_speed), np.abs(truth.right_speed))
     straight = np.abs(truth.right_speed - truth.left_speed) < _STRAIGHT * fastest
     moving = np.where(straight, int(Motion.STRAIGHT), int(Motion.TURNING))
@@ -115,13 +115,13 @@ def _slip_columns(truth: Truth) -> Columns:
 
 
 def swing_columns(truth: Truth) -> Columns:
-    """Of sensor_msgs/JointState with the one joint."""
+    """Columns of sensor_msgs/JointState with one joint."""
     wrapped = np.array([[math.remainder(angle, 2.0 * math.pi)] for angle in truth.swing.tolist()])
     return {"position": wrapped, "velocity": truth.swing_rate[:, np.newaxis]}
 
 
 def _forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
-    """Of trackslip_msgs/TrackForces; a track bears what the load on it allows."""
+    """Columns of trackslip_msgs/TrackForces; the load of a track sets its thrust limit."""
     grounds = [soil(name) for name in truth.soil_names]
     adhesion, friction = (
         np.array(values)[truth.soil_index]
@@ -142,7 +142,7 @@ def _forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
 
 
 def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
-    """trackslip_msgs/SoilEstimate of the ground under C: intervals of no width, one class for certain."""
+    """trackslip_msgs/SoilEstimate of the ground under C: zero-width intervals, one class of probability 1."""
     ground = soil(at.soil_name())
     limit = limit_of(ground, vehicle)
     mobilised = float(at.turning_moment[0]) * 3.0 / (vehicle.weight * vehicle.contact_length)  # (3.8)

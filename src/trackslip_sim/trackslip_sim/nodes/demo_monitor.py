@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's eyes: sees when the graph is whole, turns the emulator's key, counts, reads the estimates."""
+"""Node of the demo: checks connections, activates the emulator, counts messages, reads estimates."""
 
 import math
 import time
@@ -24,7 +24,7 @@ from trackslip_sim.nodes.remote_lifecycle import RemoteLifecycle
 
 WATCHED = (*SENSOR_TOPICS, "box_pose", "gnss_pose", "odometry", "track_slip")
 _WATCHERS = frozenset({"record", "demo"})
-_ENDS = {  # topic → nodes that must have found each other on it, if all of them run
+_ENDS = {  # topic → nodes that must be connected on it, if all of them run
     **{topic: set(_WATCHERS) for topic in WATCHED},
     "sprockets": {"can_driver", "slip_estimator", "record", "demo"},
     "imu/data_raw": {"watson_imu", "slip_estimator", "record", "demo"},
@@ -46,7 +46,7 @@ _ENDS = {  # topic → nodes that must have found each other on it, if all of th
 
 
 def join_graph() -> None:
-    """Start ROS; signals stay the caller's."""
+    """Start ROS without signal handlers."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 
 
@@ -56,7 +56,7 @@ def leave_graph() -> None:
 
 
 class DemoMonitor(Node):
-    """Subscribes to what the status line and the table need."""
+    """Subscriptions for the status line and the table."""
 
     def __init__(self) -> None:
         super().__init__("demo")
@@ -65,8 +65,8 @@ class DemoMonitor(Node):
         self.finished = False
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
-        self.at_work: set[str] = set()  # nodes whose last word was no error: drivers whose port is open
-        self._recorder_publishers: dict[str, str] = {}  # topic → matched publishers
+        self.at_work: set[str] = set()  # nodes whose last status is not an error: their ports are open
+        self._recorder_hears: dict[str, str] = {}  # topic → number of publishers connected to the recorder
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
         self._emulator = RemoteLifecycle(self, self._spinner, "emulator")
@@ -79,15 +79,15 @@ class DemoMonitor(Node):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
 
     def spin_for(self, seconds: float) -> None:
-        """Handle what comes."""
+        """Handle callbacks for a time, s."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0.0:
             self._spinner.spin_once(timeout_sec=left)
 
     def missing_ends(self, running: Set[str]) -> set[str]:
-        """``topic: node`` of every end that has not appeared yet, of the nodes that run.
+        """``topic: node`` of every missing endpoint of the running nodes.
 
-        What recorder and demo are not connected with yet would be lost to them, though it has appeared here.
+        Recorder and demo are also checked for connections: discovered publishers may not be connected yet.
         """
         missing = set()
         for topic, nodes in _ENDS.items():
@@ -104,11 +104,11 @@ class DemoMonitor(Node):
         return missing
 
     def lay_cables(self, timeout: float) -> bool:
-        """Configure the emulator: its ports appear; False if it has not (yet) done so."""
+        """Configure the emulator, which creates its ports; False if not (yet) done."""
         return self._emulator.bring(Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE, timeout)
 
     def turn_key(self, timeout: float) -> bool:
-        """Activate the emulator; False if it has not (yet) done so."""
+        """Activate the emulator; False if not (yet) done."""
         return self._emulator.bring(Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE, timeout)
 
     def close(self) -> None:

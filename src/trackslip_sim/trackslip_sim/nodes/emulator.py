@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``emulator``: an excavator without one. Bytes on a CAN bus and two serial ports, truth on topics."""
+"""``emulator``: an emulated excavator with bytes on a CAN bus and serial ports, truth on topics."""
 
 import queue
 import sys
@@ -30,11 +30,11 @@ from trackslip_sim.machine.truth_messages import soil_message, truth_topics
 from trackslip_sim.nodes.remote_lifecycle import AwaitedNodes
 from trackslip_sim.parameters import DEFAULT_FILES, NODE, EmulatorParameters
 
-_LOOK = 0.2  # s, from one look at the nodes that it waits for to the next
+_LOOK = 0.2  # s between checks of the awaited nodes
 
 
 class EmulatorNode(TrackslipNode[EmulatorParameters]):
-    """``configure`` lays the cables, ``activate`` turns the key, at once or when others are active."""
+    """``configure`` opens bus and ports, ``activate`` powers on, at once or after ``start_after``."""
 
     def __init__(self) -> None:
         super().__init__(NODE, EmulatorParameters, *DEFAULT_FILES)
@@ -100,12 +100,12 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self._excavator = None
 
     def release(self) -> None:
-        """Pull the cables."""
+        """Close bus and ports."""
         if self._cables is not None:
             self._cables.close()
 
     def health(self) -> list[Health]:
-        """What was emitted so far, and whether the drive is over."""
+        """Number of emitted messages, active faults, and whether the drive is over."""
         if self._awaited.missing:
             return [Health(WARN, self._waiting())]
         if self._excavator is None or self._cables is None or not self.active:
@@ -125,7 +125,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         return [Health(OK, "finished" if self._finished else "driving", values)]
 
     def _on_fault(self, message: Any) -> None:
-        """One YAML mapping, as in the list ``faults`` of a scenario; ``start`` may be left out: at once."""
+        """Add a fault from a YAML mapping as in ``faults`` of a scenario; without ``start``: from now on."""
         excavator = self._excavator
         if excavator is None:
             return
@@ -136,12 +136,12 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self.get_logger().warning(str(error))
 
     def _live(self, excavator: EmulatedExcavator, cables: Cables) -> None:
-        """Pace the devices by the steady clock, from one reading of the system's."""
+        """Step the devices by the steady clock; the system clock is read once for the offset."""
         began_ns = time.monotonic_ns()
         epoch_ns = time.time_ns() - began_ns
-        # Ticks fall on the devices' own cycles, which are whole ticks apart from the start of the drive.
+        # Ticks coincide with the devices' cycles, which are whole ticks from the start of the drive.
         tick_ns = began_ns - (epoch_ns + began_ns - excavator.drive_start_ns) % TICK_NS
-        truth_ns = epoch_ns + began_ns + TRUTH_NS // 2  # while the host waits for the next frames
+        truth_ns = epoch_ns + began_ns + TRUTH_NS // 2  # between two CAN frames, while the host is idle
         try:
             while not self._stopping.is_set():
                 now_ns = epoch_ns + time.monotonic_ns()
@@ -172,7 +172,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self._soil.publish(soil_message(make, at, stamp_ns, self._whole, body_frame))
 
     def _publish_swing(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        """The encoder has a computer of its own, which publishes what it reads."""
+        """Publish the swing encoder's reading (no driver reads it) and the true swing."""
         samples = {"swing": excavator.sensors.swing, "truth/swing": excavator.sensors.true_swing}
         blank = partial(blank_swing, make, self.settings.body_frame())
         for topic, publisher in self._swings.items():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycles of other nodes: one is changed from here, several are awaited."""
+"""Lifecycle states of other nodes: changes one, awaits several."""
 
 import time
 from collections.abc import Iterable
@@ -11,14 +11,14 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import Executor
 from rclpy.node import Node
 
-_LOST = 5.0  # s without an answer, after which it may have been lost
+_LOST = 5.0  # s without an answer, after which it counts as lost
 
 
 class RemoteLifecycle:
-    """Asks ``name`` for transitions, through a node and the executor that handles it.
+    """Requests transitions of the node ``name``, through a node and its executor.
 
-    Answers get lost: Fast DDS drops one where the other node, on a busy machine, has not yet found the end
-    to send it to.
+    Answers can be lost: Fast DDS drops an answer if the other node, on a busy machine, has not yet
+    discovered the endpoint.
     """
 
     def __init__(self, node: Node, executor: Executor, name: str) -> None:
@@ -27,12 +27,12 @@ class RemoteLifecycle:
         self._states = node.create_client(GetState, f"{name}/get_state")
         self._asked: Any = None
         self._asked_s = 0.0
-        self._is_uncertain = False  # whether the last transition was made
+        self._is_uncertain = False  # the answer to the last transition was lost
 
     def bring(self, transition: int, state: int, timeout: float) -> bool:
-        """Make the transition, which leads to ``state`` (their ids); False if that is not (yet) so.
+        """Request the transition to ``state`` (both are ids); False if not (yet) done.
 
-        To be called until it is. Later calls wait for the same answer; if none comes, they ask for the state.
+        Call until True. Later calls wait for the same answer; if it is lost, they request the state.
         """
         if self._asked is None and not self._ask(transition, timeout):
             return False
@@ -47,7 +47,7 @@ class RemoteLifecycle:
         return bool(answer.success)
 
     def _ask(self, transition: int, timeout: float) -> bool:
-        """Whether there was somebody to ask."""
+        """Send the request; False if the service is not available."""
         client = self._states if self._is_uncertain else self._changes
         if not client.wait_for_service(timeout_sec=timeout):
             return False
@@ -58,20 +58,20 @@ class RemoteLifecycle:
 
 
 class AwaitedNodes:
-    """Asks lifecycle nodes of the same namespace for their states, without blocking."""
+    """Requests the states of lifecycle nodes of the same namespace, without blocking."""
 
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._clients = {name: node.create_client(GetState, f"{name}/get_state") for name in names}
-        self._asked: dict[str, tuple[Any, float]] = {}  # the answer to come, and when it was asked for
+        self._asked: dict[str, tuple[Any, float]] = {}  # pending answer, and time of the request
 
     @property
     def missing(self) -> list[str]:
-        """Those not yet seen active."""
+        """Names of the nodes not yet active."""
         return list(self._clients)
 
     def look(self) -> None:
-        """Take the answers that have come, and ask those that are missing; to be called again and again."""
+        """Process received answers and request missing ones; call repeatedly."""
         for name in self.missing:
             answer, asked_s = self._asked.get(name, (None, 0.0))
             if answer is None:
@@ -85,7 +85,7 @@ class AwaitedNodes:
                 del self._asked[name]
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop all requests."""
         while self._clients:
             self._node.destroy_client(self._clients.popitem()[1])
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads records out of YAML mappings, and says in one line what is wrong with one."""
+"""Reads records from YAML mappings, with one-line errors."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -13,15 +13,15 @@ T = TypeVar("T")
 
 
 def named(kind: str) -> list[str]:
-    """Names of the files in the folder of ``config/`` for records of a kind."""
+    """Names of the records of a kind: files in its folder of ``config/``."""
     return sorted(path.stem for path in (config_directory() / f"{kind}s").glob("*.yaml"))
 
 
 def load(kind: str, name_or_file: str, known: Iterable[str], parse: Callable[[Mapping[str, Any]], T]) -> T:
-    """A record by its name in the folder of ``config/`` for its kind, or from a file of the user's own.
+    """A record by its name in the folder of its kind in ``config/``, or from a user's file.
 
     Raises:
-        InputError: it is not among the ``known``, or its file is refused.
+        InputError: the name is not in ``known``, or its file is refused.
     """
     for path in (config_directory() / f"{kind}s" / f"{name_or_file}.yaml", Path(name_or_file)):
         if path.is_file():
@@ -38,7 +38,7 @@ def each(tree: Mapping[str, Any], key: str, build: Callable[[Mapping[str, Any]],
     """The records listed under ``key``; none if it is absent.
 
     Raises:
-        InputError: it is no list of mappings, or ``build`` refused one of them.
+        InputError: the value is not a list of mappings, or ``build`` refuses one of them.
     """
     listed = tree.get(key, [])
     if not isinstance(listed, list):
@@ -60,7 +60,7 @@ def refuse_unknown(tree: Mapping[str, Any], keys: tuple[str, ...]) -> None:
 
 
 def number(tree: Mapping[str, Any], key: str) -> float:
-    """The number under ``key``; ``InputError`` where there is none."""
+    """The number under ``key``; ``InputError`` without one."""
     value = tree.get(key)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a number")
@@ -68,7 +68,7 @@ def number(tree: Mapping[str, Any], key: str) -> float:
 
 
 def text(tree: Mapping[str, Any], key: str) -> str:
-    """The text under ``key``; ``InputError`` where there is none."""
+    """The text under ``key``; ``InputError`` without one."""
     value = tree.get(key)
     if not isinstance(value, str) or not value:
         raise InputError(f"{key} = {value!r} is {_fault(tree, key)}; accepted: a name")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios: what is commanded, on which ground, and what fails (``config/scenarios/*.yaml``)."""
+"""Scenarios: commands, ground and sensor faults of a run (``config/scenarios/*.yaml``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KEYS = ("name", "soil", "patches", "terrain", "segments", "relief_pressure", "f
 
 @dataclass(frozen=True)
 class Segment:
-    """Commanded sprocket speeds, held for a while; where the upper structure swings, what the bucket holds.
+    """Sprocket speeds commanded for a duration; target of the swing and load of the bucket.
 
     Raises:
         InputError: the duration is not above 0, a number is not finite, or the load is negative.
@@ -60,8 +60,8 @@ class Scenario:
     patches: tuple[Patch, ...] = ()
     terrain: Terrain = FLAT
     relief_pressure: float | None = None  # Pa; None: the vehicle's
-    faults: tuple[Fault, ...] = ()  # of the sensors, while the emulator drives it
-    vehicle: str = ASSUMED  # that it is meant for, where no other is named
+    faults: tuple[Fault, ...] = ()  # of the sensors of the emulator
+    vehicle: str = ASSUMED  # default vehicle of the scenario
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -74,7 +74,7 @@ class Scenario:
 
     @property
     def duration(self) -> float:
-        """Sum of the segments, s."""
+        """Sum of the segments' durations, s."""
         return sum(segment.duration for segment in self.segments)
 
     def stretched(self, duration: float) -> Scenario:
@@ -97,10 +97,10 @@ class Scenario:
         return dataclasses.replace(self, segments=tuple(segments))
 
     def steps(self, step: float) -> int:
-        """How many steps (s) it takes.
+        """Number of steps of ``step`` s.
 
         Raises:
-            InputError: the scenario is shorter than one.
+            InputError: the scenario is shorter than one step.
         """
         count = round(self.duration / step)
         if count < 1:
@@ -110,7 +110,7 @@ class Scenario:
         return count
 
     def commands(self, step: float, begin: int = 0, end: int | None = None) -> FloatArray:
-        """Commanded (left, right) sprocket speeds (n, 2), rad/s, in the steps from ``begin`` up to ``end``.
+        """Commanded (left, right) sprocket speeds (n, 2), rad/s, for steps ``begin`` to ``end`` (excluded).
 
         Raises:
             InputError: the scenario is shorter than one step.
@@ -123,24 +123,24 @@ class Scenario:
 
     @property
     def swings(self) -> bool:
-        """Whether the upper structure ever does."""
+        """Whether any segment swings the upper structure."""
         return any(segment.swing_to is not None for segment in self.segments)
 
     def swing_targets(self, step: float, begin: int, end: int) -> FloatArray:
-        """(n,) where the upper structure is to swing to in each step, rad; at first it looks forward."""
+        """(n,) target of the swing angle in each step, rad; initially 0."""
         return self._held([segment.swing_to for segment in self.segments], step, begin, end)
 
     @property
     def carries(self) -> bool:
-        """Whether there is ever a load in the bucket."""
+        """Whether any segment loads the bucket."""
         return any(segment.load for segment in self.segments)
 
     def carried(self, step: float, begin: int, end: int) -> FloatArray:
-        """(n,) mass in the bucket in each step, kg; at first it is empty."""
+        """(n,) mass in the bucket in each step, kg; initially 0."""
         return self._held([segment.load for segment in self.segments], step, begin, end)
 
     def _held(self, given: Sequence[float | None], step: float, begin: int, end: int) -> FloatArray:
-        """(n,) of each step what its segment gives, or the last that gave any; 0 before."""
+        """(n,) value of each step: that of its segment or the last given before; initially 0."""
         values = [0.0]
         for value in given:
             values.append(values[-1] if value is None else value)
@@ -148,7 +148,7 @@ class Scenario:
         return held
 
     def _segment_at(self, step: float, begin: int, end: int) -> IntArray:
-        """(n,) number of the segment of each step."""
+        """(n,) index of the segment of each step."""
         ends = np.cumsum([segment.duration for segment in self.segments])
         middles = (np.arange(begin, end) + 0.5) * step
         return np.minimum(np.searchsorted(ends, middles), len(ends) - 1)
@@ -160,12 +160,12 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(name_or_file: str, terrain: str = "", duration: float = 0.0) -> Scenario:
-    """A scenario by its name in ``config/scenarios``, or from a file of the user's own.
+    """A scenario by its name in ``config/scenarios``, or from a user's file.
 
-    Another ``terrain`` than its own, and a ``duration``, s, to which it is cut or repeated, may be given.
+    ``terrain`` replaces its own; the scenario is cut or repeated to ``duration``, s (0: unchanged).
 
     Raises:
-        InputError: there is no such scenario or terrain, or its file or the duration is refused.
+        InputError: scenario or terrain is unknown, or its file or the duration is refused.
     """
     scenario = load("scenario", name_or_file, scenario_names(), parse_scenario)
     if terrain:

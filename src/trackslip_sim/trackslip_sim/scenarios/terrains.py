@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Terrains: the shape of the ground (``config/terrains/*.yaml``); lengths in m, angles in ° as names say."""
+"""Terrains: shape of the ground (``config/terrains/*.yaml``); lengths in m, angles in ° (``_deg``)."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -11,7 +11,7 @@ from trackslip_common.errors import InputError
 from trackslip_sim.scenarios.checks import each, load, named, number, refuse_unknown, text
 from trackslip_sim.truth.terrain import FLAT, Feature, Hill, Plane, Ramp, Terrain
 
-_LEAST_M, _MOST = 1e-3, 1e6  # of a width; of any number
+_LEAST_M, _MOST = 1e-3, 1e6  # smallest rounding or width, m; largest magnitude of any number
 
 
 def terrain_names() -> list[str]:
@@ -20,10 +20,10 @@ def terrain_names() -> list[str]:
 
 
 def load_terrain(name_or_file: str) -> Terrain:
-    """A terrain by its name in ``config/terrains``, or from a file of the user's own.
+    """A terrain by its name in ``config/terrains``, or from a user's file.
 
     Raises:
-        InputError: there is no such terrain, or its file is refused.
+        InputError: the terrain is unknown, or its file is refused.
     """
     if name_or_file == FLAT.name:
         return FLAT
