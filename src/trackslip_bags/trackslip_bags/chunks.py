@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of some topics in log order, a stretch of some seconds at a time, as bytes in one buffer.
+"""Reads messages of some topics in log order, a stretch of some seconds at a time, as bytes in one buffer.
 
-Common MCAP files (whole chunks that an index names, and an index of the messages behind each) are read chunk
-by chunk: several are unpacked into one buffer, in which the index gives the place of each message: nothing
-is done message by message. Memory holds one stretch, and what overlaps the next. Everything else, a damaged
-file from the first bad chunk on among them, is read message by message.
+Common MCAP files have a chunk index, and an index of messages after each chunk. Several of their chunks are
+unpacked into one buffer, and the index gives the position of each message, without a loop over messages.
+Memory holds one stretch and its overlap with the next. Other files are read message by message, as is a
+damaged file from its first bad chunk on.
 """
 
 from collections import deque
@@ -34,31 +34,31 @@ from trackslip_bags.reader import Bag, absolute, require_one_type
 from trackslip_common.arrays import IntArray
 from trackslip_common.errors import InputError
 
-STRETCH_NS = 10_000_000_000  # of log time that is read at once
-_STRETCH_BYTES = 32_000_000  # or so many, if that is less
-_STRETCH_MESSAGES = 5000  # or so many, where they are read one by one
+STRETCH_NS = 10_000_000_000  # log time read at once
+_STRETCH_BYTES = 32_000_000  # upper limit of a stretch
+_STRETCH_MESSAGES = 5000  # upper limit of a stretch read message by message
 
 
 class Stretch(NamedTuple):
-    """All messages logged before ``until_ns`` that no earlier stretch had, in log order."""
+    """All messages logged before ``until_ns`` and not in an earlier stretch, in log order."""
 
     until_ns: int
     buffer: Bytes
-    topics: IntArray  # (n,) numbers of the topics, in the order asked for
+    topics: IntArray  # (n,) indices of the topics among those requested, in the bag's order
     log_times_ns: IntArray  # (n,)
-    starts: IntArray  # (n,) of the content, in the buffer
-    lengths: IntArray  # (n,) of the content, bytes
+    starts: IntArray  # (n,) of the contents, in the buffer
+    lengths: IntArray  # (n,) of the contents, bytes
 
 
 def read_stretches(
     bag: Bag, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
 ) -> Iterator[Stretch]:
-    """The messages of the topics (names as in the bag), logged from ``start_ns`` on and before ``stop_ns``.
+    """Yield the messages of the topics, logged from ``start_ns`` on and before ``stop_ns``.
 
-    Those logged at the same time come in the order written.
+    Messages of equal log time are in the order written.
 
     Raises:
-        InputError: the bag turns out to be damaged inside.
+        InputError: the bag is damaged inside.
     """
     first = bag.start_ns if start_ns is None else start_ns
     stop = bag.end_ns + 1 if stop_ns is None else stop_ns
@@ -103,7 +103,7 @@ def _one_by_one(bag: Bag, types: Mapping[str, str], start_ns: int, stop_ns: int)
 def _by_chunk(
     files: Collection[Path], types: Mapping[str, str], start_ns: int, stop_ns: int
 ) -> Iterator[Stretch]:
-    """The same from common files."""
+    """The stretches of common MCAP files, chunk by chunk."""
     if not files:
         raise ValueError("no common file")
     with ExitStack() as stack:
@@ -124,9 +124,9 @@ def _by_chunk(
 
 
 def _stretches(parts: deque[Part], start_ns: int, stop_ns: int) -> Iterator[Stretch]:
-    """Use the chunks up, which are in the order of their first message.
+    """Yield stretches from chunks in the order of their first message.
 
-    What comes before the first message of the next one can go.
+    Messages before the first message of the next chunk are complete.
     """
     buffer, waiting = np.empty(0, np.uint8), joined([])
     while parts:
@@ -151,7 +151,7 @@ def _stretches(parts: deque[Part], start_ns: int, stop_ns: int) -> Iterator[Stre
 
 
 def _carried(buffer: Bytes, rows: Located) -> tuple[Bytes, Located]:
-    """A buffer with these messages alone."""
+    """A buffer with only these messages, and their rows."""
     ends = np.cumsum(rows.lengths)
     pairs = zip(rows.starts.tolist(), (rows.starts + rows.lengths).tolist(), strict=True)
     pieces = [buffer[start:end] for start, end in pairs]

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of message types as ROS installs them: text for MCAP, and hash. What a recorder needs.
+"""Installed ROS definitions of message types, for a recorder: text for MCAP, and hash.
 
-``share/<package>/msg/<Name>.msg`` and ``.json`` are looked for on ``AMENT_PREFIX_PATH``, the text also in the
+``share/<package>/msg/<Name>.msg`` and ``.json`` are searched on ``AMENT_PREFIX_PATH``, the text also in the
 checkout.
 """
 
@@ -29,19 +29,19 @@ def ros_distro() -> str:
 
 
 def msg_file(type_name: str, suffix: str = ".msg") -> Path | None:
-    """Where the type is defined; None where it is nowhere."""
+    """Path of the type's definition; None if not found."""
     if not _TYPE_NAME.fullmatch(type_name):
         return None
     package, _, name = type_name.split("/")
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), str(Path(__file__).parent)]
-    installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]  # our own: of the wheel
+    installed = [Path(prefix) / "share" / package for prefix in prefixes if prefix]  # last: the wheel
     checkout = [parent / "src" / package for parent in Path(__file__).resolve().parents]
     candidates = (directory / "msg" / f"{name}{suffix}" for directory in installed + checkout)
     return next((path for path in candidates if path.is_file()), None)
 
 
 def installed_schema(type_name: str) -> Schema | None:
-    """The type and all those inside it; None where a definition or the hash is not installed."""
+    """Definition of the type and its inner types; None if a definition or the hash is not installed."""
     description = msg_file(type_name, ".json")
     texts: dict[str, str] = {}
     try:
@@ -56,9 +56,9 @@ def installed_schema(type_name: str) -> Schema | None:
 
 
 def _collect(type_name: str, texts: dict[str, str]) -> None:
-    """Add a type's definition to the texts, and then those inside it, in the order of its fields.
+    """Add the definitions of a type, then of its inner types in the order of its fields, to the texts.
 
-    They are without comments and defaults, with full names, constants first: as rosbags prints them.
+    The form is that of rosbags: no comments and defaults, full type names, constants first.
     """
     path = msg_file(type_name)
     if path is None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The disk of a recorder: which files are recordings, which go beyond a budget, how long it lasts."""
+"""Disk space of a recorder: its files, the files beyond a budget, the time until the disk is full."""
 
 import os
 import re
@@ -16,10 +16,10 @@ from mcap.stream_reader import StreamReader
 from trackslip_bags.metadata import METADATA
 from trackslip_common.whole_file import UNFINISHED
 
-LIBRARY = "trackslip record"  # by which each file of a recording names its writer
-_RESTING = 60.0  # s since it was written to, after which a file belongs to no recorder that runs
-_OBSERVED = 60.0  # s over which the rate is taken
-_SHORTEST = 10.0  # s, for a rate
+LIBRARY = "trackslip record"  # name of the writer in each file of a recording
+_RESTING = 60.0  # s since the last write, after which no running recorder uses a file
+_OBSERVED = 60.0  # s, window of the rate
+_SHORTEST = 10.0  # s, shortest window of a rate
 
 
 class Recorded(NamedTuple):
@@ -31,7 +31,7 @@ class Recorded(NamedTuple):
 
 
 def is_recording(folder: Path) -> bool:
-    """Whether a directory is a bag that a recorder wrote, and nothing else: then it is ours."""
+    """Whether a directory is a bag written by this recorder, without other files."""
     own = re.compile(
         rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED.pattern}"
     )
@@ -45,7 +45,7 @@ def is_recording(folder: Path) -> bool:
 
 
 def _is_recorded(file: Path) -> bool:
-    """Whether a file says that a recorder wrote it."""
+    """Whether a file's header names this recorder as its writer."""
     try:
         with file.open("rb") as stream:
             first = next(iter(StreamReader(stream).records), None)
@@ -59,15 +59,15 @@ def recorded_files(folder: Path) -> Iterator[Recorded]:
     for bag in folder.iterdir():
         if is_recording(bag):
             for file in bag.glob("*.mcap"):
-                with suppress(OSError):  # somebody else removed it
+                with suppress(OSError):  # removed meanwhile
                     about = file.stat()
                     yield Recorded(file, about.st_size, about.st_mtime)
 
 
 def too_many(files: list[Recorded], most: int, bag: Path, writing: Path, now_s: float) -> list[Path]:
-    """The oldest ones, which must go for no more than ``most`` bytes to stay.
+    """The oldest files, to be removed so that at most ``most`` bytes remain.
 
-    Never ``writing``; nor one of another bag than ``bag`` that somebody may be writing yet.
+    Excluded are ``writing``, and recently changed files of other bags than ``bag``.
     """
     surplus = sum(file.size for file in files) - most
     removed: list[Path] = []
@@ -80,25 +80,25 @@ def too_many(files: list[Recorded], most: int, bag: Path, writing: Path, now_s: 
 
 
 def remove_recorded(file: Path) -> None:
-    """A file of a finished bag; its metadata, which no longer holds, and with the last file the directory.
+    """Remove a file of a finished bag, the bag's outdated metadata, and with the last file its directory.
 
     Raises:
         OSError: it cannot be removed.
     """
     (file.parent / METADATA).unlink(missing_ok=True)
     file.unlink(missing_ok=True)
-    with suppress(OSError):  # there are others
+    with suppress(OSError):  # other files remain
         file.parent.rmdir()
 
 
 class DiskWatch:
-    """How long the free space lasts at the rate at which it went in the last minute."""
+    """Time until the disk is full at the rate of the last minute."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, int]] = deque()
 
     def add(self, free: int, now_s: float | None = None) -> None:
-        """Bytes that are free now; ``now_s``: of a steady clock."""
+        """Add the free space now, bytes; ``now_s``: time of a steady clock."""
         now_s = time.monotonic() if now_s is None else now_s
         self._seen.append((now_s, free))
         while now_s - self._seen[0][0] > _OBSERVED:
@@ -106,7 +106,7 @@ class DiskWatch:
 
     @property
     def minutes_left(self) -> float | None:
-        """None where nothing is being used up, or nobody knows yet."""
+        """Minutes until the disk is full; None if the free space does not shrink, or is not yet known."""
         if not self._seen or (passed_s := self._seen[-1][0] - self._seen[0][0]) < _SHORTEST:
             return None
         used = self._seen[0][1] - self._seen[-1][1]
@@ -114,7 +114,7 @@ class DiskWatch:
 
 
 def sync_file(file: Path) -> None:
-    """Put what the system holds of a file on the disk, and that the file is there; takes its time."""
+    """Flush a file and its directory entry from the system's cache to the disk; may block."""
     for path in (file, file.parent):
         descriptor = os.open(path, os.O_RDONLY)
         try:

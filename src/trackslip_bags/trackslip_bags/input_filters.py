@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay changes in a bag before the estimator sees it: window, names, outages, thinning.
+"""Changes that a replay applies to the inputs of the estimator: window, names, outages, thinning.
 
 Times are seconds from the bag's first message.
 """
@@ -11,26 +11,26 @@ from dataclasses import dataclass, field
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.errors import InputError
 
-_RATES = (1e-6, 1e6)  # Hz; beyond them a period is no whole number of ns, or longer than any log
+_RATES = (1e-6, 1e6)  # Hz; outside, a period is imprecise in whole ns, or longer than any log
 _LARGEST_SIGMA = 1e6  # m
 
 
 @dataclass(frozen=True)
 class Withhold:
-    """Hides a topic from the estimator between two times."""
+    """Withholds a topic from the estimator between two times."""
 
     topic: str
     start_s: float = -math.inf
     stop_s: float = math.inf
 
     def covers(self, t: FloatArray) -> BoolArray:
-        """Which of the times (n,), s, are between the two."""
+        """(n,) whether each time, s, is withheld."""
         return (self.start_s <= t) & (t < self.stop_s)
 
 
 @dataclass(frozen=True)
 class Thin:
-    """Keeps a topic at a rate, and adds noise to the positions of what is kept."""
+    """Reduces a topic to a rate, and adds noise to the positions that remain."""
 
     topic: str
     rate_hz: float
@@ -50,7 +50,7 @@ class InputFilters:
 
     @property
     def changes_inputs(self) -> bool:
-        """Whether the estimator sees anything else than it saw live."""
+        """Whether the inputs differ from those of the live estimator."""
         return self != InputFilters(seed=self.seed)
 
     def hides(self, topic: str, t: float) -> bool:
@@ -59,7 +59,7 @@ class InputFilters:
 
 
 def parse_withhold(text: str) -> Withhold:
-    """``TOPIC`` or ``TOPIC:T0:T1``.
+    """The ``Withhold`` of ``TOPIC`` or ``TOPIC:T0:T1``.
 
     Raises:
         InputError: the text has another form.
@@ -74,7 +74,7 @@ def parse_withhold(text: str) -> Withhold:
 
 
 def parse_thin(text: str) -> Thin:
-    """``TOPIC:HZ`` or ``TOPIC:HZ:SIGMA``.
+    """The ``Thin`` of ``TOPIC:HZ`` or ``TOPIC:HZ:SIGMA``.
 
     Raises:
         InputError: the text has another form.
@@ -92,7 +92,7 @@ def parse_thin(text: str) -> Thin:
 
 
 def parse_remap(text: str) -> tuple[str, str]:
-    """``from:=to``.
+    """Old and new name in ``from:=to``.
 
     Raises:
         InputError: the text has another form.
@@ -104,7 +104,7 @@ def parse_remap(text: str) -> tuple[str, str]:
 
 
 def relative(topic: str) -> str:
-    """A topic's name as nodes give it."""
+    """A topic's relative name, as nodes use it."""
     return topic.removeprefix("/")
 
 

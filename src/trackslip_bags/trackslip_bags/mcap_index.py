@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where messages are in the chunks of an MCAP file, by the index behind each chunk; each entry is checked."""
+"""Positions of messages in the chunks of an MCAP file, from the checked index after each chunk."""
 
 from collections.abc import Iterator, Mapping
 from io import BytesIO
@@ -21,7 +21,7 @@ from trackslip_common.arrays import BoolArray, IntArray
 
 Bytes = NDArray[np.uint8]
 
-_HEAD = Struct("<BQ")  # of a record: what it is, bytes that follow
+_HEAD = Struct("<BQ")  # of a record: opcode, length of the content
 _RECORD = (("opcode", "u1"), ("length", "<u8"))
 _HEADER = (("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("sent", "<u8"))
 _MESSAGE = np.dtype([*_RECORD, *_HEADER])  # of a message, up to its content
@@ -31,9 +31,9 @@ _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])  # of a message index
 class Located(NamedTuple):
     """Messages in a buffer, one row each."""
 
-    topics: IntArray  # (n,) their numbers
+    topics: IntArray  # (n,) indices of the topics
     log_times_ns: IntArray  # (n,)
-    written: IntArray  # (n, 2) rank of the chunk by its place in the files, place in the chunk
+    written: IntArray  # (n, 2) rank of the chunk in the files, offset in the chunk
     starts: IntArray  # (n,) of the content, in the buffer
     lengths: IntArray  # (n,) of the content, bytes
 
@@ -42,14 +42,14 @@ class File(NamedTuple):
     """An open file, and its channels."""
 
     stream: IO[bytes]
-    numbers: dict[int, int]  # channel → number of its topic
+    numbers: dict[int, int]  # channel → index of its topic
 
 
 class Part(NamedTuple):
     """One chunk of a file."""
 
     file: File
-    rank: int  # by place
+    rank: int  # order in the files
     chunk: ChunkIndex
 
 
@@ -58,16 +58,16 @@ class Indexed(NamedTuple):
 
     entries: NDArray[np.void]  # (n,) _ENTRY
     channel: int
-    topic: int  # its number
+    topic: int  # index of the topic
     rank: int  # of the chunk
-    begin: int  # of the chunk in the buffer
+    begin: int  # of the chunk, in the buffer
     end: int
-    first_ns: int  # log times that the chunk spans
+    first_ns: int  # log times of the chunk
     last_ns: int
 
 
 def parts_of(stream: IO[bytes], summary: Summary | None, types: Mapping[str, str], known: int) -> list[Part]:
-    """The chunks of a file in the order written; ``known`` are those of the files before it."""
+    """The chunks of a file in the order written; ``known``: number of chunks of the files before it."""
     if summary is None or summary.statistics is None:
         raise ValueError("no summary")
     indexes = sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
@@ -78,7 +78,7 @@ def parts_of(stream: IO[bytes], summary: Summary | None, types: Mapping[str, str
 
 
 def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
-    """Channel → number of its topic."""
+    """Channel → index of its topic."""
     places = {topic: number for number, topic in enumerate(types)}
     channels = [channel for channel in summary.channels.values() if channel.topic in places]
     for channel in channels:
@@ -89,19 +89,19 @@ def _numbers(summary: Summary, types: Mapping[str, str]) -> dict[int, int]:
 
 
 def joined(found: list[Located]) -> Located:
-    """All of them as one."""
+    """All rows as one record."""
     none = np.empty(0, np.int64)
     blank = Located(none, none, none.reshape(0, 2), none, none)
     return Located(*(np.concatenate(columns) for columns in zip(blank, *found, strict=True)))
 
 
 def chosen(rows: Located, which: BoolArray | IntArray) -> Located:
-    """Some of the rows, by a mask or by their numbers."""
+    """Some of the rows, by mask or indices."""
     return Located(*(column[which] for column in rows))
 
 
 def content_of(part: Part) -> Bytes:
-    """The records of a chunk that passes its checks."""
+    """The unpacked records of a chunk; raises if it does not match its index."""
     stream, index = part.file.stream, part.chunk
     stream.seek(index.chunk_start_offset + _HEAD.size)
     chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(index.chunk_length - _HEAD.size))))
@@ -113,7 +113,7 @@ def content_of(part: Part) -> Bytes:
 
 
 def indexed_in(part: Part, begin: int, end: int) -> Iterator[Indexed]:
-    """Of each wanted channel; the chunk lies between ``begin`` and ``end`` in the buffer."""
+    """The index of each wanted channel; the chunk lies between ``begin`` and ``end`` in the buffer."""
     stream, index = part.file.stream, part.chunk
     stream.seek(index.chunk_start_offset + index.chunk_length)
     data = stream.read(index.message_index_length)
@@ -125,7 +125,7 @@ def indexed_in(part: Part, begin: int, end: int) -> Iterator[Indexed]:
 
 
 def messages_in(buffer: Bytes, indexed: list[Indexed]) -> Located:
-    """Where the messages are, each checked against its index."""
+    """Positions of the messages, each checked against its index."""
     if not indexed:
         return joined([])
     counts = [one.entries.size for one in indexed]
@@ -156,7 +156,7 @@ def messages_in(buffer: Bytes, indexed: list[Indexed]) -> Located:
 
 
 def _entries(data: bytes, at: int, channel: int) -> NDArray[np.void]:
-    """Of a message index record that begins ``at``."""
+    """Entries of the message index record that begins ``at``."""
     opcode, length = _HEAD.unpack_from(data, at) if at >= 0 else (0, 0)
     begin = at + _HEAD.size
     named = int.from_bytes(data[begin : begin + 2], "little")

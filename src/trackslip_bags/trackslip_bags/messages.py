@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Builds and serializes ROS messages where no message package is importable."""
+"""Builds and serializes ROS messages without importable message packages."""
 
 from typing import Any
 
@@ -38,7 +38,7 @@ def serialize(message: Any) -> bytes:
 
 
 def deserialize(raw: bytes | memoryview, type_name: str) -> Any:
-    """CDR bytes → message, by the definition known here (``Bag.deserialize`` goes by the bag's own)."""
+    """CDR bytes → message, by the definition known here (``Bag.deserialize`` uses that of the bag)."""
     return decode(ensure(type_name), raw, type_name)
 
 
@@ -48,7 +48,7 @@ def header(stamp_ns: int, frame_id: str) -> Any:
 
 
 def _zero(description: FieldDesc) -> Any:
-    """The value of a field that nobody set."""
+    """Default value of a field."""
     kind, detail = field_parts(description)
     if kind == Nodetype.NAME:
         return make(str(detail))
@@ -70,7 +70,7 @@ def _scalar_zero(name: str) -> Any:
 
 
 def _array(value: Any, description: FieldDesc) -> Any:
-    """A given value, as the serializer wants it: numeric arrays typed, everything else unchanged."""
+    """A given value for the serializer: numeric arrays typed, lists copied, all else unchanged."""
     kind, detail = field_parts(description)
     if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         return value

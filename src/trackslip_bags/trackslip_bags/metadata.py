@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``metadata.yaml``, which ``ros2 bag`` reads first of all: what a bag holds, and each of its files."""
+"""``metadata.yaml`` of a bag, read first by ``ros2 bag``: content of the bag and of each file."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,27 +12,27 @@ import yaml
 METADATA = "metadata.yaml"  # in the directory of each bag
 METADATA_VERSION = 9  # Jazzy, Kilted
 
-MOST_TOPICS = 4096  # of a bag; recordings have up to some hundreds
-MOST_FILES = 10_000  # that one is split into
-_LARGEST = 16_000_000  # bytes of the text
+MOST_TOPICS = 4096  # limit per bag; recordings have some hundreds
+MOST_FILES = 10_000  # limit per bag
+_LARGEST = 16_000_000  # bytes, limit of the text
 _TIMES = (("starting_time", "nanoseconds_since_epoch"), ("duration", "nanoseconds"))
 _TOPICS, _FILES = "topics_with_message_count", "relative_file_paths"
 
-LATEST_NS = 2**63 - 1  # in 2262: rosbag2's times are signed
-_NO_START_NS = LATEST_NS  # rosbag2's starting time of what holds no messages
+LATEST_NS = 2**63 - 1  # year 2262: rosbag2's times are signed
+_NO_START_NS = LATEST_NS  # rosbag2's starting time of an empty bag
 
 
 class Schema(NamedTuple):
     """The definition of a message type as MCAP carries it."""
 
-    encoding: str  # "ros2msg" or "ros2idl"; empty where nobody knows the definition
+    encoding: str  # "ros2msg" or "ros2idl"; empty if unknown
     data: bytes
-    type_hash: str  # RIHS01; empty where unknown
+    type_hash: str  # RIHS01; empty if unknown
 
 
 @dataclass
 class Topic:
-    """One topic of a bag, and how many messages it has."""
+    """One topic of a bag and its number of messages."""
 
     type_name: str
     schema: Schema
@@ -42,14 +42,14 @@ class Topic:
 
 @dataclass
 class Extent:
-    """From when to when messages were logged, and how many."""
+    """Log times and number of messages."""
 
     start_ns: int = _NO_START_NS
     end_ns: int = 0
     count: int = 0
 
     def add(self, log_time_ns: int) -> None:
-        """One more message."""
+        """Include one message."""
         if log_time_ns < self.start_ns:
             self.start_ns = log_time_ns
         if log_time_ns > self.end_ns:
@@ -57,7 +57,7 @@ class Extent:
         self.count += 1
 
     def as_yaml(self) -> dict[str, Any]:
-        """As ``metadata.yaml`` states it for a bag and again for each file."""
+        """The entries of ``metadata.yaml`` for a bag or a file."""
         return {
             "duration": {"nanoseconds": max(self.end_ns - self.start_ns, 0)},
             "starting_time": {"nanoseconds_since_epoch": self.start_ns},
@@ -66,7 +66,7 @@ class Extent:
 
 
 def metadata_text(topics: Mapping[str, Topic], files: Mapping[str, Extent], distro: str) -> str:
-    """The whole text; topics by name, files by name in the order written."""
+    """Text of ``metadata.yaml``; topics by name, files by name in the order written."""
     information = {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
@@ -85,12 +85,12 @@ def metadata_text(topics: Mapping[str, Topic], files: Mapping[str, Extent], dist
 
 
 def check_metadata(bag: Path) -> None:
-    """Look at what a bag's ``metadata.yaml`` states, before a file that it names is opened.
+    """Check a bag's ``metadata.yaml`` before any file that it names is opened.
 
-    Its times are not used, for the files state their own; but absurd ones show that it is damaged.
+    Its times are not used, since the files state their own; invalid times show damage.
 
     Raises:
-        ValueError: it is too large, names a file twice, or states topics or times that no bag has.
+        ValueError: it is too large, names a file twice, or has invalid topics or times.
         OSError: it cannot be read.
     """
     path = bag / METADATA
@@ -133,12 +133,12 @@ def _check_topics(topics: Iterable[Any]) -> None:
 
 
 def _check_files(bag: Path, files: Iterable[Any]) -> None:
-    """Each file is there once, whatever names it has."""
+    """Raise if a file is listed twice, under any name."""
     seen: set[tuple[int, int]] = set()
     for name in files:
         if not isinstance(name, str) or not name or "\0" in name:
             raise ValueError(f"{METADATA}: {_FILES}: {name!r:.40}; accepted: names of files")
-        about = (bag / PurePath(name).name).stat()  # as rosbags looks for it
+        about = (bag / PurePath(name).name).stat()  # as rosbags resolves the name
         if (about.st_dev, about.st_ino) in seen:
             raise ValueError(f"{METADATA}: {_FILES}: '{name:.200}' is there twice; accepted: each file once")
         seen.add((about.st_dev, about.st_ino))

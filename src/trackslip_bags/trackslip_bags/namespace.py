@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One machine's part of a bag that holds the topics of a namespace, by the names of a machine without one."""
+"""One machine's part of a bag: the topics of its namespace, named without it."""
 
 from collections.abc import Collection, Iterator
 
 from trackslip_bags.sources import BagMessage, Source, TopicInfo
 from trackslip_common.errors import InputError
 
-_OF_ALL = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics that no namespace moves
+_OF_ALL = ("/tf", "/tf_static", "/diagnostics", "/clock")  # topics outside of namespaces
 
 
 class InNamespace:
-    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; the other machines' topics are not there."""
+    """A part of a bag: ``/digger1/sprockets`` is ``/sprockets``; topics of other machines are absent."""
 
     def __init__(self, source: Source, namespace: str) -> None:
         self.start_ns, self.end_ns = source.start_ns, source.end_ns
@@ -20,11 +20,11 @@ class InNamespace:
         self._outside = {_shortened(t, prefix): t for t in self._topics if t.startswith((prefix, *_OF_ALL))}
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Name within the namespace → what there is of it."""
+        """Name within the namespace → information on the topic."""
         return {name: self._topics[topic] for name, topic in self._outside.items()}
 
     def messages(self, names: Collection[str] | None, start_ns: int, stop_ns: int) -> Iterator[BagMessage]:
-        """As those of the whole part."""
+        """The messages of the namespace, as those of ``Source.messages``."""
         outside = {topic: name for name, topic in self._outside.items() if names is None or name in names}
         for message in self._source.messages(outside.keys(), start_ns, stop_ns):
             yield message._replace(topic=outside[message.topic])
@@ -35,10 +35,10 @@ class InNamespace:
 
 
 def require_in_namespace(topics: Collection[str], namespace: str) -> None:
-    """Check that a bag has something in a namespace.
+    """Check that a bag has topics in a namespace.
 
     Raises:
-        InputError: it has not; names those that it has.
+        InputError: it has none; names the namespaces of the bag.
     """
     if not any(topic.startswith(f"/{namespace.strip('/')}/") for topic in topics):
         there = sorted({topic.split("/")[1] for topic in topics if topic.count("/") > 1})

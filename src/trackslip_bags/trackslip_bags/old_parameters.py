@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of earlier versions, in bags and files, by the names of today: the one place that knows them."""
+"""Converts parameters of earlier versions, in bags and files, to the current names."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -9,7 +9,7 @@ from typing import Any
 from trackslip_common.vehicle import Hydraulics
 from trackslip_estimation.slip.sources import group_name, named
 
-# Until November 2026 each number of the sources was a list: a value for each source, or one for all.
+# Until November 2026 each number of the sources was a list: one value per source, or one for all.
 SOURCE_LISTS = {
     "pose_sources": {
         "pose_lever_arms_x": "lever_arm_x",
@@ -27,18 +27,21 @@ SOURCE_LISTS = {
     },
     "slip_sources": {"slip_timeouts": "timeout"},
 }
-# Until then also, a vehicle was one list of numbers without a name.
+# Until then a vehicle was a flat list of numbers without a name.
 _VEHICLE = {
     **{name: f"kinematics.{name}" for name in ("rolling_radius", "tread", "contact_length")},
     **{name: f"mass.{name}" for name in ("mass", "yaw_inertia", "track_width")},
     **{f.name: f"hydraulics.{f.name}" for f in fields(Hydraulics)},
     **{f"box_{name}": f"sensors.box.{name}" for name in ("length", "width", "x", "y")},
 }
-_DEFAULTS = {"pose_sources": ["box_pose"], "yaw_rate_sources": ["imu/data_raw"]}  # of mappings that name none
+_DEFAULTS = {
+    "pose_sources": ["box_pose"],
+    "yaw_rate_sources": ["imu/data_raw"],
+}  # of mappings without
 
 
 def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """The same parameters by the names of today."""
+    """The same parameters under the current names."""
     values = dict(stated)
     for kind, keys in SOURCE_LISTS.items():
         topics = _topics(stated, kind)
@@ -59,7 +62,7 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _topics(stated: Mapping[str, Any], kind: str) -> list[str]:
-    """The sources of a kind; what is no list of texts is refused where the parameters are checked."""
+    """The sources of a kind; items other than texts are ignored here, and refused by the later check."""
     given = stated.get(kind, _DEFAULTS.get(kind, ()))
     return named([topic for topic in _listed(given) if isinstance(topic, str)])
 
@@ -69,7 +72,7 @@ def _listed(given: Any) -> Sequence[Any]:
 
 
 def _one_each(topics: Sequence[str], key: str, given: Any) -> dict[str, Any]:
-    """A parameter of each source of a list; a list of the wrong length was never in use."""
+    """One parameter per source from a list; a shorter or longer list is cut."""
     each = _listed(given)
     each = list(each) * len(topics) if len(each) == 1 else each
     return {f"sources.{group_name(topic)}.{key}": value for topic, value in zip(topics, each, strict=False)}

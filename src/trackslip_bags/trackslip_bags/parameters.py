@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator's parameters inside a bag: one std_msgs/String holding a ROS parameter file.
+"""An estimator's parameters in a bag: a std_msgs/String with a ROS parameter file.
 
-A bag then replays with the vehicle it was recorded on, wherever its files have gone.
+A bag therefore replays with the vehicle of the recording, without the original files.
 """
 
 from collections.abc import Mapping
@@ -24,26 +24,26 @@ _FROM_TF = ".mounting_from_tf"
 
 
 def bag_parameters(bag: Bag) -> dict[str, Any]:
-    """Dotted name → value of the parameters that a bag begins with; empty where it holds none.
+    """Dotted name → value of the parameters at the start of a bag; empty if it has none.
 
-    Later messages state what was changed while the estimator ran.
+    Later messages state changes during the run.
 
     Raises:
-        InputError: what is on the topic is no parameter file.
+        InputError: the topic has no parameter file.
     """
     return current_names(stated_parameters(bag, _NODE))
 
 
 def bag_vehicle(bag: Bag) -> VehicleParameters | None:
-    """The vehicle that a bag was recorded on, where it carries one.
+    """The vehicle of a bag; None if the bag has none.
 
     Raises:
-        InputError: what it carries is none.
+        InputError: the bag's vehicle is invalid.
     """
     where = f"bag '{bag.path}'"
     for message in bag.messages([TOPIC]):
         if message.type_name != PARAMETERS_TYPE:
-            break  # somebody else's topic of that name
+            break  # a foreign topic of that name
         return vehicle_of_text(bag.deserialize(message.raw, message.type_name).data, f"{where}: {TOPIC}")
     values = bag_parameters(bag)
     if not names_vehicle(values):
@@ -53,9 +53,9 @@ def bag_vehicle(bag: Bag) -> VehicleParameters | None:
 
 
 def namespaces(bag: Bag) -> list[str]:
-    """Of the machines in a bag, '' for one that has none: where sprockets are, or what states a vehicle.
+    """Namespaces of the machines in a bag, '' for none: those with sprockets, vehicle or parameters.
 
-    A bag of neither is one of a machine without a namespace.
+    A bag without any of these topics counts as one machine without a namespace.
     """
     ends = [f"/{name}" for name in (TOPIC, PARAMETERS_TOPIC, _SPROCKETS)]
     names = [absolute(name) if "/" not in name else name for name in bag.topics]
@@ -64,9 +64,9 @@ def namespaces(bag: Bag) -> list[str]:
 
 
 def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
-    """The same by the names that they had when it was recorded.
+    """Dotted name → value of the parameters at the start of a bag, under the recorded names.
 
-    How an IMU is mounted may have been found only later, from /tf_static; nothing was used of it before.
+    The mounting of an IMU may come later, from /tf_static; the estimator does not use the IMU before.
     """
     found: dict[str, Any] = {}
     for message in bag.messages([f"{node}/parameters"]):
@@ -81,7 +81,7 @@ def stated_parameters(bag: Bag, node: str) -> dict[str, Any]:
 
 
 def mounting_names(values: Mapping[str, Any]) -> set[str]:
-    """Of the parameters that /tf_static may give later than the others, by what these are."""
+    """Names of the mounting parameters that /tf_static may set after the start."""
     by_tf = [
         name.removesuffix(_FROM_TF) for name, value in values.items() if name.endswith(_FROM_TF) and value
     ]
@@ -89,10 +89,10 @@ def mounting_names(values: Mapping[str, Any]) -> set[str]:
 
 
 def bag_learned(bag: Bag) -> Any:
-    """What the estimator had learned before the bag begins, as it stands beside the parameters; else None.
+    """Learned values of the estimator at the start of the bag, from the parameter message; else None.
 
     Raises:
-        InputError: what is on the topic is no parameter file.
+        InputError: the topic has no parameter file.
     """
     for message in bag.messages([f"{_NODE}/parameters"]):
         return read_learned(bag, bag.deserialize(message.raw, message.type_name))
@@ -100,25 +100,25 @@ def bag_learned(bag: Bag) -> Any:
 
 
 def read_parameters(bag: Bag, content: Any) -> dict[str, Any]:
-    """Dotted name → value of one such message (std_msgs/String).
+    """Dotted name → value of one parameter message (std_msgs/String).
 
     Raises:
-        InputError: it is no parameter file.
+        InputError: it is not a parameter file.
     """
     return current_names(flatten(_read(bag, content, _NODE)["ros__parameters"]))
 
 
 def read_learned(bag: Bag, content: Any) -> Any:
-    """What an estimator had learned before its run, by one such message; None where it states nothing.
+    """Learned values of an estimator before its run, from one parameter message; None without any.
 
     Raises:
-        InputError: it is no parameter file.
+        InputError: it is not a parameter file.
     """
     return _read(bag, content, _NODE).get("learned")
 
 
 def _read(bag: Bag, content: Any, node: str) -> Mapping[str, Any]:
-    """All that such a message has of the node."""
+    """The node's entry of a parameter message."""
     try:
         found = parse_yaml(content.data, f"{node}/parameters")[node]
         if isinstance(found, Mapping) and isinstance(found["ros__parameters"], Mapping):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What of a bag a live graph is given, and when: its messages against the clock on the wall."""
+"""Selects and times the messages of a bag that are played to a live graph."""
 
 import math
 from collections import Counter
@@ -11,7 +11,7 @@ from trackslip_bags.input_filters import InputFilters, relative
 from trackslip_bags.manual_poses import input_names
 from trackslip_bags.reader import Bag, absolute
 
-# What the estimators of the live graph make themselves, and what belongs to the graph, not to the bag.
+# Outputs of the estimators of the live graph, and topics that belong to the graph, not to the bag.
 OWN_OUTPUTS = frozenset(
     {
         "odometry",
@@ -34,7 +34,7 @@ OWN_OUTPUTS = frozenset(
         "parameter_events",
     }
 )
-CLOCK = "clock"  # the player's own
+CLOCK = "clock"  # published by the player
 
 
 class Played(NamedTuple):
@@ -46,7 +46,7 @@ class Played(NamedTuple):
 
 
 def played_topics(bag: Bag, filters: InputFilters, also: Collection[str]) -> dict[str, str]:
-    """Name to publish under → type: all topics of the bag but ``OWN_OUTPUTS``, those only if in ``also``."""
+    """Name to publish under → type: topics of the bag without ``OWN_OUTPUTS``, except those in ``also``."""
     barred = (OWN_OUTPUTS - {relative(topic) for topic in also}) | {CLOCK}
     return {
         _published(name, filters): bag.topics[topic].type_name
@@ -56,7 +56,7 @@ def played_topics(bag: Bag, filters: InputFilters, also: Collection[str]) -> dic
 
 
 def played(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator[Played]:
-    """The messages to publish under these names, in log order, less what is withheld."""
+    """The messages to publish under these names, in log order, without withheld ones."""
     names = {topic: _published(name, filters) for topic, name in input_names(bag).items()}
     requested = [topic for topic, name in names.items() if name in topics]
     start_ns = bag.start_ns + round(filters.start_s * 1e9)
@@ -68,14 +68,14 @@ def played(bag: Bag, filters: InputFilters, topics: Collection[str]) -> Iterator
 
 
 class Playback:
-    """A bag being played. Times on the wall are seconds of any clock that only goes forward."""
+    """Playback of a bag. Wall times are seconds of any monotonic clock."""
 
     def __init__(
         self, messages: Callable[[], Iterator[Played]], rate: float, paused: bool = False, loop: bool = False
     ) -> None:
         self.paused = paused
         self.counts: Counter[str] = Counter()  # messages played, by topic
-        self._due_ns = self._played_ns = 0  # log times: what has come by now, and of the last one played
+        self._due_ns = self._played_ns = 0  # log times: the current one; that of the last message played
         self._begin = messages
         self._rate = rate
         self._loop = loop
@@ -86,16 +86,16 @@ class Playback:
 
     @property
     def finished(self) -> bool:
-        """Whether all was played."""
+        """Whether all messages are played."""
         return self._next is None
 
     @property
     def bag_ns(self) -> int:
-        """Log time that is reached: never beyond what is still to be played, nor the end."""
+        """Current log time, at most that of the next message or of the end."""
         return self._played_ns if self._next is None else min(self._due_ns, self._next.log_time_ns)
 
     def due(self, now_s: float) -> Iterator[Played]:
-        """Let the time pass until now; the messages whose turn has come. Those not taken stay due."""
+        """Advance to now; yield the messages that are due. Messages not consumed stay due."""
         if self._now_s is not None and not self.paused:
             self._due_ns += round((now_s - self._now_s) * self._rate * 1e9)
         self._now_s = now_s

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder shows of its work: each topic as its first message is written, and how far it has come."""
+"""Progress of a recorder: each topic at its first message, and the counts."""
 
 import sys
 import textwrap
@@ -10,12 +10,12 @@ from collections.abc import Callable
 from trackslip_bags.writer import BagWriter
 from trackslip_common.console import clear_line
 
-_PERIOD = 60.0  # s between lines, where there is no terminal
-_WIDTH = 64  # characters of topics in a line of the log
+_PERIOD = 60.0  # s between lines without a terminal
+_WIDTH = 64  # characters of topic names per line of the log
 
 
 class RecordProgress:
-    """On a terminal a line that is renewed, else a line in the log once a minute."""
+    """On a terminal one line that is updated, else one line per minute in the log."""
 
     def __init__(self, bag: BagWriter, log: Callable[[str], object]) -> None:
         self._bag, self._log = bag, log
@@ -23,7 +23,7 @@ class RecordProgress:
         self._topics: set[str] = set()
 
     def show(self, minutes_left: float | None) -> None:
-        """As things stand; ``minutes_left`` until the disk is full, where that is known."""
+        """Show the current state; ``minutes_left`` until the disk is full, if known."""
         counts = {topic: count for topic, count in self._bag.counts.items() if count}
         if new := sorted(counts.keys() - self._topics):
             self._topics.update(new)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The offered quality of service of a topic, as rosbag2 writes it into a bag (metadata version 9)."""
+"""Offered QoS profiles of a topic in the form of rosbag2 (metadata version 9)."""
 
 import yaml
 
@@ -9,7 +9,7 @@ _DEPTH = 10
 
 
 def offered_qos(latched: bool) -> str:
-    """YAML list with one reliable profile, for ``ros2 bag play`` to offer again."""
+    """YAML list with one reliable profile, which ``ros2 bag play`` offers."""
     profile = {
         "history": "keep_last",
         "depth": 1 if latched else _DEPTH,

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads bags: rosbag2 directories (MCAP, SQLite; compressed or not), bare files, and damaged MCAP.
 
-Topic names are given as the bag has them, which is absolute (``/sprockets``) in every recorded bag; where
-a name is asked for, ``sprockets`` and ``/sprockets`` mean the same.
+Returned topic names are those of the bag, which are absolute (``/sprockets``) in recorded bags. In arguments,
+``sprockets`` and ``/sprockets`` are equivalent.
 """
 
 import heapq
@@ -38,8 +38,8 @@ ACCEPTED = "a rosbag2 directory (metadata.yaml with .mcap or .db3), or an .mcap 
 class Bag:
     """An open bag.
 
-    ``damage`` describes in a few words what is wrong with it, and is empty where nothing is. ``files`` are
-    the MCAP files of which it consists, if it does and rosbags takes them as they are.
+    ``damage`` describes the damage in a few words; empty without damage. ``files`` are its MCAP files if all
+    of its files are plain MCAP.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class Bag:
 
     @property
     def message_count(self) -> int:
-        """All messages of all topics."""
+        """Number of messages of all topics."""
         return sum(info.count for info in self.topics.values())
 
     @property
     def duration_s(self) -> float:
-        """From the first message to the last, s."""
+        """Time from the first to the last message, s."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def messages(
@@ -71,15 +71,15 @@ class Bag:
         start_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> Iterator[BagMessage]:
-        """Messages in log order, those logged at the same time in the order written.
+        """Messages in log order; messages of equal log time in the order written.
 
         Args:
-            topics: the topics wanted; all where None.
+            topics: the topics wanted; None: all.
             start_ns: log time of the earliest message wanted.
             stop_ns: log time before which all wanted messages lie.
 
         Raises:
-            InputError: the bag turns out to be damaged inside.
+            InputError: the bag is damaged inside.
         """
         names = None if topics is None else {absolute(topic) for topic in topics}
         requested = None if names is None else {topic for topic in self.topics if absolute(topic) in names}
@@ -98,7 +98,7 @@ class Bag:
         """A message object (a dataclass of rosbags), by the bag's own definition of its type.
 
         Raises:
-            InputError: the type is defined neither in the bag nor here, or ``raw`` is not of it.
+            InputError: the type is defined neither in the bag nor here, or ``raw`` is not of this type.
         """
         store = self.store(type_name)
         try:
@@ -107,7 +107,7 @@ class Bag:
             raise InputError(f"bag '{self.path}': bad {type_name} ({error_line(error)})") from error
 
     def store(self, type_name: str) -> Typestore:
-        """What reads a type, by the bag's own definition of it.
+        """The type store that reads a type by the bag's own definition.
 
         Raises:
             InputError: the type is defined neither in the bag nor here, or its definition cannot be parsed.
@@ -141,22 +141,22 @@ class Bag:
 
 
 def open_bag(path: Path | str, namespace: str = "") -> Bag:
-    """Open any bag; a recording that was killed opens with what is whole of it, as ``damage`` states.
+    """Open any bag; the readable part of a damaged one, described by ``damage``.
 
-    With a namespace its topics have the names that they have in it, and those of others are not there.
+    With a ``namespace``, only its topics are visible, named without it.
 
     Raises:
-        InputError: there is none, it is of another kind, or nothing of it can be read.
+        InputError: there is no bag, it is of another kind, or nothing of it can be read.
     """
     bag = _open(path)
     return in_namespace(bag, namespace) if namespace else bag
 
 
 def in_namespace(bag: Bag, namespace: str) -> Bag:
-    """One machine's part of an open bag, with the names that its topics have in the namespace.
+    """One machine's part of an open bag, with topic names relative to the namespace.
 
     Raises:
-        InputError: nothing is in it.
+        InputError: the namespace has no topics.
     """
     require_in_namespace(bag.topics, namespace)
     return Bag(bag.path, [InNamespace(source, namespace) for source in bag.sources], bag.damage)
@@ -188,10 +188,10 @@ def _open(path: Path | str) -> Bag:
 
 
 def refuse_pipes(path: Path) -> None:
-    """Nothing that a bag is read from may be without an end: a pipe, a device.
+    """Refuse pipes and devices, which may have no end.
 
     Raises:
-        InputError: it is, or a file in it is.
+        InputError: the path, or a file in it, is neither a regular file nor a directory.
     """
     for file in (path, *(path.iterdir() if path.is_dir() else ())):
         if file.exists() and not (file.is_file() or file.is_dir()):
@@ -201,7 +201,7 @@ def refuse_pipes(path: Path) -> None:
 
 
 def require_one_type(bag: Bag, topics: Iterable[str]) -> None:
-    """Check that all messages of a topic are of one type: fields are read by one definition.
+    """Check that each topic has one message type: fields are read by one definition.
 
     Raises:
         InputError: a topic has several types; names them.
@@ -216,10 +216,10 @@ def require_one_type(bag: Bag, topics: Iterable[str]) -> None:
 
 
 def require_topics(bag: Bag, required: Iterable[str]) -> None:
-    """Check that a bag holds what a task needs.
+    """Check that a bag has messages on the required topics.
 
     Raises:
-        InputError: topics are missing or empty; names them and those that are there.
+        InputError: topics are missing or empty; names them and the existing ones.
     """
     present = {absolute(topic) for topic, info in bag.topics.items() if info.count}
     missing = sorted(absolute(topic) for topic in required if absolute(topic) not in present)
@@ -229,5 +229,5 @@ def require_topics(bag: Bag, required: Iterable[str]) -> None:
 
 
 def absolute(topic: str) -> str:
-    """A relative topic name as it is in the root namespace; an absolute one unchanged."""
+    """The absolute form of a topic name; relative names are those of the root namespace."""
     return topic if topic.startswith("/") else f"/{topic}"

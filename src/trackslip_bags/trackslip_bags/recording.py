@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bag of a recorder: where it goes, how long the disk takes it, and what was lost."""
+"""The bag of a recorder: its path, disk space and lost messages."""
 
 import math
 import shutil
@@ -27,22 +27,22 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Parameters, parameter
 
-_LONGEST_REPAIR_NS = 5_000_000_000  # a heartbeat asks every 3 s what is missing; more is a clock that was set
+_LONGEST_REPAIR_NS = 5_000_000_000  # heartbeats repair losses every 3 s; more is a clock change
 _TRIM_PERIOD = 5.0  # s
 
 
 class DeliveryOrder:
-    """Log times that, topic by topic, do not run back over a repair.
+    """Log times that do not decrease within a topic when lost messages are resent.
 
-    A reliable publisher sends again what was lost on the way. It comes late, and what was sent after it waits
-    for it: messages are delivered in order, while their times of reception are not.
+    A reliable publisher resends lost messages. Messages sent later are held back until then, so messages are
+    delivered in order, but their reception times are not in order.
     """
 
     def __init__(self) -> None:
         self._newest_ns: dict[str, int] = {}
 
     def after_all_before(self, topic: str, came_ns: int) -> int:
-        """Log time of a message that is delivered now and was received at ``came_ns``."""
+        """Log time of a message delivered now and received at ``came_ns``."""
         newest_ns = self._newest_ns.get(topic, came_ns)
         if 0 < newest_ns - came_ns < _LONGEST_REPAIR_NS:
             return newest_ns
@@ -51,9 +51,9 @@ class DeliveryOrder:
 
 
 class Losses:
-    """Lost messages of each topic, by the gaps in their publishers' numbers.
+    """Counts of lost messages per topic, from gaps in the sequence numbers of publishers.
 
-    A publisher's first message may have any number: it is older than we.
+    The first message received may have any number, since the publisher may be older.
     """
 
     def __init__(self) -> None:
@@ -62,19 +62,19 @@ class Losses:
         self._new: Counter[str] = Counter()
 
     def see(self, topic: str, publisher: bytes, number: int) -> None:
-        """A message came, with the running number that its publisher gave it."""
+        """Account for a message with its publisher's sequence number."""
         gap = number - self._next.get((topic, publisher), number)
         self._next[topic, publisher] = number + 1
         self.add(topic, gap)
 
     def add(self, topic: str, count: int) -> None:
-        """So many are lost; a publisher may also send again what it keeps for late comers."""
+        """Count lost messages; a ``count`` of 0 or less (messages resent to late subscribers) is ignored."""
         if count > 0:
             self.total[topic] += count
             self._new[topic] += count
 
     def news(self) -> str:
-        """What was lost since this was last asked, in words; empty where nothing was."""
+        """Text on the messages lost since the last call; empty without losses."""
         text = ", ".join(f"{count} messages of {topic}" for topic, count in sorted(self._new.items()))
         self._new.clear()
         return text
@@ -82,14 +82,14 @@ class Losses:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordParameters(Parameters):
-    """What to record, and where to."""
+    """Parameters of the recorder."""
 
     output: str = parameter("directory of the bag; empty: trackslip_<date>_<time>")
-    more_topics: str = parameter("regular expression over further topics; empty: none")
-    split_size: int = parameter("size of a file from which on the next is begun; 0: any", unit="B", ge=0)
-    split_duration: float = parameter("time after which the next file is begun; 0: never", unit="s", ge=0.0)
+    more_topics: str = parameter("regular expression for further topics; empty: none")
+    split_size: int = parameter("size at which the next file begins; 0: unlimited", unit="B", ge=0)
+    split_duration: float = parameter("time after which the next file begins; 0: never", unit="s", ge=0.0)
     max_disk: int = parameter(
-        "that the files of all recordings beside the bag may take; the oldest go first; 0: any",
+        "limit of all recordings beside the bag; the oldest files are removed first; 0: unlimited",
         unit="B",
         ge=0,
     )
@@ -104,12 +104,12 @@ class Log(Protocol):
 
 
 class Recording:
-    """One bag, from its first message to its metadata.
+    """A bag being recorded, from its first message to its metadata.
 
-    A disk that refuses once is left alone; what it has stays readable, and ``disk_error`` says why.
+    After the first disk error nothing more is written; the file stays readable, ``disk_error`` is the reason.
 
     Raises:
-        InputError: something else has the name that was asked for, or the directory cannot be made.
+        InputError: the requested name is in use by other files, or the directory cannot be created.
     """
 
     def __init__(self, settings: RecordParameters, log: Log) -> None:
@@ -123,17 +123,17 @@ class Recording:
 
     @property
     def minutes_left(self) -> float | None:
-        """Until the disk is full; None where nobody knows."""
+        """Minutes until the disk is full; None if unknown."""
         return self._space.minutes_left
 
     def write(self, topic: str, type_name: str, data: bytes, came_ns: int, sent_ns: int | None) -> None:
-        """One serialized message; it is lost where the disk does not take it."""
+        """Write one serialized message; it counts as lost if the disk fails."""
         came_ns = self._order.after_all_before(topic, came_ns)
         if not self._try_on_disk(partial(self.bag.write, topic, type_name, data, came_ns, sent_ns)):
             self.losses.add(topic, 1)
 
     def save(self) -> None:
-        """Hand what was written to the disk, keep to the budget, and tell how far it has come."""
+        """Flush to the disk, keep to the budget, show progress and losses."""
         if self._try_on_disk(self.bag.flush) and self._saving.done():
             self._try_on_disk(self._saving.result)
             self._saving = self._disk.submit(sync_file, self.bag.file)
@@ -154,7 +154,7 @@ class Recording:
             self._log.error(f"{self.losses.total.total()} messages were lost")
 
     def _keep_to_budget(self) -> None:
-        """Remove the oldest files of recordings beside the bag where they take more than ``max_disk``."""
+        """Remove the oldest files of recordings beside the bag while they exceed ``max_disk``."""
         bag, most, now_s = self.bag, self._settings.max_disk, time.monotonic()
         if not most or now_s - self._trimmed_s < _TRIM_PERIOD:
             return
@@ -164,7 +164,7 @@ class Recording:
             bag.remove_file(file.name) if file.parent == bag.path else remove_recorded(file)
 
     def _try_on_disk(self, work: Callable[[], None]) -> bool:
-        """Whether it went well."""
+        """Do ``work`` unless the disk has failed; returns whether it succeeded."""
         if self.disk_error:
             return False
         try:
@@ -179,7 +179,7 @@ class Recording:
 
 
 def _next_bag(settings: RecordParameters) -> BagWriter:
-    """The bag asked for; with _2, _3, … where a recorder, this one or one before it, has used that name."""
+    """The requested bag, with _2, _3, … appended if a recorder has used the name before."""
     path = Path(settings.output or time.strftime("trackslip_%Y%m%d_%H%M%S"))
     number, candidate = 1, path
     while True:

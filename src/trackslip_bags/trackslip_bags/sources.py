@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The readable parts of a bag: what rosbags opens, and what can be read of an MCAP file that it refuses."""
+"""Readable parts of a bag: files that rosbags opens, and the readable rest of damaged MCAP files."""
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -36,12 +36,12 @@ class BagMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """What a bag holds of one topic."""
+    """Information on one topic of a bag."""
 
     type_name: str
     count: int
     definition: MessageDefinition
-    other_types: frozenset[str] = frozenset()  # that a topic should not have
+    other_types: frozenset[str] = frozenset()  # further types of the topic's messages, an error
 
 
 class Source(Protocol):
@@ -60,11 +60,10 @@ class Source(Protocol):
 
 
 class WholeBag:
-    """A bag, or one file of it, that rosbags reads.
+    """A bag, or one file of it, that rosbags can read.
 
-    What topics there are its files state themselves: a ``metadata.yaml`` may have been edited, or be of an
-    earlier version, and rosbags leaves out what differs from it in a QoS profile. It adds those topics that
-    never had a message.
+    The topics are those of its files: a ``metadata.yaml`` may be edited or of an earlier version, and rosbags
+    omits topics whose QoS profiles differ from it. ``metadata.yaml`` adds topics without messages.
     """
 
     def __init__(self, path: Path) -> None:
@@ -98,7 +97,7 @@ class WholeBag:
                 yield BagMessage(connection.topic, connection.msgtype, time_ns, unpacking.message(raw))
 
     def _begins_packed(self) -> bool:
-        """Whether messages are packed, which only metadata.yaml states."""
+        """Whether messages are compressed one by one; files do not state it, only metadata.yaml does."""
         try:
             return any(unpacking.is_packed(raw) for _, _, raw in islice(self._reader.messages(), 1))
         except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser, which reading reports)
@@ -109,20 +108,20 @@ class WholeBag:
 
 
 def _mcap_files(reader: Reader) -> tuple[Path, ...]:
-    """The files of an open bag, as ``Bag.files`` has them."""
+    """The MCAP files of an open bag, as in ``Bag.files``."""
     storages = _storages(reader)
     files = [Path(str(s.path)) for s in storages if isinstance(s, McapReader)]
     return tuple(files) if len(files) == len(storages) else ()
 
 
 def _storages(reader: Reader) -> list[Any]:
-    """Of each file of an open bag."""
+    """The storage of each file of an open bag."""
     storage = reader.storage
     return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
 
 
 class SalvagedFile:
-    """An MCAP file that rosbags refuses: cut short, as a rule."""
+    """An MCAP file that rosbags refuses, usually truncated."""
 
     def __init__(self, content: Salvage) -> None:
         self._content = content
@@ -149,7 +148,7 @@ class SalvagedFile:
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag without its metadata, split recordings in order: name_2 before name_10."""
+    """The data files of a bag; split files in numeric order: name_2 before name_10."""
     if not path.is_dir():
         return [path]
     files = [file for pattern in _FILES for file in path.glob(pattern) if file.is_file()]
@@ -157,21 +156,21 @@ def bag_files(path: Path) -> list[Path]:
     found: dict[tuple[int, int], Path] = {}
     for _, file in sorted(numbered, key=lambda item: (len(item[0]), item)):
         about = file.stat()
-        found.setdefault((about.st_dev, about.st_ino), file)  # a file with several links is read once
+        found.setdefault((about.st_dev, about.st_ino), file)  # read a file with several links once
     return list(found.values())
 
 
 def begins_with(path: Path, magic: bytes) -> bool:
-    """Whether a file can be read and has the first bytes of its kind."""
+    """Whether a file is readable and begins with ``magic``."""
     try:
         with path.open("rb") as file:
             return file.read(len(magic)) == magic
-    except OSError:  # a directory, or one that nobody may read
+    except OSError:  # a directory, or not readable
         return False
 
 
 def open_file(path: Path) -> tuple[Source | None, str]:
-    """One file of a bag (None where nothing of it can be read), and what is wrong with it."""
+    """One file of a bag (None if nothing can be read), and a description of its damage."""
     if path.suffix == PACKED:
         return _open_packed(path)
     try:
@@ -190,7 +189,7 @@ def open_file(path: Path) -> tuple[Source | None, str]:
 
 
 def _open_packed(path: Path) -> tuple[Source | None, str]:
-    """A file that the recorder packed whole. What is open stays so after its folder is gone."""
+    """A file that was compressed as a whole; it stays open after its temporary folder is removed."""
     with TemporaryDirectory(prefix="trackslip_") as folder:
         plain = Path(folder, path.stem)
         try:
@@ -212,11 +211,11 @@ def merged(parts: Iterable[dict[str, TopicInfo]]) -> dict[str, TopicInfo]:
 
 
 def _together(known: TopicInfo, info: TopicInfo) -> TopicInfo:
-    """What two parts of a bag say of one topic."""
+    """Combined information of two parts of a bag on one topic."""
     types = {known.type_name, info.type_name, *known.other_types, *info.other_types}
     return replace(known, count=known.count + info.count, other_types=frozenset(types - {known.type_name}))
 
 
 def error_line(error: Exception) -> str:
-    """An error's text in one line; its kind where it has none."""
+    """An error's text in one line, or its type if empty."""
     return " ".join(str(error).split()) or type(error).__name__

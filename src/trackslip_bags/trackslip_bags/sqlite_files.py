@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""SQLite files of bags as SQLite reads them: with the transactions in a ``-wal`` or ``-journal`` beside them.
+"""Opens SQLite files of bags with the transactions in their ``-wal`` or ``-journal`` files.
 
-rosbags opens a database as immutable, for which SQLite leaves these companions out. A recorder in WAL mode
-(rosbag2's preset ``resilient``) that was killed leaves its latest messages there.
+rosbags opens a database as immutable, in which case SQLite ignores these files. A killed recorder in WAL mode
+(rosbag2's preset ``resilient``) leaves its latest messages there.
 """
 
 from pathlib import Path
@@ -16,14 +16,14 @@ from rosbags.rosbag2 import storage_sqlite3
 _COMPANIONS = ("-wal", "-journal")
 _NAME = "apsw"  # the binding that rosbags uses
 _SQLITE: Any = getattr(storage_sqlite3, _NAME)
-_PREFIX, _IMMUTABLE = "file:", "?immutable=1"  # of the address that rosbags asks for
+_PREFIX, _IMMUTABLE = "file:", "?immutable=1"  # of the URI that rosbags uses
 MAGIC = b"SQLite format 3\0"
 
 
 def address(path: Path) -> str:
-    """The URI by which SQLite opens a database for reading.
+    """The URI that opens a database for reading.
 
-    Without companions it is immutable: it opens on a medium that nobody can write to.
+    Without companion files the database opens as immutable, which works on read-only media.
     """
     beside = (path.with_name(path.name + ending) for ending in _COMPANIONS)
     has_companion = any(file.is_file() and file.stat().st_size for file in beside)
@@ -31,7 +31,7 @@ def address(path: Path) -> str:
 
 
 def read_companions() -> None:
-    """Have rosbags open databases by ``address``."""
+    """Make rosbags open databases by ``address``."""
     names = {**vars(_SQLITE), "Connection": _connection}
     setattr(storage_sqlite3, _NAME, SimpleNamespace(**names))
 

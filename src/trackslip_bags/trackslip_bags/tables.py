@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a bag's topics, a stretch of log time after the other: each field a named column.
+"""Reads a bag's topics as tables, in stretches of log time: each field is a named column.
 
     for stretch in read_tables(bag, ["/sprockets", "/odometry"]):
         rows = stretch["/sprockets"].rows(SprocketFields)   # (n,) record of these names
 
-What is read of a message is a record class of ``trackslip_common.message_fields``. Numbers come straight from
-the bytes: where the strings and the lengths of sequences are the same, each number is at the same place in
-all messages (``layout``). Messages that are alike to no others are read one by one.
+A record class of ``trackslip_common.message_fields`` names the fields to read. Numbers are read directly from
+the bytes: in messages with equal strings and lengths of sequences, each number has the same position
+(``layout``). Messages of irregular layout are read one by one.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -26,13 +26,13 @@ from trackslip_common.errors import InputError
 from trackslip_common.layout import FieldsOf, IrregularError, Layout
 from trackslip_common.message_reading import RecordClass, dtype_of, places_of, read
 
-_LAYOUTS = 64  # of one topic; a message of another is read by itself
+_LAYOUTS = 64  # per topic; messages of further layouts are read one by one
 
 
 class Stretch(Mapping[str, "TopicTable"]):
-    """The messages of some seconds, by topic as in the bag; topics without messages are left out.
+    """The messages of some seconds, by topic as in the bag; topics without messages are absent.
 
-    ``until_ns``: every message logged before it is in this stretch or in an earlier one.
+    ``until_ns``: every message logged before this time is in this or an earlier stretch.
     """
 
     def __init__(self, until_ns: int, tables: Mapping[str, "TopicTable"]) -> None:
@@ -52,7 +52,7 @@ class Stretch(Mapping[str, "TopicTable"]):
 class TopicTable:
     """Messages of one topic in log order.
 
-    ``order`` (n,) are their places among the messages of all topics of the stretch, ``log_times_ns`` (n,).
+    ``order`` (n,): positions among all messages of the stretch; ``log_times_ns`` (n,): log times.
     """
 
     def __init__(
@@ -76,19 +76,19 @@ class TopicTable:
 
     @property
     def texts(self) -> list[str]:
-        """Number in a column of texts → text; grows while the bag is read."""
+        """Texts by their number in a text column; the list grows during reading."""
         return self._topic.texts
 
     def raw(self, k: int) -> bytes:
-        """A message as recorded (CDR)."""
+        """The bytes of message ``k`` (CDR)."""
         start = int(self._starts[k])
         return self._buffer[start : start + int(self._lengths[k])].tobytes()
 
     def message(self, k: int) -> Any:
-        """A message as an object.
+        """Message ``k`` as an object.
 
         Raises:
-            InputError: it is not of its type.
+            InputError: its bytes do not match its type.
         """
         return self._topic.bag.deserialize(self.raw(k), self.type_name)
 
@@ -96,7 +96,7 @@ class TopicTable:
         """(n,) records of ``dtype_of(kind)``.
 
         Raises:
-            InputError: a message is not of its type, or the type has no such fields.
+            InputError: a message does not match its type, or the type lacks a field.
         """
         rows = np.zeros(len(self), dtype_of(kind))
         for length in np.unique(self._lengths).tolist():
@@ -113,7 +113,7 @@ class TopicTable:
         return rows
 
     def _fill(self, rows: NDArray[np.void], kind: RecordClass, layout: Layout, left: IntArray) -> BoolArray:
-        """Fill the rows of the messages ``left`` that have this layout; (m,) which they are."""
+        """Fill the rows of messages ``left`` (m,) that have this layout; returns their mask (m,)."""
         starts = self._starts[left]
         matching = layout.matches(self._buffer, starts)
         members, starts = left[matching], starts[matching]
@@ -136,7 +136,7 @@ class TopicTable:
 
 
 class _Topic:
-    """What the tables of one topic share."""
+    """Data common to the tables of one topic."""
 
     def __init__(self, bag: Bag, topic: str) -> None:
         self.bag, self.topic = bag, topic
@@ -146,11 +146,11 @@ class _Topic:
         self._layouts: dict[int, list[Layout]] = {}  # by length of the message
 
     def layouts(self, length: int) -> list[Layout]:
-        """Those known of messages of so many bytes."""
+        """The known layouts of messages of a length in bytes."""
         return list(self._layouts.get(length, ()))
 
     def layout_of(self, raw: bytes) -> Layout | None:
-        """That of a message, which is of no known one; None where it must be read by itself."""
+        """A new layout from a message; None if the message must be read by itself."""
         if sum(map(len, self._layouts.values())) >= _LAYOUTS:
             return None
         try:
@@ -161,14 +161,14 @@ class _Topic:
         return layout
 
     def number_of(self, text: str) -> int:
-        """A text's number in columns."""
+        """Number of a text in text columns."""
         if text not in self._numbers:
             self._numbers[text] = len(self.texts)
             self.texts.append(text)
         return self._numbers[text]
 
     def lacks(self, field: str) -> InputError:
-        """The error of a field that the type has not."""
+        """The error for a field missing in the type."""
         return InputError(f"bag '{self.bag.path}': {self.topic} is a {self.type_name} without {field}")
 
     @cached_property
@@ -179,10 +179,10 @@ class _Topic:
 def read_tables(
     bag: Bag, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
 ) -> Iterator[Stretch]:
-    """The topics' messages, logged from ``start_ns`` on and before ``stop_ns``, in log order.
+    """Yield the topics' messages, logged from ``start_ns`` on and before ``stop_ns``, in log order.
 
     Raises:
-        InputError: the bag turns out to be damaged inside.
+        InputError: the bag is damaged inside.
     """
     names = {absolute(topic) for topic in topics}
     known = [_Topic(bag, topic) for topic in bag.topics if absolute(topic) in names]

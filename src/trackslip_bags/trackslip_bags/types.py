@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Message types without ROS: their definitions, hashes and a store that (de)serializes them.
+"""Message types without ROS: definitions, hashes, and a store that (de)serializes them.
 
-The standard types are those of rosbags for the ROS distribution in use. Every other type, the project's
-own among them, comes from its ``.msg`` file: installed (``AMENT_PREFIX_PATH``), or in the checkout.
+Standard types come from rosbags for the ROS distribution in use. All other types, including the project's
+own, come from ``.msg`` files: installed (``AMENT_PREFIX_PATH``) or in the checkout.
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.layout import ANY, CDR_HEADER, CDR_SLACK, Field, FieldsOf
 
 _IDL_SEPARATOR = "=" * 80 + "\n"
-_MOST_VALUES = 1_000_000  # of one message whose lists are all empty
+_MOST_VALUES = 1_000_000  # limit of values of a message with empty lists
 
 
 @lru_cache(maxsize=1)
@@ -34,7 +34,7 @@ def typestore() -> Typestore:
 
 
 def ensure(type_name: str) -> Typestore:
-    """The store, after adding ``type_name`` and the types inside it where they were unknown.
+    """The store, after adding ``type_name`` and its inner types if unknown.
 
     Raises:
         InputError: the type or one inside it has no ``.msg`` file here, or the file cannot be parsed.
@@ -48,7 +48,7 @@ def ensure(type_name: str) -> Typestore:
 
 
 def schema_text(type_name: str) -> str:
-    """The definition with those of all inner types, in the ``ros2msg`` form of MCAP schemas.
+    """Definition of the type and all inner types, in the ``ros2msg`` form of MCAP schemas.
 
     Raises:
         InputError: the type is unknown.
@@ -58,7 +58,7 @@ def schema_text(type_name: str) -> str:
 
 
 def type_hash(type_name: str) -> str:
-    """The RIHS01 hash of REP-2016 by which ROS distinguishes versions of a type.
+    """RIHS01 hash of REP-2016, by which ROS distinguishes versions of a type.
 
     Raises:
         InputError: the type is unknown.
@@ -67,7 +67,7 @@ def type_hash(type_name: str) -> str:
 
 
 def known_schema(type_name: str) -> Schema:
-    """The definition by the store.
+    """The MCAP schema of a type in the process' store.
 
     Raises:
         InputError: the type is unknown.
@@ -75,16 +75,16 @@ def known_schema(type_name: str) -> Schema:
     return Schema(SchemaEncoding.ROS2, schema_text(type_name).encode(), type_hash(type_name))
 
 
-@lru_cache(maxsize=64)  # types of one bag and the next; rosbags compiles each store
+@lru_cache(maxsize=64)  # covers several bags; rosbags compiles each store
 def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
-    """The store that reads ``type_name`` as a bag defines it, also with another version of the message.
+    """The store that reads ``type_name`` by a bag's definition, also of another version of the message.
 
-    It is the process' store where the bag does not say.
+    Without a definition in the bag it is the process' store.
 
     Raises:
         InputError: the bag holds no definition of the type and the type is unknown here.
         TypesysError: the bag's definition cannot be parsed.
-        ValueError: it is of a type without an end, or a very large one.
+        ValueError: the definition is recursive or very large.
     """
     if definition.format == MessageDefinitionFormat.NONE:
         return ensure(type_name)
@@ -98,12 +98,12 @@ def store_for(type_name: str, definition: MessageDefinition) -> Typestore:
 def decode(store: Typestore, raw: bytes | memoryview, type_name: str) -> Any:
     """CDR bytes → message, by the definitions in ``store``.
 
-    A few bytes behind the message are accepted, which rosbags' own ``deserialize_cdr`` refuses: rclpy's
-    ``serialize_message`` leaves four, unset, for each empty list of float64, and bags made by Python
-    scripts hold such messages. Those received from the network end where they should.
+    A few bytes after the message are accepted, unlike in rosbags' ``deserialize_cdr``. rclpy's
+    ``serialize_message`` appends four unset bytes for each empty list of float64, so bags written by Python
+    scripts have such messages. Messages received from the network do not.
 
     Raises:
-        ValueError: the bytes are not CDR, or far too many. Too few raise whatever rosbags does.
+        ValueError: the bytes are not CDR, or far too many. Too few raise the errors of rosbags.
     """
     if len(raw) < CDR_HEADER or raw[0] != 0 or raw[1] > 1:
         raise ValueError("no CDR header")
@@ -116,7 +116,7 @@ def decode(store: Typestore, raw: bytes | memoryview, type_name: str) -> Any:
 
 
 def _parse(type_name: str, definition: MessageDefinition) -> Typesdict:
-    """A bag's schema → field definitions of the type and those inside it."""
+    """A bag's schema → field definitions of the type and its inner types."""
     if definition.format == MessageDefinitionFormat.MSG:
         return get_types_from_msg(definition.data, type_name)
     parts = definition.data.split(_IDL_SEPARATOR)
@@ -128,12 +128,12 @@ def _parse(type_name: str, definition: MessageDefinition) -> Typesdict:
 
 
 def check_finite(types: Typesdict) -> None:
-    """Refuse types that hold themselves, and arrays of a fixed size that no message has.
+    """Refuse recursive types and types with excessive fixed-size arrays.
 
-    An array of a thousand million messages without a field takes no byte of a bag, and all memory to read.
+    An array of a thousand million empty messages takes no byte in a bag, but all memory when read.
 
     Raises:
-        ValueError: one is such a type.
+        ValueError: a type is recursive or too large.
     """
     known: dict[str, int] = {}
     for name in types:
@@ -142,7 +142,7 @@ def check_finite(types: Typesdict) -> None:
 
 
 def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple[str, ...] = ()) -> int:
-    """How many values a message of a type has at least; ``known``: those of the types looked at before."""
+    """Minimum number of values in a message of a type; ``known`` caches the numbers of other types."""
     if name in inside:
         raise ValueError(f"type {name}: it holds itself; accepted: a type of others")
     if name not in known:
@@ -160,7 +160,7 @@ def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple
 
 
 def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
-    """Add to ``found`` the type and those inside it that ``store`` does not know."""
+    """Add to ``found`` the type and its inner types that are not in ``store``."""
     path = msg_file(type_name)
     if path is None:
         raise InputError(
@@ -177,7 +177,7 @@ def _collect(type_name: str, store: Typestore, found: Typesdict) -> None:
 
 
 def _inner_types(types: Typesdict, name: str) -> list[str]:
-    """The message types that the fields of ``name`` are made of."""
+    """The message types of the fields of ``name``."""
     names = []
     for _, description in types[name][1]:
         kind, detail = field_parts(description)
@@ -189,7 +189,7 @@ def _inner_types(types: Typesdict, name: str) -> list[str]:
 
 
 def fields_by(store: Typestore) -> FieldsOf:
-    """What the types of a store are made of."""
+    """A function that yields the fields of the types of a store."""
 
     def fields_of(type_name: str) -> Iterator[Field]:
         for name, description in store.fielddefs[type_name][1]:
@@ -206,6 +206,6 @@ def fields_by(store: Typestore) -> FieldsOf:
 def field_parts(description: FieldDesc) -> tuple[Nodetype, Any]:
     """(kind, detail) of a field: (BASE, (name, size)), (NAME, type) or (ARRAY | SEQUENCE, (item, size)).
 
-    It exists for the type checker, to which rosbags' union of these tuples is opaque.
+    Needed for the type checker, which cannot resolve rosbags' union of these tuples.
     """
     return Nodetype(description[0]), description[1]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Unpacks what bags hold packed: never to more than it states, nor to more than a recorder would write."""
+"""Decompresses parts of bags, with limits: the stated size, and sizes that recorders write."""
 
 import bz2
 from collections.abc import Callable, Mapping
@@ -15,9 +15,9 @@ import zstandard
 from mcap.records import Chunk
 from rosbags.rosbag2 import storage_mcap
 
-LARGEST = 128_000_000  # bytes of a chunk; recorders write 1 to 10 MB, and reading takes seven times that
-_RATIO = 200  # of a file to its packed form; recordings reach some 20
-_PIECE = 1 << 20  # bytes that are unpacked at once
+LARGEST = 128_000_000  # bytes of a chunk; recorders write 1 to 10 MB, reading takes seven times that
+_RATIO = 200  # limit of a file's compression ratio; recordings reach some 20
+_PIECE = 1 << 20  # bytes decompressed at once
 
 
 def _as_it_is(data: bytes, _: int) -> bytes:
@@ -44,10 +44,10 @@ _KINDS: Mapping[str, Callable[[bytes, int], bytes]] = MappingProxyType(
 
 
 def unpacked(data: bytes, compression: str, size: int) -> bytes:
-    """The ``size`` bytes that a chunk states.
+    """The decompressed content of a chunk with the stated ``size``, bytes.
 
     Raises:
-        ValueError: it states too much, unpacks to another size, or is of another compression.
+        ValueError: the stated size is too large or wrong, or the compression is unknown.
     """
     if size > LARGEST:
         raise ValueError(f"a chunk of {size / 1e6:.0f} MB; accepted: up to {LARGEST / 1e6:.0f} MB")
@@ -60,7 +60,7 @@ def unpacked(data: bytes, compression: str, size: int) -> bytes:
 
 
 def plain(chunk: Chunk) -> Chunk:
-    """A chunk with its records unpacked.
+    """A chunk with decompressed records.
 
     Raises:
         ValueError: as ``unpacked``.
@@ -70,15 +70,15 @@ def plain(chunk: Chunk) -> Chunk:
 
 
 def is_packed(data: bytes) -> bool:
-    """Whether a message was packed by itself: CDR never begins so."""
+    """Whether a message is compressed by itself (zstd); CDR never begins with this header."""
     return data.startswith(zstandard.FRAME_HEADER)
 
 
 def message(data: bytes) -> bytes:
-    """A message, unpacked where it was packed by itself.
+    """A message, decompressed if it was compressed by itself.
 
     Raises:
-        ValueError: it unpacks to more than ``LARGEST``.
+        ValueError: it decompresses to more than ``LARGEST``.
     """
     return _limited("message", _zstd, data) if is_packed(data) else data
 
@@ -91,10 +91,10 @@ def _limited(what: str, unpack: Callable[[bytes, int], bytes], data: bytes) -> b
 
 
 def unpack_file(path: Path, output: IO[bytes] | None = None) -> None:
-    """Unpack a file that was packed whole (``.zstd``); without an output look how much it unpacks to.
+    """Decompress a file that was compressed as a whole (``.zstd``); without ``output`` only check its size.
 
     Raises:
-        ValueError: to many times more than a recording does.
+        ValueError: the size exceeds ``LARGEST`` and ``_RATIO`` times the file's size.
     """
     packed = path.stat().st_size
     most, size = max(LARGEST, _RATIO * packed), 0
@@ -109,13 +109,13 @@ def unpack_file(path: Path, output: IO[bytes] | None = None) -> None:
 
 
 def limit_rosbags() -> None:
-    """Have rosbags, which unpacks chunks without a limit, do it by ``unpacked``."""
+    """Make rosbags, which has no limit, decompress chunks by ``unpacked``."""
     for kind in _KINDS:
         storage_mcap.DECOMPRESSORS[kind] = partial(_named, kind)
 
 
 def of_ros1() -> dict[str, Callable[[bytes], bytes]]:
-    """By compression, what unpacks a chunk of a ROS 1 bag; it raises ``ValueError`` beyond ``LARGEST``."""
+    """Compression → function that decompresses a chunk of a ROS 1 bag; ``ValueError`` beyond ``LARGEST``."""
     return {kind: partial(_limited, "chunk", unpack) for kind, unpack in (("bz2", _bz2), ("lz4", _lz4))}
 
 

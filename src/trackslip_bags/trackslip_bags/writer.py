@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes rosbag2 bags (MCAP storage) from messages that are serialized already.
+"""Writes rosbag2 bags (MCAP storage) from serialized messages.
 
-A chunk is closed and handed to the operating system at the latest ``CHUNK_SPAN_NS`` of data after it was
-begun: a recorder killed at any moment loses no more than that, and the file up to there stays readable.
-Each file of a split bag stands for itself: it has all topics and definitions.
+A chunk spans at most ``CHUNK_SPAN_NS`` of data and is then passed to the operating system. A recorder killed
+at any moment loses no more than that, and the file remains readable up to there. Each file of a split bag
+is self-contained: it has all topics and definitions.
 """
 
 import math
@@ -29,14 +29,14 @@ from trackslip_common.whole_file import replace_whole
 
 CHUNK_SPAN_NS = 500_000_000
 
-_NO_QOS = "[]"  # an empty list in metadata.yaml's own terms: ros2 bag plays with default QoS
+_NO_QOS = "[]"  # empty list in metadata.yaml: ros2 bag plays with default QoS
 
 
 def refuse_existing(path: Path | None) -> None:
-    """Before the work that a bag is made of: nothing may be there.
+    """Check, before the work for a bag, that its path is free.
 
     Raises:
-        InputError: something is.
+        InputError: the path exists.
     """
     if path is not None and (path.exists() or path.is_symlink()):
         raise _exists(path)
@@ -47,23 +47,23 @@ def _exists(path: Path) -> InputError:
 
 
 def _is_utf8(name: str) -> bool:
-    """Whether a name has none of the bytes that Python keeps as surrogates."""
+    """Whether a name has no surrogates, by which Python represents bytes that are not UTF-8."""
     return not any("\ud800" <= character <= "\udfff" for character in name)
 
 
 class BagWriter:
-    """One bag being written: a directory with ``<name>_0.mcap`` and so on, ``metadata.yaml`` once closed.
+    """A bag being written: a directory with ``<name>_0.mcap`` and so on, ``metadata.yaml`` once closed.
 
     Args:
         path: the directory to create.
         distro: ROS distribution to name in the metadata; by default the one in use.
-        split_size: bytes of a file from which on another one is begun.
-        split_duration: s of log time that a file spans at most.
-        library: who writes, as each file says.
+        split_size: size of a file, bytes, at which the next one begins.
+        split_duration: largest log time span of a file, s.
+        library: name of the writer in each file.
 
     Raises:
         InputError: ``path`` exists already or cannot be created.
-        OSError: from any method: the disk is full or gone. What was flushed before is there.
+        OSError: from any method: the disk is full or gone. Flushed messages are kept.
     """
 
     def __init__(
@@ -80,11 +80,11 @@ class BagWriter:
         self._library = library
         self.topics: dict[str, Topic] = {}
         self._extents: dict[str, Extent] = {}  # by file name
-        self._counts_before: list[dict[str, int]] = []  # messages per topic, when each file was begun
-        self._removed: Counter[str] = Counter()  # messages per topic that were in files removed since
+        self._counts_before: list[dict[str, int]] = []  # messages per topic at the begin of each file
+        self._removed: Counter[str] = Counter()  # messages per topic in removed files
         self._chunk_start_ns: int | None = None
         self._saved: dict[str, int] = {}  # counts at the last flush
-        if not _is_utf8(self.path.name):  # metadata.yaml states the names of files
+        if not _is_utf8(self.path.name):  # metadata.yaml has the names of files
             raise InputError(f"bag {str(self.path)!r}: the name is not UTF-8; accepted: a name that is")
         try:
             self.path.mkdir(parents=True)
@@ -99,16 +99,16 @@ class BagWriter:
             raise InputError(f"bag '{self.path}' cannot be written ({error.strerror})") from error
 
     def add_topic(self, topic: str, type_name: str, qos_yaml: str = "", schema: Schema | None = None) -> None:
-        """Make a topic known before its first message; again with the same type does nothing.
+        """Add a topic before its first message; repeating it with the same type has no effect.
 
         Args:
-            topic: its name.
+            topic: name of the topic.
             type_name: ``package/msg/Name``.
             qos_yaml: rosbag2's text of the offered QoS profiles (a YAML list, version 9).
             schema: the definition of the type; by default the one known here.
 
         Raises:
-            InputError: the type is unknown, or the topic is there with another type.
+            InputError: the type is unknown, or the topic exists with another type.
         """
         known = self.topics.get(topic)
         if known is not None:
@@ -127,9 +127,9 @@ class BagWriter:
         log_time_ns: int,
         publish_time_ns: int | None = None,
     ) -> None:
-        """Append one serialized (CDR) message as it is; its topic is added where it is new.
+        """Append one serialized (CDR) message unchanged; a new topic is added.
 
-        Bags have no times before 1970: such a message is logged at the first one that they have.
+        Bags have no times before 1970: earlier messages are logged at time 0.
 
         Raises:
             InputError: as ``add_topic``.
@@ -142,7 +142,7 @@ class BagWriter:
         log_time_ns = max(log_time_ns, 0)
         if self._chunk_start_ns is None:
             self._chunk_start_ns = log_time_ns
-        elif abs(log_time_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS:  # either way: clocks get set
+        elif abs(log_time_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS:  # either way: clocks are set
             self.flush()
             self._chunk_start_ns = log_time_ns
         if self._is_full(log_time_ns):
@@ -151,18 +151,18 @@ class BagWriter:
         known.count += 1
 
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system: for a recorder whose topics fall silent."""
+        """Close the chunk and pass it to the operating system, for recorders whose topics stop."""
         self._file.flush()
         self._chunk_start_ns = None
         self._saved = self.counts
 
     def split(self) -> None:
-        """Go on in another file."""
+        """Continue in a new file."""
         self._file.close()
         self._begin_file()
 
     def remove_file(self, name: str) -> None:
-        """Delete one of the files that are finished; the metadata will not name it.
+        """Delete a finished file; the metadata will not name it.
 
         Raises:
             OSError: it cannot be deleted.
@@ -175,7 +175,7 @@ class BagWriter:
 
     @property
     def file(self) -> Path:
-        """The file that is being written."""
+        """The current file."""
         return self._file.path
 
     @property
@@ -185,11 +185,11 @@ class BagWriter:
 
     @property
     def unsaved(self) -> dict[str, int]:
-        """Messages that the operating system does not have yet, per topic."""
+        """Messages not yet passed to the operating system, per topic."""
         return {name: count - self._saved.get(name, 0) for name, count in self.counts.items()}
 
     def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``; closing again does nothing."""
+        """Finish the file and write ``metadata.yaml``; repeated calls have no effect."""
         if self._file.closed:
             return
         self._file.close()
@@ -198,7 +198,7 @@ class BagWriter:
         replace_whole(self.path / METADATA, text)
 
     def abandon(self) -> None:
-        """Leave the file as a killed recorder would: for a disk that takes no more."""
+        """Close the file as it is, like a killed recorder, after a disk error."""
         self._file.abandon()
 
     def __enter__(self) -> "BagWriter":
@@ -210,7 +210,7 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close it, also after an error; of a bag that the disk does not take nothing stays.
+        """Close the bag, also after an error; after a disk error remove it.
 
         Raises:
             InputError: the disk is full or gone.
@@ -227,7 +227,7 @@ class BagWriter:
             raise InputError(f"bag '{self.path}' cannot be written ({failed.strerror})") from failed
 
     def _remove(self) -> None:
-        """The directory, which was made here, and all in it."""
+        """Remove the directory, which was created here, with its content."""
         shutil.rmtree(self.path, ignore_errors=True)
 
     def _begin_file(self) -> None:
@@ -245,7 +245,7 @@ class BagWriter:
 
 
 class _Stream(BufferedWriter):
-    """Appends, and knows how much: to ask the system before each message takes a tenth of a recorder."""
+    """A file with its size counted: asking the system per message takes a tenth of a recorder's time."""
 
     size = 0  # bytes
 
@@ -255,7 +255,7 @@ class _Stream(BufferedWriter):
 
 
 class _File:
-    """One MCAP file, and what is in it."""
+    """One MCAP file with its channels, schemas and extent."""
 
     def __init__(self, path: Path, extent: Extent, topics: Mapping[str, Topic], library: str) -> None:
         self.path = path
@@ -288,7 +288,7 @@ class _File:
 
     @property
     def size(self) -> int:
-        """Bytes so far, those of the chunk in progress not counted."""
+        """Bytes written, without the current chunk."""
         return self._stream.size
 
     @property
@@ -302,19 +302,19 @@ class _File:
         self._stream.close()
 
     def abandon(self) -> None:
-        with suppress(OSError):  # of what could not be written; the file is closed all the same
+        with suppress(OSError):  # unwritten data cannot be flushed; the file is closed all the same
             self._stream.close()
 
 
 def own_schema(type_name: str) -> Schema:
-    """The definition installed here, or that of rosbags where no ROS is installed.
+    """The installed definition of a type, or that of rosbags without ROS.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no definition.
     """
     found = installed_schema(type_name)
     if found is None:
-        from trackslip_bags.types import known_schema  # rosbags, which a vehicle does not have
+        from trackslip_bags.types import known_schema  # needs rosbags, which is not on the vehicle
 
         found = known_schema(type_name)
     return found

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder, and the player that drives a live graph from a bag."""
+"""ROS nodes: the recorder, and the player of bags to a live graph."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``replay``: publishes the messages of a bag as they are, and ``/clock``, for a live graph to work on."""
+"""``replay``: publishes the messages of a bag unchanged, and ``/clock``, to a live graph."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -24,28 +24,28 @@ from trackslip_common.nodes.run import run
 from trackslip_common.parameters import Parameters
 from trackslip_common.topics import TOPICS
 
-_TICK = 0.002  # s, how late a message may be
-_LONGEST_TICK = 0.05  # s of publishing, before the executor has its turn
-_CLOCK_PERIOD = 0.01  # s on the wall
-_QUIET = 1.0  # s without a new subscriber: then all have found us
-_ALONE = 4.0  # s without any: then there is none, for on a busy machine the first may take some seconds
-_LONGEST_ACK = 2.0  # s, for what is on its way at the end
+_TICK = 0.002  # s, largest delay of a message
+_LONGEST_TICK = 0.05  # s of publishing before the executor continues
+_CLOCK_PERIOD = 0.01  # s of wall time
+_QUIET = 1.0  # s without a new subscriber, after which discovery counts as complete
+_ALONE = 4.0  # s without any subscriber, after which there is none; discovery may take some seconds
+_LONGEST_ACK = 2.0  # s, for acknowledgement of the last messages
 _PAUSE_KEY = " "
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlayerParameters(Parameters):
-    """None: the command line has them all."""
+    """No parameters: all options are on the command line."""
 
 
 class PlayerNode(TrackslipNode[PlayerParameters]):
-    """Publishes what is due, until the bag ends; the space bar and ``~/pause`` halt it.
+    """Publishes due messages until the bag ends; the space bar and ``~/pause`` pause it.
 
     Args:
-        playback: what is due when.
-        topics: name → type of what may come.
-        keys: what was typed since it was last asked.
-        show: called now and then with how far it is.
+        playback: the messages and their times.
+        topics: name → type of the messages.
+        keys: returns the keys typed since its last call.
+        show: called regularly with the playback.
     """
 
     def __init__(
@@ -61,24 +61,24 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         self.create_service(SetBool, "~/pause", self._on_pause)
 
     def configure(self) -> None:
-        """Announce all topics, for subscribers to find."""
+        """Create all publishers, so that subscribers discover them."""
         self._outlets = {
             topic: self.tolerate_failures(self.create_publisher(message_class(kind), topic, _quality(topic)))
             for topic, kind in self._topics.items()
         }
         self._time = self.tolerate_failures(self.create_publisher(ClockMessage, "/clock", 10))
         self._matched, self._quiet_since = 0, time.monotonic()
-        self._is_open = False  # whether playing has begun
+        self._is_open = False  # whether playback has begun
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK, self._play, clock=steady)
         self.create_timer(_CLOCK_PERIOD, self._publish_time, clock=steady)
 
     def deactivate(self) -> None:
-        """Halt, as ``~/pause`` does."""
+        """Pause, as ``~/pause`` does."""
         self._playback.paused = True
 
     def health(self) -> list[Health]:
-        """How far it is."""
+        """State and message counts of the playback."""
         word = "paused" if self._playback.paused else "playing"
         return [Health(OK, word, dict(self._playback.counts))]
 
@@ -94,7 +94,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
             self._end()
 
     def _all_are_there(self, now_s: float) -> bool:
-        """Subscribers take a while to find a new publisher, and what comes before that is lost to them."""
+        """Whether discovery is complete: subscribers lose messages published before they are matched."""
         matched = sum(publisher.get_subscription_count() for publisher in self._outlets.values())
         if matched != self._matched:
             self._matched, self._quiet_since = matched, now_s
@@ -104,7 +104,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         return self._is_open
 
     def _warn_of_others(self) -> None:
-        """Two publishers of one topic, such as a driver or a localizer that still runs, are no replay."""
+        """Warn if nothing subscribes, and of topics with other publishers, such as running drivers."""
         if not self._matched:
             self.get_logger().warning("nobody subscribes to what is played")
         for topic in self._outlets:
@@ -125,7 +125,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
         return response
 
     def _end(self) -> None:
-        """Let all of it arrive; then the node ends."""
+        """Wait for acknowledgement of all messages; then end the node."""
         give_up_s = time.monotonic() + _LONGEST_ACK
         for publisher in self._outlets.values():
             publisher.wait_for_all_acked(Duration(seconds=max(give_up_s - time.monotonic(), 0.0)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``record``: writes the serialized messages of all project topics, as they come, to an MCAP bag."""
+"""``record``: writes the serialized messages of all project topics to an MCAP bag."""
 
 import re
 import sys
@@ -19,21 +19,21 @@ from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_common.nodes.run import run
 
 _SAVE_PERIOD = 0.5  # s
-_SHORT_MINUTES = 60.0  # until the disk is full: time for somebody to come
-_REPAIR = 0.4  # s until what was lost on the way is there, twice the period of heartbeats in config/fast*.xml
+_SHORT_MINUTES = 60.0  # until the disk is full, below which a warning is given
+_REPAIR = 0.4  # s for the repair of lost messages: twice the heartbeat period in config/fast*.xml
 _LONGEST_DRAIN = 1.5  # s
-_IDLE_SPINS = 4  # without a message: a timer may take one of them
+_IDLE_SPINS = 4  # spins without a message; a timer may take one of them
 
 
 class RecordNode(TrackslipNode[RecordParameters]):
-    """Subscribes without decoding; counts what it writes, and what was lost on the way or on the disk."""
+    """Subscribes without decoding; counts messages written, and lost in transport or by the disk."""
 
     def __init__(self) -> None:
         super().__init__("record", RecordParameters, "record.yaml")
         self._recording: Recording | None = None
 
     def configure(self) -> None:
-        """Compile the expression, so that a bad one is refused at the start.
+        """Compile ``more_topics``, so that a bad expression is refused at the start.
 
         Raises:
             InputError: ``more_topics`` is not a regular expression.
@@ -51,14 +51,14 @@ class RecordNode(TrackslipNode[RecordParameters]):
         self._taps = Taps(self, self._recording.bag, self._more, self._write)
 
     def deactivate(self) -> None:
-        """Finish the bag; the next activation begins another."""
+        """Finish the bag; the next activation begins a new one."""
         self.drop_subscriptions()
         if self._recording is not None:
             self._recording.close()
         self._recording = None
 
     def drain(self, spin_once: Callable[[], None]) -> None:
-        """What was sent before the end is written, also what waits for a lost message to be sent again."""
+        """Write all messages sent before the end, also those held back by the repair of a lost message."""
         began_s = time.monotonic()
         idle, lasted_s = 0, 0.0
         while self._recording is not None and (idle < _IDLE_SPINS or lasted_s < _REPAIR):
@@ -70,7 +70,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
                 break
 
     def health(self) -> list[Health]:
-        """Counts per topic; an error if anything was lost: the bag stays incomplete."""
+        """Counts per topic; an error after any loss, since the bag stays incomplete."""
         recording, not_recorded = self._recording, self._taps.not_recorded
         assert recording is not None
         level, word = OK, "recording"
@@ -93,17 +93,17 @@ class RecordNode(TrackslipNode[RecordParameters]):
         ]
 
     def _write(self, topic: str, type_name: str, data: bytes, info: Any) -> None:
-        """One message; ``info`` has when it was sent, and as which one, and when it came."""
+        """Write one message; ``info`` has its source time, sequence number and reception time."""
         if not self.active or self._recording is None:
             return
         publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
-        if number is not None and (publisher or topic in self._taps.alone):  # Jazzy: no publisher_gid
+        if number is not None and (publisher or topic in self._taps.alone):  # Jazzy has no publisher_gid
             self._recording.losses.see(topic, publisher["data"] if publisher else b"", number)
         came_ns, sent_ns = info["received_timestamp"] or time.time_ns(), info["source_timestamp"] or None
         self._recording.write(topic, type_name, data, came_ns, sent_ns)
 
     def _save(self) -> None:
-        """Twice a second: what was received goes to the disk; new topics are found; losses are reported."""
+        """Twice a second: find new topics, flush to the disk, report losses."""
         if self.active and self._recording is not None:
             self._taps.discover()
             self._recording.save()
@@ -111,7 +111,7 @@ class RecordNode(TrackslipNode[RecordParameters]):
 
 def record(argv: Sequence[str] | None = None) -> int:
     """Record until SIGINT or SIGTERM; returns the exit code."""
-    # The events executor of rclpy 9.1 fails on callbacks that ask for a message's number and time.
+    # The events executor of rclpy 9.1 fails on callbacks with message info.
     return run(RecordNode, argv, make_executor=SingleThreadedExecutor)
 
 

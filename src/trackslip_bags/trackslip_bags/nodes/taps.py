@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder listens to: serialized messages of topics that are known, and of those found later."""
+"""Subscriptions of a recorder: serialized messages of known topics, and of topics discovered later."""
 
 import re
 import time
@@ -18,31 +18,31 @@ from trackslip_common.nodes.messages import message_class, type_name_of
 from trackslip_common.nodes.qos import best_effort, latched, reliable
 from trackslip_common.topics import TOPICS, Flow
 
-_GATHER = 0.1  # s from a message until all that came meanwhile are taken
-_BURST = 200  # messages of one topic, before the others have their turn
-_LATCHED_DEPTH = 100  # several publishers of one topic keep one message each, such as /tf_static has
+_GATHER = 0.1  # s from a message until all messages received meanwhile are taken
+_BURST = 200  # messages of one topic before the next topic
+_LATCHED_DEPTH = 100  # several publishers of one topic, as of /tf_static, keep one message each
 
 Write = Callable[[str, str, bytes, Any], None]  # topic, type, serialized message, info
 
 
 class Taps:
-    """Subscriptions of a recorder, undecoded; ``write`` gets each message.
+    """Raw subscriptions of a recorder; ``write`` is called with each message.
 
     Args:
-        node: on which to subscribe.
-        bag: in which topics are made known before their first message.
-        more: which further topics to record.
-        write: takes topic, type, message, and when it was sent, as which one, and when it came.
+        node: node of the subscriptions.
+        bag: bag to which topics are added before their first message.
+        more: expression for further topics.
+        write: called with topic, type, message and its info (source time, number, reception time).
     """
 
     def __init__(self, node: Node, bag: BagWriter, more: re.Pattern[str], write: Write) -> None:
         self._node, self._bag, self._more, self._write = node, bag, more, write
         self._known: set[str] = set()
-        self._taps: dict[str, Any] = {}  # subscription of each topic
-        self._choices: dict[str, tuple[str, ...]] = {}  # types of a topic that has no publisher yet
+        self._taps: dict[str, Any] = {}  # topic → subscription
+        self._choices: dict[str, tuple[str, ...]] = {}  # possible types of topics without a publisher
         self._reliable: set[str] = set()
-        self.alone: set[str] = set()  # topics that have one publisher
-        self.not_recorded: dict[str, str] = {}  # why
+        self.alone: set[str] = set()  # topics with one publisher
+        self.not_recorded: dict[str, str] = {}  # topic → reason
         for name, topic in TOPICS.items():
             full = f"/{name}" if name in ("tf", "diagnostics") else node.resolve_topic_name(name)
             if topic.others:
@@ -50,11 +50,11 @@ class Taps:
             self._record(full, topic.type_name, topic.flow is Flow.LATCHED)
 
     def publishers(self) -> dict[str, int]:
-        """How many each topic has."""
+        """Number of publishers per topic."""
         return {topic: tap.get_publisher_count() for topic, tap in self._taps.items()}
 
     def discover(self) -> None:
-        """Subscribe to new topics that the expression matches; ask for no more than publishers offer."""
+        """Subscribe to new topics that match the expression; request no more QoS than publishers offer."""
         for topic, types in self._node.get_topic_names_and_types():
             if topic not in self._known and self._more.fullmatch(topic):
                 offers = {info.qos_profile.durability for info in self._offers(topic)}
@@ -80,7 +80,7 @@ class Taps:
             if topic not in self._choices:
                 self._bag.add_topic(topic, type_name, offered_qos(is_latched))
         except (ImportError, AttributeError, InputError) as error:
-            if topic != "/tf":  # its package is optional
+            if topic != "/tf":  # the package of its type is optional
                 self.not_recorded[topic] = f"not recorded: {error}"
                 self._node.get_logger().warning(f"cannot record {topic} ({type_name}): {error}")
             return
@@ -92,10 +92,10 @@ class Taps:
         self._taps[topic] = self._node.create_subscription(kind, topic, take, qos, raw=True)
 
     def _take(self, topic: str, type_name: str, data: bytes, info: Any) -> None:
-        """A message, and all that come in the moment after it, on any topic.
+        """Write a message and all that arrive within ``_GATHER`` after it, on any topic.
 
-        One by one, the executor takes three times the CPU, just when others work on the same messages, and
-        loses three times sooner.
+        Message by message, the executor uses three times the CPU, at the moment when other nodes process the
+        same messages, and it loses messages three times sooner.
         """
         self._write(topic, type_name, data, info)
         time.sleep(_GATHER)
@@ -109,7 +109,7 @@ class Taps:
                 self._write(name, kind, *taken)
 
     def _choose(self) -> None:
-        """Record topics that may be of several types by the one that is published."""
+        """Record topics of several possible types with the published type."""
         for topic, types in list(self._choices.items()):
             offered = [info.topic_type for info in self._offers(topic)]
             published = next((name for name in offered if name in types), None)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a whole bag of a damaged one: what can be read of it, with a new index and ``metadata.yaml``."""
+"""Writes the readable part of a damaged bag to a new one, with a new index and ``metadata.yaml``."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -23,25 +23,25 @@ from trackslip_bags.writer import BagWriter, own_schema
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import LONGEST, parse_yaml
 
-_CDR = b"\0"  # how every CDR message begins
-_SHOWN = 1000  # messages between two words on how far it is
+_CDR = b"\0"  # first byte of every CDR message
+_SHOWN = 1000  # messages between two progress reports
 _ENCODINGS = {MessageDefinitionFormat.MSG: SchemaEncoding.ROS2, MessageDefinitionFormat.IDL: "ros2idl"}
 
 
 @dataclass
 class Recovery:
-    """What was found, and what is lost."""
+    """Counts of recovered and lost data."""
 
     messages: int = 0
-    stated: int | None = None  # messages by ``metadata.yaml``, which a killed recorder leaves none of
-    refused: int = 0  # messages that are no CDR, or of a topic that has two types
-    lost_bytes: int = 0  # behind the last whole record
-    cut: int = 0  # files without an end
-    problems: list[str] = field(default_factory=list)  # of each damaged file
+    stated: int | None = None  # messages by ``metadata.yaml``; None without it, as after a killed recorder
+    refused: int = 0  # messages that are not CDR, or of a second type of a topic
+    lost_bytes: int = 0  # after the last complete record
+    cut: int = 0  # number of truncated files
+    problems: list[str] = field(default_factory=list)  # descriptions, one per damaged file
 
 
 class _Found(NamedTuple):
-    """One message that is whole."""
+    """One complete message."""
 
     topic: SalvagedTopic
     log_time_ns: int
@@ -49,17 +49,17 @@ class _Found(NamedTuple):
     data: bytes
 
 
-Found = Iterator[_Found | SalvagedTopic]  # messages of one file, then all its topics, the silent ones too
-Part = Callable[[Callable[[float], None]], Found]  # reads one file; it tells of each share that it has read
+Found = Iterator[_Found | SalvagedTopic]  # messages of one file, then all its topics, also empty ones
+Part = Callable[[Callable[[float], None]], Found]  # reads one file; calls its argument with each share read
 
 
 def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda _: None) -> Recovery:
-    """Write what can be read of the bag at ``path`` to a new one; ``path`` itself stays as it is.
+    """Write the readable part of the bag at ``path`` to a new bag; ``path`` stays unchanged.
 
     Args:
         path: a bag's directory, or one file of it.
         output: the directory to create.
-        advance: hears which share of the bag has been read since it was last called.
+        advance: called with the share of the bag read since its last call.
 
     Raises:
         InputError: there is no bag at ``path``, or ``output`` exists or cannot be written.
@@ -78,13 +78,13 @@ def recover(path: Path, output: Path, advance: Callable[[float], None] = lambda 
                     bag.split()
                 _copy(part(advance_in_part), bag, recovery)
     except BaseException:
-        shutil.rmtree(output, ignore_errors=True)  # half a recovery would look like a whole one
+        shutil.rmtree(output, ignore_errors=True)  # a partial recovery would look complete
         raise
     return recovery
 
 
 def _parts(path: Path, recovery: Recovery) -> list[Part]:
-    """What each file of a bag holds."""
+    """One reading function per MCAP file; a single one for other bags."""
     if not path.exists():
         raise InputError(f"bag '{path}' not found; accepted: {ACCEPTED}")
     refuse_pipes(path)
@@ -105,7 +105,7 @@ def _from_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None])
                 shown = file.share_read
             topic = file.topics[message.channel_id]
             yield _Found(topic, message.log_time, message.publish_time, message.data)
-    except OSError as error:  # a bad disk: what came before it is kept
+    except OSError as error:  # a bad disk: earlier messages are kept
         problem = error.strerror or "unreadable"
     advance(1.0 - shown)
     yield from file.topics.values()
@@ -116,7 +116,7 @@ def _from_mcap(path: Path, recovery: Recovery, advance: Callable[[float], None])
 
 
 def _from_others(bag: Bag, recovery: Recovery, advance: Callable[[float], None]) -> Found:
-    """A bag of SQLite files, which repair themselves as they are opened, or one of compressed files."""
+    """Messages of SQLite files, which SQLite repairs when it opens them, or of compressed files."""
     topics = {name: _topic(name, info) for name, info in bag.topics.items()}
     if bag.damage:
         recovery.problems.append(bag.damage)
@@ -132,10 +132,10 @@ def _from_others(bag: Bag, recovery: Recovery, advance: Callable[[float], None])
 
 
 def _topic(name: str, info: TopicInfo) -> SalvagedTopic:
-    """A topic as MCAP has it; bags of old have no definitions, so that those known here must do."""
+    """A topic as in MCAP; old bags without definitions get those known here."""
     schema = Schema(_ENCODINGS.get(info.definition.format, ""), info.definition.data.encode(), "")
     if not schema.encoding:
-        with suppress(InputError):  # nobody knows it: the bytes are kept all the same
+        with suppress(InputError):  # unknown type: the bytes are kept all the same
             schema = own_schema(info.type_name)
     return SalvagedTopic(name, info.type_name, schema, "")
 
@@ -148,7 +148,7 @@ def _copy(part: Found, bag: BagWriter, recovery: Recovery) -> None:
                 bag.add_topic(topic.topic, topic.type_name, _present_qos(topic.qos_yaml), topic.schema)
             if isinstance(item, _Found):
                 _write(item, bag, recovery)
-        except InputError:  # the topic is there with another type
+        except InputError:  # the topic exists with another type
             recovery.refused += isinstance(item, _Found)
 
 
@@ -162,7 +162,7 @@ def _write(found: _Found, bag: BagWriter, recovery: Recovery) -> None:
 
 
 def _stated_count(path: Path) -> int | None:
-    """How many messages the recorder wrote, by its own word."""
+    """Number of messages stated in ``metadata.yaml``; None if unreadable."""
     try:
         with (path / METADATA).open(encoding="utf-8") as file:
             text = file.read(LONGEST + 1)
@@ -173,7 +173,7 @@ def _stated_count(path: Path) -> int | None:
 
 
 def _present_qos(text: str) -> str:
-    """The profiles of a bag of any version, in the form of the present one; none where they are garbage."""
+    """QoS profiles of a bag of any version in the current form; an empty list if unreadable."""
     try:
         profiles = dump_qos_v9(parse_qos(text))
     except Exception:  # noqa: BLE001 (damaged text can raise anything in the parser)

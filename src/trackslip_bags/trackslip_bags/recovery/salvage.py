@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can be read of a damaged MCAP file: every whole chunk up to the place where it was cut off.
+"""Reads a damaged MCAP file: every complete chunk up to the truncation.
 
-A recorder that was killed leaves a file without an end; a bad disk leaves chunks that fail their checksum.
+A killed recorder leaves a truncated file; a bad disk leaves chunks with wrong checksums.
 """
 
 import os
@@ -25,7 +25,7 @@ from trackslip_bags.unpacking import is_packed, plain
 from trackslip_bags.unpacking import message as unpacked_message
 
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = 9  # bytes before the content of a record: what it is (1), its length (8)
+_HEAD = 9  # bytes before the content of a record: opcode (1), length (8)
 _LAST_OPCODE, _FIRST_PRIVATE = 0x0F, 0x80
 _FORMATS = {
     "ros2msg": MessageDefinitionFormat.MSG,
@@ -44,30 +44,30 @@ class SalvagedTopic(NamedTuple):
 
     @property
     def definition(self) -> MessageDefinition:
-        """As rosbags has it."""
+        """The definition in the form of rosbags."""
         kind = _FORMATS.get(self.schema.encoding, MessageDefinitionFormat.NONE)
         return MessageDefinition(kind, self.schema.data.decode())
 
 
 class DamagedFile:
-    """An MCAP file, read in the order written, from which nothing is taken that fails a check.
+    """An MCAP file, read in the order written; records that fail a check are skipped.
 
-    What is lost is known once ``messages`` has ended.
+    The counts of losses are valid once ``messages`` has ended.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[int, SalvagedTopic] = {}
-        self.is_cut = False  # it has no end
-        self.lost_bytes = 0  # behind the last whole record
+        self.is_cut = False  # truncated
+        self.lost_bytes = 0  # after the last complete record
         self.bad_chunks = 0
-        self.bad_records = 0  # inside whole chunks: of no known channel, or without a time
-        self.share_read = 0.0  # of the file, so far
+        self.bad_records = 0  # in complete chunks: of an unknown channel, or with an invalid time
+        self.share_read = 0.0  # of the file
         self._schemas: dict[int, Schema] = {}
 
     @property
     def problem(self) -> str:
-        """What is wrong with it, in a few words; empty where nothing is."""
+        """Short description of the damage; empty without damage."""
         parts = [
             "cut short" if self.is_cut else "",
             f"{self.bad_chunks} damaged chunks" if self.bad_chunks else "",
@@ -76,7 +76,7 @@ class DamagedFile:
         return ", ".join(filter(None, parts))
 
     def messages(self) -> Iterator[Message]:
-        """Every message that is whole; its channel is in ``topics`` by then.
+        """Yield every complete message; its channel is in ``topics`` by then.
 
         Raises:
             OSError: the file cannot be read.
@@ -92,7 +92,7 @@ class DamagedFile:
                         self._take(record)
 
     def _read_summary(self, stream: IO[bytes]) -> None:
-        """Where a file has its end, channels are listed there too: its first chunk may be a bad one."""
+        """Read channels from the summary, if the file is complete: its first chunk may be damaged."""
         try:
             summary = make_reader(stream).get_summary()
         except Exception:  # noqa: BLE001 (damaged bytes can raise anything in the parser)
@@ -103,7 +103,7 @@ class DamagedFile:
         stream.seek(0)
 
     def _records(self, stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-        """(opcode, content) of each whole record, up to the file's end or to where it was cut."""
+        """(opcode, content) of each complete record up to the file's end or truncation."""
         size = os.fstat(stream.fileno()).st_size
         end = len(MAGIC)
         self.is_cut = True
@@ -124,7 +124,7 @@ class DamagedFile:
         self.is_cut = stream.read(len(MAGIC) + 1) != MAGIC
 
     def _inside(self, opcode: int, content: bytes) -> list[object]:
-        """What a record holds that matters here; nothing where it fails its checks."""
+        """The schemas, channels and messages in a record; none if it fails its checks."""
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.CHUNK:
@@ -164,10 +164,10 @@ class DamagedFile:
 
 
 class Salvage(NamedTuple):
-    """What a damaged file still holds; messages are (log time in ns, channel, CDR bytes) in log order.
+    """Readable content of a damaged file; messages are (log time in ns, channel, CDR bytes) in log order.
 
-    They are held in memory: a recording is split long before that matters. ``problem`` is empty where the
-    file turned out to be whole.
+    All messages are in memory: recordings are split long before their size matters. ``problem`` is empty if
+    the file is complete.
     """
 
     topics: dict[int, SalvagedTopic]
@@ -176,7 +176,7 @@ class Salvage(NamedTuple):
 
 
 def salvage(path: Path) -> Salvage:
-    """Read a damaged file as far as it goes.
+    """Read a damaged file as far as possible.
 
     Raises:
         OSError: it cannot be opened.
