@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's drive as a moving picture: the machine on the map, its slips as they are estimated."""
+"""Animates the demo's drive: the machine on the map, and its estimated slips."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -17,23 +17,23 @@ from trackslip_tools.replay.dead_reckoning import Path as Reckoned
 from trackslip_tools.replay.series import Series
 
 FRAMES, FRAMES_PER_SECOND = 80, 10
-WIDTH = 0.23  # m, of a drawn track
+WIDTH = 0.23  # m, width of a drawn track
 MOST = 0.15  # slip of the darkest colour
 ESTIMATE, TRUTH, ENCODERS = "#0072b2", "#222222", "#d55e00"
-RANGE = (-0.05, 0.2)  # of the axis of slips
+RANGE = (-0.05, 0.2)  # of the slip axis
 
 
 class Run(NamedTuple):
-    """A drive as it was estimated, with its truth."""
+    """An estimated drive and its truth."""
 
     estimates: Series  # pose, slips, slip_covariance
     truth: Series  # x, y
     true_slips: Series
-    encoders: Reckoned  # alone
+    encoders: Reckoned  # odometry of the encoders alone
 
 
 def animate(run: Run, kinematics: Kinematics, file: Path) -> None:
-    """Write the drive as GIF: the path with each track coloured by its slip, and the slips."""
+    """Write the drive as GIF: the path, the machine with tracks coloured by slip, and the slips."""
     start, end = int(run.estimates.stamps_ns[0]), int(run.estimates.stamps_ns[-1])
     moments = np.linspace(start, end, FRAMES).astype(np.int64)
     figure = plt.figure(figsize=(8.4, 3.6), layout="constrained")
@@ -53,7 +53,7 @@ def animate(run: Run, kinematics: Kinematics, file: Path) -> None:
 
 
 class _Map:
-    """Paths up to a moment, and the machine."""
+    """Map with the paths up to a time, and the machine."""
 
     def __init__(self, axes: Axes, run: Run, kinematics: Kinematics) -> None:
         self.run, self.kinematics = run, kinematics
@@ -91,7 +91,7 @@ class _Map:
 
 
 class _Slip:
-    """Slip of one track up to a moment, with two standard deviations."""
+    """Slip of one track up to a time, with a band of two standard deviations."""
 
     def __init__(self, axes: Axes, run: Run, side: int) -> None:
         self.axes, self.start = axes, int(run.truth.stamps_ns[0])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hooks of MkDocs: pages that lie outside ``docs/``, links to files that are no pages, pages of the API."""
+"""MkDocs hooks: pages outside ``docs/``, links to files that are not pages, pages of the API."""
 
 import re
 from pathlib import Path, PurePosixPath
@@ -26,7 +26,7 @@ API = ROOT / "scripts" / "api_pages"  # Markdown, with a line ::: MODULE for eac
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add the pages that lie elsewhere, and those of the API."""
+    """Add the pages outside ``docs/``, and those of the API."""
     for source, name in OUTSIDE.items():
         if source != "docs/README.md":
             text = relinked((ROOT / source).read_text(encoding="utf-8"), PurePosixPath(source).parent)
@@ -37,19 +37,19 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, **_: Any) -> str:
-    """Lead links out of ``docs/`` to the pages above, or leave their text alone."""
+    """Point links out of ``docs/`` to pages of the site, or keep only their text."""
     if page.file.generated_by:
         return markdown
     return relinked(markdown, PurePosixPath("docs") / PurePosixPath(page.file.src_uri).parent)
 
 
 def on_post_page(output: str, *, page: Page, **_: Any) -> str:
-    """Take the theme's script for pages that are opened as files from the site, not from the net."""
+    """Load the theme's search script for pages opened as files from the site, not from the network."""
     return output.replace(_SHIM, get_relative_url("offline_search.js", page.url))
 
 
 def relinked(text: str, folder: PurePosixPath) -> str:
-    """Links of a file in this folder of the repository as links of a page at the top of the site."""
+    """Convert the links of a file in ``folder`` of the repository to links of a page at the site's top."""
 
     def replaced(found: re.Match[str]) -> str:
         picture, words, path, anchor = found[1], found[2], found[3], found[4] or ""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the figures of the thesis and the picture of the demo into docs/figures (``make figures``)."""
+"""Draws the figures of the thesis and the animation of the demo into docs/figures (``make figures``)."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "figures"
 TABLE_6_1 = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 FAST_TURN = 1.37  # rad/s, one track braked
 NORMAL_MU_L = (0.5, 1.3)
-DEMO_SCENARIO, DEMO_SOIL, DEMO_DURATION = "thesis", "sand", 40.0  # s; what make demo does by default
+DEMO_SCENARIO, DEMO_SOIL, DEMO_DURATION = "thesis", "sand", 40.0  # s; defaults of make demo
 
 
 def figure_3_7(vehicle: Vehicle) -> Figure:
-    """Moment of turning resistance without the centrifugal force, (3.8), against (3.7)."""
+    """Error of the moment of turning resistance without centrifugal force, (3.8), relative to (3.7)."""
     mu = np.linspace(0.1, 1.5, 281)
     full = moment_with_centrifugal_force(vehicle.weight, vehicle.contact_length, mu, lateral(vehicle))
     simple = triangular_moment(vehicle.weight, vehicle.contact_length, mu)
@@ -69,7 +69,7 @@ def figure_3_7(vehicle: Vehicle) -> Figure:
 
 
 def figure_3_8(vehicle: Vehicle) -> Figure:
-    """Instantaneous centre to first order against all of (3.6)."""
+    """Error of the instantaneous centre to first order, relative to (3.6)."""
     mu = np.linspace(0.1, 1.5, 281)
     full = centre_point(vehicle.contact_length, mu, lateral(vehicle))
     simple = centre_point_approximate(vehicle.contact_length, mu, lateral(vehicle))
@@ -87,7 +87,7 @@ def lateral(vehicle: Vehicle) -> float:
 
 
 def error_over_mu_l(mu: FloatArray, error: FloatArray, unit: str, title: str) -> Figure:
-    """One error curve, with the normal soils marked."""
+    """A figure with one error curve and the range of normal soils."""
     figure, (axes,) = panels(1)
     axes.axvspan(*NORMAL_MU_L, color="#f0ede4", zorder=0)
     axes.text(sum(NORMAL_MU_L) / 2.0, 0.06, "normal soils", transform=axes.get_xaxis_transform(), ha="center")
@@ -107,7 +107,7 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
         found = slip_of_thrust_approximate(exact, 1.0, modulus, length)
         line: dict[str, Any] = {"color": colour, "linestyle": dash, "label": f"K = {100 * modulus:g} cm"}
         in_slip.plot(100.0 * slip, 100.0 * (slip - found) / found, **line)
-        # The thrust that (3.12) gives this slip is exp(−K/(i l)) of the limit.
+        # By (3.12) the thrust at this slip is exp(−K/(i l)) of the limit.
         approximate = np.exp(-modulus / (slip * length))
         in_thrust.plot(100.0 * slip, 100.0 * (approximate - exact) / exact, **line)
     label(in_slip, "Fig. 3.9: slip, (3.3) against (3.12)", "slip (%)", "error of slip (% of (3.12))")
@@ -123,7 +123,7 @@ def figure_3_9(vehicle: Vehicle) -> Figure:
 
 
 def thrust_slip_curves(vehicle: Vehicle) -> Figure:
-    """(3.3) for one PC05 track on the soils of all tables that give K; dots: straight, level driving."""
+    """(3.3) for one PC05 track on all soils with K; dots: straight driving on level ground."""
     figure, (table_6, table_2) = panels(2)
     slip = np.linspace(-0.2, 0.6, 1601)
     soils = [soil for soil in load_soils().values() if soil.shear_modulus is not None]
@@ -142,7 +142,7 @@ def thrust_slip_curves(vehicle: Vehicle) -> Figure:
 
 
 def draw_thrust(axes: Axes, vehicle: Vehicle, soil: Soil, slip: FloatArray, line: tuple[str, Any]) -> None:
-    """One thrust-slip curve, and its point of straight motion where μ_r is known."""
+    """Draw one thrust-slip curve, and its point of straight motion if μ_r is known."""
     modulus, length = soil.value("shear_modulus"), vehicle.contact_length
     area = 2.0 * vehicle.track_width * length
     limit = thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight)
@@ -178,14 +178,17 @@ def figure_6_2(vehicle: Vehicle) -> Figure:
         right.plot(run.t, 100.0 * run.right_slip, **line)
     label(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
     label(right, "Slip of the right track", "time (s)", "slip (%)")
-    for axes in (left, right):  # the thesis' range; it cuts a peak while clayey soil sets off, under 0.15 s
+    for axes in (
+        left,
+        right,
+    ):  # the thesis' range; cuts a peak at the start on clayey soil, under 0.15 s
         axes.set_ylim(-0.5, 8.0)
     right.legend(loc="upper center")
     return figure
 
 
 def thesis_runs(vehicle: Vehicle) -> Iterator[tuple[Truth, dict[str, Any]]]:
-    """The forward simulation of §6.2.1 on each soil, and how to draw it."""
+    """The forward simulation of §6.2.1 on each soil, and its line style."""
     scenario = load_scenario("thesis")
     for name, colour, dash in zip(TABLE_6_1, COLOURS, DASHES, strict=False):
         run = simulate(scenario, soil=name, mode="thesis", vehicle=vehicle)
@@ -221,7 +224,7 @@ def draw_demo(output: Path) -> None:
 
 
 def main() -> None:
-    """Draw all figures, or the demo's picture alone."""
+    """Draw all figures, or only the animation of the demo."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the PNG files")
     parser.add_argument("--demo", action="store_true", help="the demo's picture alone")

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes the recorded runs of bags/ and their manifest (``make bags``).
 
-Bags that are named, or all, are recorded again, by the drivers and the emulator as they are now, and the
-manifest is written. ``--numbers`` only writes what replays of the bags that are there are expected to give:
-for after a change of the estimator or of its parameters.
+The named bags, or all, are recorded again by the current drivers and emulator, and the manifest is written.
+``--numbers`` writes only the expected results of replays of the existing bags, after a change of the
+estimator or its parameters.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from trackslip_tools.replay.run import replay
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 MANIFEST = BAGS / "manifest.yaml"
-_ROS = "kilted"  # what metadata.yaml names, wherever the bags are made
+_ROS = "kilted"  # distribution in metadata.yaml, on every machine
 _HEAD = """\
 # The recorded runs of this folder, written by scripts/make_bags.py (make bags). Each is a drive of the
 # emulated excavator: what its drivers publish, and the truth. 'made' is how, 'holds' what is in it, 'replay'
@@ -48,18 +48,18 @@ _TOLERANCES = {"position": 0.002, "heading": 0.002, "slip": 0.005, "nees": 0.2}
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a bag is made."""
+    """Parameters of a recorded run."""
 
-    scenario: str  # of config/scenarios, or a file here
+    scenario: str  # of config/scenarios, or a file in bags/
     seed: int
     soil: str = ""  # empty: the scenario's own
     duration: float = 0.0  # s; 0: the scenario's own
-    kept: float = 1.0  # share of the file's bytes that a power cut leaves
+    kept: float = 1.0  # share of the file's bytes left after a power cut
     vehicle: str = ""  # empty: the scenario's own
     imu_rate: float = 0.0  # Hz; 0: the vehicle's own
-    parameters: str = ""  # file of config/ that the bag carries for the slip estimator
-    topics: tuple[str, ...] = ()  # that are left; empty: all
-    truth_every: int = 1  # of so many messages of the truth one is left
+    parameters: str = ""  # file of config/ with the slip estimator's parameters in the bag
+    topics: tuple[str, ...] = ()  # topics kept; empty: all
+    truth_every: int = 1  # one of this many messages of the truth is kept
 
 
 RECIPES = {
@@ -69,7 +69,7 @@ RECIPES = {
     "soft_patch": Recipe("scenarios/soft_patch.yaml", seed=4),
     "slope_up_sand": Recipe("scenarios/slope_up.yaml", seed=6),
     "slope_across_sandy_loam": Recipe("scenarios/slope_across.yaml", seed=7),
-    "example": Recipe(  # of the Python package: small, of a machine with a receiver
+    "example": Recipe(  # small bag of the Python package, of a machine with a GNSS receiver
         "slalom",
         seed=8,
         duration=10.0,
@@ -87,7 +87,7 @@ RECIPES = {
 
 
 def record(name: str, folder: Path) -> None:
-    """Drive the recipe of this name into a new bag in ``folder``."""
+    """Record the recipe ``name`` into a new bag in ``folder``."""
     recipe, path = RECIPES[name], folder / name
     local = BAGS / recipe.scenario
     given: dict[str, Any] = {"scenario": str(local) if local.is_file() else recipe.scenario}
@@ -111,7 +111,7 @@ def record(name: str, folder: Path) -> None:
 
 
 def _shorten(whole: Path, path: Path, recipe: Recipe) -> None:
-    """Copy the topics of the recipe, after the parameters that the bag carries."""
+    """Copy the topics of the recipe to a new bag that begins with the parameters."""
     counts: Counter[str] = Counter()
     text = parameters_text(node_defaults(NODE, recipe.parameters), NODE)
     with open_bag(whole) as bag, BagWriter(path) as shorter:
@@ -124,19 +124,19 @@ def _shorten(whole: Path, path: Path, recipe: Recipe) -> None:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """File name → SHA-256 of what a bag consists of."""
+    """File name → SHA-256 of the files of a bag."""
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(path.iterdir())}
 
 
 def contents(path: Path) -> dict[str, Any]:
-    """What ``trackslip info`` counts."""
+    """Duration, damage and message counts, as in ``trackslip info``."""
     with open_bag(path) as bag:
         counts = {topic: info.count for topic, info in sorted(bag.topics.items())}
         return {"duration_s": round(bag.duration_s, 6), "damaged": bool(bag.damage), "messages": counts}
 
 
 def expected(path: Path) -> dict[str, Any]:
-    """What a replay gives, as its JSON names it."""
+    """Results of a replay, named as in its JSON."""
     with open_bag(path) as bag:
         vehicle = bag_vehicle(bag)
         p = load_slip_parameters({} if vehicle is None else vehicle_layer(vehicle), bag_parameters(bag))
@@ -148,7 +148,7 @@ def expected(path: Path) -> dict[str, Any]:
 
 
 def entry(name: str) -> dict[str, Any]:
-    """The manifest's entry of a bag that is there, but for its expected numbers."""
+    """The manifest's entry of an existing bag, without the results of replays."""
     recipe = RECIPES[name]
     values = ((field, getattr(recipe, field.name)) for field in fields(recipe))
     made = {field.name: value for field, value in values if value != field.default}
@@ -156,7 +156,7 @@ def entry(name: str) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Make or refresh; returns the exit code."""
+    """Record bags, or refresh the expected results; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="of the bags; all where none is named")
     parser.add_argument(

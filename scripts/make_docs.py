@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The documents as a site in ``out/docs``: reference pages, MkDocs with strict links, a readability count."""
+"""Builds the documents as a site in ``out/docs``: reference pages, MkDocs with strict links, readability."""
 
 import os
 import subprocess
@@ -14,11 +14,11 @@ from trackslip_common.errors import ExitCode
 
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "out" / "docs"
-LONGEST_MEAN = 20.0  # words a sentence
+LONGEST_MEAN = 20.0  # words per sentence
 
 
 def main() -> int:
-    """Write the reference pages, build the site, count; returns the exit code."""
+    """Write the reference pages, build the site, print word counts; returns the exit code."""
     reference_pages.main()
     if not built():
         return ExitCode.FAILED
@@ -29,7 +29,7 @@ def main() -> int:
 
 
 def report(pages: Mapping[str, str]) -> None:
-    """Print how long the sentences of each page are."""
+    """Print the sentence lengths of each page."""
     counts = {name: readability.count(text) for name, text in pages.items()}
     print(f"{'words a sentence:':25s}  mean  longest  sentences")
     for name, found in counts.items():
@@ -42,7 +42,7 @@ def report(pages: Mapping[str, str]) -> None:
 
 
 def built() -> bool:
-    """Whether MkDocs built the site without a warning; the warnings are printed, a broken link is one."""
+    """Build the site by MkDocs; False after any warning, such as a broken link. Warnings are printed."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "--site-dir", str(OUTPUT)]
     quiet = os.environ | {"NO_MKDOCS_2_WARNING": "true"}
     done = subprocess.run(command, cwd=ROOT, env=quiet, check=False, capture_output=True, text=True)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured figures of the documents, written again: ``make numbers`` (``ARGS='slopes swing'``).
+"""Updates the measured numbers in the documents: ``make numbers`` (``ARGS='slopes swing'``).
 
-Each stands on its page between two comments that name a function of ``measurements/``, which drives the
-emulator, replays, and gives what belongs there. Pages are named by their files, with or without ``docs/`` and
-``.md``. What needs a log that is not there is left as it stands, and the exit code is 1.
+Two comments on a page enclose each block and name a function of ``measurements/``, which simulates, replays,
+and returns the lines of the block. Arguments are page files, with or without ``docs/`` and ``.md``. A block
+that needs a missing log stays unchanged, and the exit code is 1.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from trackslip_tools.workers import cores, workers
 
 
 def measured(_: None, name: str) -> tuple[str, str, str]:
-    """The name, what its block shall hold, and why it cannot be measured here, one of both empty."""
+    """Name, new content of its block, and the reason if it cannot be measured; one of the two is empty."""
     with tempfile.TemporaryDirectory(prefix="trackslip_numbers_") as folder:
         try:
             return name, "".join(f"{line}\n" for line in MEASUREMENTS[name](Path(folder))), ""
@@ -30,7 +30,7 @@ def measured(_: None, name: str) -> tuple[str, str, str]:
 
 
 def main() -> int:
-    """Measure, write the pages; returns the exit code: 1 where a block was left as it stands."""
+    """Measure, write the pages; returns the exit code: 1 if a block stays unchanged."""
     parser = argparse.ArgumentParser(prog="make numbers", description=__doc__)
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="docs/swing.md, or swing; default: all")
     asked = {Path(page).stem for page in parser.parse_args().pages}

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the wheel of the desk commands in dist/ (``make wheel``).
 
-Its machine code is compiled by the commands themselves, over the example, for any processor of x86-64. It
-serves this version of Python and of numba; others compile when first run. ``--pure`` leaves it out.
+The commands themselves compile its machine code, on the example bag, for any x86-64 processor. The code is
+valid for this version of Python and numba; others compile at the first run. ``--pure`` omits it.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 KERNELS, DIST = ROOT / "out/wheel/kernels", ROOT / "dist"
-KEPT = ROOT / "out/wheel/compiled"  # of the last time too: what did not change is not compiled again
+KEPT = ROOT / "out/wheel/compiled"  # kept between builds: unchanged kernels are not compiled again
 
 os.environ |= {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(KEPT)}  # before numba is loaded
 
@@ -38,7 +38,7 @@ COMMANDS = (
 
 
 def main() -> int:
-    """Compile and build; returns the exit code."""
+    """Compile the kernels and build the wheel; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pure", action="store_true", help="without machine code")
     arguments = parser.parse_args()
@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def compile_kernels() -> None:
-    """Run what users run, and copy the machine code of this state of the sources to ``KERNELS``."""
+    """Run the users' commands, and copy the machine code of the current sources to ``KERNELS``."""
     os.environ.pop("ROS_DISTRO", None)
     with tempfile.TemporaryDirectory() as folder:
         before = Path.cwd()

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Words a sentence of a page of Markdown. Code, tables, headings and written blocks do not count."""
+"""Words per sentence of a Markdown page, without code, tables, headings and generated blocks."""
 
 import re
 from typing import NamedTuple
 
 _FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 _BLOCK = re.compile(r"<!-- numbers: .*?<!-- end of .*?-->", re.DOTALL)
-_INDENTED = re.compile(r"\n\n(?: {4,}.*\n?)+")  # after a gap; an item's second line is none
+_INDENTED = re.compile(r"\n\n(?: {4,}.*\n?)+")  # after a blank line; not the second line of an item
 _LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
 _ITEM = re.compile(r"^ *(?:[-*]|\d+\.) +", re.MULTILINE)
 _END = re.compile(r"(?<=[.!?])[\"')*]*\s+(?=[\"'(*`]*[A-ZÄÖÜΑ-Ωα-ω0-9`])")  # not of "e.g. a", nor "Fig. 3"
@@ -15,7 +15,7 @@ _SHORT = re.compile(r"\b(e\.g|i\.e|Fig|et al|cf|vs)\.")
 
 
 class Count(NamedTuple):
-    """Of one page."""
+    """Sentence counts of one page."""
 
     sentences: int
     mean: float  # words
@@ -23,7 +23,7 @@ class Count(NamedTuple):
 
 
 def sentences(text: str) -> list[str]:
-    """The sentences of the prose."""
+    """The sentences of a page's prose."""
     for pattern in (_FENCED, _BLOCK):
         text = pattern.sub("\n", text)
     text = _INDENTED.sub("\n\n", text)
@@ -37,6 +37,6 @@ def sentences(text: str) -> list[str]:
 
 
 def count(text: str) -> Count:
-    """Sentences, and how long they are."""
+    """Number and lengths of the sentences."""
     lengths = [len(sentence.split()) for sentence in sentences(text)]
     return Count(len(lengths), sum(lengths) / len(lengths), max(lengths)) if lengths else Count(0, 0.0, 0)

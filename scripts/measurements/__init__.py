@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents' figures are measured by: the name of a block → the function that gives its lines.
+"""Measurements of the numbers in the documents: name of a block → function that returns its lines.
 
-The functions take a folder to work in, and raise ``NotMeasured`` where a log is not at hand, or a command
-fails. Long ones come first, so that none is waited for alone.
+The functions take a working folder, and raise ``NotMeasured`` if a log is missing or a command fails. Long
+ones come first, for a balanced load.
 """
 
 from collections.abc import Callable, Mapping, Sequence

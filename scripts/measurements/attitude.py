@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Roll, pitch and height on the scenarios with slopes, beside filters without them."""
+"""Errors of attitude and height on slopes, beside filters without attitude or altitudes."""
 
 import math
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ _COLUMNS = {
 
 
 def on_slopes(folder: Path) -> list[str]:
-    """Errors with fixes of the laser, each scenario on each soil."""
+    """Errors with fixes of the laser box, for each scenario and soil."""
     return table(_COLUMNS, list(_rows(folder)), text_columns=2)
 
 
@@ -45,7 +45,7 @@ def with_rtk(folder: Path) -> list[str]:
 
 def _rows_with_rtk(folder: Path) -> Iterator[dict[str, Any]]:
     machine = "--vehicle excavator_20t"
-    for scenario in ("hill", "side_slope"):  # a ramp bends too much for its tracks
+    for scenario in ("hill", "side_slope"):  # a ramp bends too sharply for its tracks
         for soil in SOILS:
             bag = f"{{}}/{scenario}_{soil}"
             trackslip(f"simulate --scenario {scenario} --soil {soil} {machine} --output {bag}", folder)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of a page that a measurement writes: ``<!-- numbers: NAME -->`` … ``<!-- end of NAME -->``."""
+"""Blocks of a page written by measurements: ``<!-- numbers: NAME -->`` … ``<!-- end of NAME -->``."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -14,10 +14,10 @@ _MARK = re.compile(r"<!-- (?:numbers:|end of) \w* ?-->")
 
 
 def blocks_of(text: str) -> dict[str, str]:
-    """Name → what stands between its marks.
+    """Name → content between its marks.
 
     Raises:
-        ValueError: a mark has no partner, or a name stands twice.
+        ValueError: a mark has no partner, or a name occurs twice.
     """
     found = {name: content for _, name, content, _ in _BLOCK.findall(text)}
     marks = len(_MARK.findall(text))
@@ -27,12 +27,12 @@ def blocks_of(text: str) -> dict[str, str]:
 
 
 def without_blocks(text: str) -> str:
-    """What nothing writes but an author; lines keep their numbers."""
+    """The text without the content of blocks; lines keep their numbers."""
     return _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), text)
 
 
 def rewritten(text: str, contents: Mapping[str, str]) -> str:
-    """The text with these contents between their marks; other blocks stay."""
+    """The text with new contents of the named blocks; other blocks are unchanged."""
 
     def one(found: re.Match[str]) -> str:
         head, name, content, foot = found.groups()
@@ -42,7 +42,7 @@ def rewritten(text: str, contents: Mapping[str, str]) -> str:
 
 
 def names_on(pages: Callable[[Path], bool]) -> dict[str, Path]:
-    """Name → page, of all blocks on the pages asked for."""
+    """Name → page of all blocks on the selected pages."""
     return {
         name: page for page in PAGES if pages(page) for name in blocks_of(page.read_text(encoding="utf-8"))
     }

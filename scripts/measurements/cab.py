@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The PC05 with a cab that swings: twenty minutes of digging, and soil estimates while it looks aside."""
+"""The PC05 with a swinging cab: twenty minutes of digging, and soil estimates with the cab to the side."""
 
 import math
 from collections.abc import Iterator
@@ -54,12 +54,12 @@ def dig_cycles(folder: Path) -> list[str]:
 
 
 def dig_study(folder: Path) -> list[str]:
-    """The same drive for 260 s in the study, whose fixes have white noise, beside its bound."""
+    """The same drive for 260 s in the study (fixes with white noise), beside the bound."""
     return table(_STUDY, list(_study_rows(folder)), text_columns=2)
 
 
 def turned_cab(folder: Path) -> list[str]:
-    """``field_trial`` with the cab to one side all the time, its angle known, or known to nobody."""
+    """``field_trial`` with the cab at constant angles, known or unknown to the estimator."""
     return table(_TURNED, list(_turned_rows(folder)), text_columns=2)
 
 
@@ -100,13 +100,13 @@ def _turned_rows(folder: Path) -> Iterator[dict[str, Any]]:
                 bag = f"{{}}/{soil}_{looks}_{name}"
                 machine = f"--soil {soil} --vehicle {vehicle} --output {bag}"
                 trackslip(f"simulate --scenario {scenario} {machine}", folder)
-                # The check names the antenna of an unknown cab as misplaced, and is right.
+                # The check reports the antenna of an unknown cab as misplaced, correctly.
                 row[name] = trackslip(f"replay {bag} --vehicle {vehicle} --force", folder)["soil"]
             yield row
 
 
 def _bare() -> VehicleParameters:
-    """The same machine with nothing on its cab."""
+    """The same machine stated without sensors on its cab."""
     cab = load_vehicle("pc05_cab")
     assert cab.sensors is not None
     return replace(cab, name="bare", sensors=replace(cab.sensors, mounts=None, swing_encoder=None))

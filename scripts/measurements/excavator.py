@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The machine of 20 t with a GNSS receiver: its replay as a user sees it, and what one wrong number does."""
+"""The 20 t machine with a GNSS receiver: output of its replay, and effects of single wrong parameters."""
 
 import math
 from pathlib import Path
@@ -12,7 +12,7 @@ from trackslip_sim.study.engine import table
 
 _SIMULATE = "simulate --scenario thesis --soil sand --vehicle excavator_20t --duration 60"
 _REPLAY = "replay {}/drive --params gnss.yaml"
-_WRONG: dict[str, dict[str, Any]] = {  # what is stated of the machine
+_WRONG: dict[str, dict[str, Any]] = {  # wrong parameters of the machine
     "rolling radius 1 % too large": {"kinematics": {"rolling_radius": 1.01 * 0.35}},
     "tread 5 cm too large": {"kinematics": {"tread": 2.38 + 0.05}},
     "contact length 5 cm too large": {"kinematics": {"contact_length": 3.46 + 0.05}},
@@ -34,7 +34,7 @@ _SHOWN = ("RMSE", "  encoders", "  filter", "  slip", "  mean NEES", "soil", "  
 
 
 def wrong_numbers(folder: Path) -> list[str]:
-    """The same drive, replayed with one number of the vehicle's file, or the pair's direction, wrong."""
+    """The same drive, replayed with one wrong parameter of the vehicle or a wrong antenna direction."""
     trackslip(f"{_SIMULATE} --output {{}}/drive", folder)
     rows = [{"wrong": "nothing", **trackslip(_REPLAY, folder)}]
     for wrong, content in _WRONG.items():
@@ -49,7 +49,7 @@ def wrong_numbers(folder: Path) -> list[str]:
 
 
 def printed(folder: Path) -> list[str]:
-    """What ``trackslip replay`` prints of it, shortened, as a block of code."""
+    """Selected lines of the output of ``trackslip replay``, as a block of code."""
     trackslip(f"{_SIMULATE} --output {{}}/drive", folder)
     lines = run(_REPLAY, folder).splitlines()
     return ["", *(f"    {line}" for line in lines if line.startswith(_SHOWN)), ""]

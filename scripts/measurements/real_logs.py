@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of real machines, which do not come with the project: ``data/`` of ``$TRACKSLIP_SHARED``.
+"""Logs of real machines, which are not part of the project: ``data/`` of ``$TRACKSLIP_SHARED``.
 
-Given is the geometry alone; fixes are the lidar poses once a second with 5 cm of noise, three draws of it.
+Only the geometry is given. Fixes are lidar poses at 1 Hz with 5 cm of noise, in three draws.
 """
 
 import os
@@ -22,7 +22,7 @@ class _Log(NamedTuple):
     file: str
     mapping: str
     options: str
-    cases: dict[str, str]  # name → what is withheld
+    cases: dict[str, str]  # name → withheld interval and topics
 
 
 _LOGS = (
@@ -75,7 +75,7 @@ def with_geometry_alone(folder: Path) -> list[str]:
     """RMSE of each model over the whole log, and NEES; mean of three draws.
 
     Raises:
-        NotMeasured: the logs are not there.
+        NotMeasured: a log is missing.
     """
     return table(_COLUMNS, list(_rows(folder)), text_columns=1)
 
@@ -99,7 +99,7 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def _of_positions(mapping: dict[str, Any]) -> dict[str, Any]:
-    """A mapping whose reference has no heading."""
+    """The mapping without the heading of the reference."""
     topics = {topic: {**roles} for topic, roles in mapping["topics"].items()}
     topics["reference_pose"].pop("yaw")
     stddev = topics["reference_pose"]["stddev"]
@@ -108,7 +108,7 @@ def _of_positions(mapping: dict[str, Any]) -> dict[str, Any]:
 
 
 def _mean(replay: str, model: str, folder: Path) -> tuple[float, float]:
-    """RMSE, m, and NEES of the position."""
+    """Mean RMSE, m, and NEES of the position over three draws."""
     found = [
         trackslip(f"{replay} --set slip_estimator.model={model} --seed {seed}", folder) for seed in range(3)
     ]

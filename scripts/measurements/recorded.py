@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Short tables of what is in the tree already: the manifest of ``bags/``, and the tables of both studies."""
+"""Short tables from files of the repository: the manifest of ``bags/``, and tables of the slip study."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -42,14 +42,14 @@ Row = Mapping[str, str]
 
 
 def runs(_: Path) -> list[str]:
-    """What ``trackslip replay`` gives of each bag; ``tests/bags/test_bags.py`` replays them."""
+    """Results of ``trackslip replay`` for each bag; ``tests/bags/test_bags.py`` replays them."""
     bags = yaml.safe_load((ROOT / "bags/manifest.yaml").read_text(encoding="utf-8"))["bags"]
     rows = [{"name": name, "rmse": bag["replay"]["rmse"], **bag} for name, bag in bags.items()]
     return table(_RUNS, rows, text_columns=1)
 
 
 def study_ranges(_: Path) -> list[str]:
-    """The least and the largest over soils and filters, RMSE over bound."""
+    """Smallest and largest values over soils and filters; errors as RMSE over bound."""
     cells = _rows_of(ROOT / "docs/study_table.md")
     keys = dict.fromkeys((row["truth"], row["σ_ω rad/s"], row["σ_xy m"]) for row in cells)
     return table(
@@ -63,7 +63,7 @@ def study_ranges(_: Path) -> list[str]:
 
 
 def slope_ranges(_: Path) -> list[str]:
-    """The same where the machine climbs, for both filters; its slope table has the ratios."""
+    """The same on slopes, for filters with and without attitude, from the ratios in the slope table."""
     cells = [row for row in _rows_of(ROOT / "docs/slope_table.md") if row["terrain"] != "flat"]
     climbs = [row for row in cells if row["soil"] != _CANNOT_CLIMB]
     names = {"with the slope": ("×", "× 2", "NEES pose"), "to which the ground is flat": _IGNORING}
@@ -98,7 +98,7 @@ def _ranges(cells: list[Row]) -> dict[str, Any]:
 
 
 def _rows_of(file: Path) -> list[Row]:
-    """Of the first table; a head that comes again gets a number."""
+    """Rows of the first table; a repeated heading gets a number."""
     lines = [line for line in file.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     heads: list[str] = []
     for head in _cells(lines[0]):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables out of ``trackslip study``, whose cache keeps what is finished."""
+"""Tables from ``trackslip study``, whose cache keeps finished pieces."""
 
 from pathlib import Path
 from typing import Any
@@ -34,19 +34,19 @@ _MACHINES = {
 
 
 def soil_on_slopes(folder: Path) -> list[str]:
-    """Forces and soil on slopes of 15° and over a hill, three runs a cell."""
+    """Errors of the soil estimate on slopes of 15° and a hill, three runs per cell."""
     options = f"--scenario field_trial --terrain {' '.join(_TERRAINS)} --sigma-xy 0.01 --seeds 3"
     return table(_SLOPES, trackslip(f"study --estimator soil --workers 1 {options}", folder), text_columns=2)
 
 
 def drawn_machines(folder: Path) -> list[str]:
-    """Machines whose parameters state another one, with fixes of 1 and 5 cm."""
+    """Errors of drawn machines with nominal parameters, with fixes of 1 and 5 cm."""
     options = "--truth drawn --filter ekf --sigma-xy 0.01 0.05 --sigma-omega 0.01 --seeds 48"
     return table(_DRAWN, trackslip(f"study --workers 1 {options}", folder), text_columns=1)
 
 
 def two_machines(folder: Path) -> list[str]:
-    """The PC05 and the machine of 20 t on the shear truth."""
+    """Errors of the PC05 and the 20 t machine on the shear truth."""
     options = f"--truth shear --filter ekf --sigma-xy 0.05 --seeds 10 --soil {' '.join(SOILS)}"
     rows = [
         {"vehicle": vehicle, **row}
@@ -57,11 +57,11 @@ def two_machines(folder: Path) -> list[str]:
 
 
 def _error(row: dict[str, Any], name: str) -> str:
-    """Median, worst, and in how many runs the interval holds the truth."""
+    """Text of median, worst, and share of runs whose interval contains the truth."""
     share = f"{row[f'{name}_inside']}/{row['seeds']}"
     return f"{100.0 * row[f'{name}_error']:.1f} ({100.0 * row[f'{name}_worst']:.1f}), {share}"
 
 
 def pair(row: dict[str, Any], name: str, scale: float, digits: int) -> str:
-    """An error of a row of the study, and its bound."""
+    """Text of an error of a row and its bound."""
     return f"{scale * row[f'{name}_rmse']:.{digits}f} ({scale * row[f'{name}_bound']:.{digits}f})"

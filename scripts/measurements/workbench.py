@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of ``trackslip`` as a page has them, run in this process, and what they give."""
+"""Runs commands of ``trackslip``, written as on a page, in this process, and returns their results."""
 
 import io
 import json
@@ -17,11 +17,11 @@ SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 
 
 class NotMeasured(Exception):
-    """A log that does not come with the project is not there, or a command failed."""
+    """A log that is not part of the project is missing, or a command failed."""
 
 
 def run(line: str, folder: Path) -> str:
-    """What ``trackslip LINE`` prints; ``{}`` in the line stands for ``folder``.
+    """Output of ``trackslip LINE``; ``{}`` in the line stands for ``folder``.
 
     Raises:
         NotMeasured: the command failed.
@@ -35,13 +35,13 @@ def run(line: str, folder: Path) -> str:
 
 
 def trackslip(line: str, folder: Path) -> Any:
-    """The JSON of a command; see ``run``."""
+    """JSON result of a command; see ``run``."""
     file = folder / "result.json"
     run(f"{line} --json {file}", folder)
     return json.loads(file.read_text(encoding="utf-8"))
 
 
 def write_yaml(path: Path, content: Any) -> Path:
-    """A vehicle, scenario or mapping of a measurement's own."""
+    """Write a YAML file of a vehicle, scenario or mapping; returns its path."""
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
