@@ -66,7 +66,9 @@ class DemoMonitor(Node):
         self.pose = (math.nan, math.nan, math.nan)
         self.slips = (math.nan, math.nan, math.nan)
         self.at_work: set[str] = set()  # nodes whose last status is not an error: their ports are open
-        self._recorder_hears: dict[str, str] = {}  # topic → number of publishers connected to the recorder
+        self._recorder_publishers: dict[
+            str, str
+        ] = {}  # topic → number of publishers connected to the recorder
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
         self._emulator = RemoteLifecycle(self, self._spinner, "emulator")
