@@ -178,10 +178,7 @@ def figure_6_2(vehicle: Vehicle) -> Figure:
         right.plot(run.t, 100.0 * run.right_slip, **line)
     label(left, "Fig. 6.2: slip of the left track", "time (s)", "slip (%)")
     label(right, "Slip of the right track", "time (s)", "slip (%)")
-    for axes in (
-        left,
-        right,
-    ):  # the thesis' range; cuts a peak at the start on clayey soil, under 0.15 s
+    for axes in (left, right):  # the thesis' range; cuts a peak under 0.15 s at the start on clayey soil
         axes.set_ylim(-0.5, 8.0)
     right.legend(loc="upper center")
     return figure

@@ -34,10 +34,7 @@ _VEHICLE = {
     **{f.name: f"hydraulics.{f.name}" for f in fields(Hydraulics)},
     **{f"box_{name}": f"sensors.box.{name}" for name in ("length", "width", "x", "y")},
 }
-_DEFAULTS = {
-    "pose_sources": ["box_pose"],
-    "yaw_rate_sources": ["imu/data_raw"],
-}  # of mappings without
+_DEFAULTS = {"pose_sources": ["box_pose"], "yaw_rate_sources": ["imu/data_raw"]}  # if none are named
 
 
 def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:

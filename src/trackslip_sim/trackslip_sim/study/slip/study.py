@@ -222,9 +222,7 @@ class SlipStudy(Study[Cell, Row]):
         return self.FILE, *(f"figures/{name}.png" for name in drawn)
 
     def write(self, rows: Sequence[Row], folder: Path) -> None:
-        from trackslip_sim.study.slip import (
-            figures,
-        )  # imports matplotlib, which starts slowly
+        from trackslip_sim.study.slip import figures  # loads matplotlib, which is slow
 
         super().write(rows, folder)
         if sloping := [row for row in rows if row.terrain]:
