@@ -31,7 +31,7 @@ class Recorded(NamedTuple):
 
 
 def is_recording(folder: Path) -> bool:
-    """Whether a directory is a bag written by this recorder, without other files."""
+    """Whether a directory is a bag written by ``trackslip record``, without other files."""
     own = re.compile(
         rf"{re.escape(folder.name)}_\d+\.mcap|{re.escape(METADATA)}(\.tmp)?|{UNFINISHED.pattern}"
     )
@@ -45,7 +45,7 @@ def is_recording(folder: Path) -> bool:
 
 
 def _is_recorded(file: Path) -> bool:
-    """Whether a file's header names this recorder as its writer."""
+    """Whether a file's header names ``trackslip record`` as its writer."""
     try:
         with file.open("rb") as stream:
             first = next(iter(StreamReader(stream).records), None)

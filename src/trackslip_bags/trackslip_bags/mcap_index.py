@@ -54,7 +54,7 @@ class Part(NamedTuple):
 
 
 class Indexed(NamedTuple):
-    """The entries of one channel in the index behind a chunk."""
+    """The entries of one channel in the index after a chunk."""
 
     entries: NDArray[np.void]  # (n,) _ENTRY
     channel: int

@@ -69,7 +69,7 @@ def _listed(given: Any) -> Sequence[Any]:
 
 
 def _one_each(topics: Sequence[str], key: str, given: Any) -> dict[str, Any]:
-    """One parameter per source from a list; a shorter or longer list is cut."""
+    """One parameter per source from a list, or one value for all; excess sources or values are ignored."""
     each = _listed(given)
     each = list(each) * len(topics) if len(each) == 1 else each
     return {f"sources.{group_name(topic)}.{key}": value for topic, value in zip(topics, each, strict=False)}

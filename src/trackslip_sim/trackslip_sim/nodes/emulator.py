@@ -172,7 +172,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
             self._soil.publish(soil_message(make, at, stamp_ns, self._whole, body_frame))
 
     def _publish_swing(self, excavator: EmulatedExcavator, stamp_ns: int) -> None:
-        """Publish the swing encoder's reading (no driver reads it) and the true swing."""
+        """Publish the swing encoder's reading, as its own computer does, and the true swing."""
         samples = {"swing": excavator.sensors.swing, "truth/swing": excavator.sensors.true_swing}
         blank = partial(blank_swing, make, self.settings.body_frame())
         for topic, publisher in self._swings.items():

@@ -39,7 +39,7 @@ class Machine(NamedTuple):
     track_mass: float
     drive_limit: float  # N, thrust at relief pressure, motor driving
     brake_limit: float  # N, the same with the motor driven
-    drive_stiffness: float  # N per m/s of lag behind the oil
+    drive_stiffness: float  # N per m/s below the speed at the oil flow
     sliding_floor: float
     rolling_floor: float
     slip_floor: float

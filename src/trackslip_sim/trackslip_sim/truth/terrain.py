@@ -37,7 +37,7 @@ class Plane:
 
     @property
     def radius(self) -> float:
-        """Of its sharpest bend, m."""
+        """Radius of the sharpest bend, m."""
         return math.inf
 
 
@@ -54,7 +54,7 @@ class Ramp:
 
     @property
     def radius(self) -> float:
-        """Of its sharpest bend, m."""
+        """Radius of the sharpest bend, m."""
         return self.rounding / (1.5 * abs(math.tan(self.slope))) if self.slope else math.inf
 
 
