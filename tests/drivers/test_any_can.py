@@ -104,7 +104,7 @@ def test_messages_of_that_bus(tmp_path):
             "roles:\n  left_speed: LeverL\n  right_speed: LeverR\n",
             ("roles 'left_speed', 'left_flow' overlap", "one of them"),
         ),
-        ("roles:\n", "roles:\n  left_flow: TravelFlow.FlowR\n", ("'left_flow' stands there twice",)),
+        ("roles:\n", "roles:\n  left_flow: TravelFlow.FlowR\n", ("'left_flow' is duplicated",)),
         ("sign: -1}\n  left_p", "sign: 2}\n  left_p", ("sign: 2 is out of range", "1 or -1")),
         ("sign: -1}\n  left_p", "sgn: -1}\n  left_p", ("unknown key 'sgn'", "accepted: signal")),
         ("sign: -1}\n  left_p", "ratio: 0}\n  left_p", ("ratio: 0 is out of range", "> 0")),

@@ -200,7 +200,7 @@ def test_pressures_without_recent_spools(excavator, frames, tally):
     excavator.receive(*frames.encode(SPOOLS, SPOOL, 0), 0)
     assert len(excavator.receive(*frames.encode(PRESSURES, PRESSURE, 1), CYCLE_NS)) == 1
     assert excavator.receive(*frames.encode(PRESSURES, PRESSURE, 12), 12 * CYCLE_NS) == []
-    assert tally.total["HydraulicsSample", "nothing recent to go with it"] == 2
+    assert tally.total["HydraulicsSample", "no recent value of the other frame"] == 2
 
 
 @pytest.mark.parametrize(

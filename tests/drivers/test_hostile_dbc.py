@@ -54,7 +54,7 @@ HOSTILE = {
         FRAME.replace("64", "999999999") + PLAIN,
         "frame 'F' of 999999999 bytes; accepted: 0 to",
     ),
-    "nested 30 times": (nested(30), "lies too deep; accepted: up to 8"),
+    "nested 30 times": (nested(30), "is nested too deep; accepted: up to 8"),
     "names for selectors": (chosen(200), "too many selectors of multiplexers"),
     "range": (multiplexed("0-4294967295"), "signal 'S': too many selectors"),
     "many ranges": (multiplexed(", ".join(f"{k}000-{k}999" for k in range(1, 40))), "too many selectors"),

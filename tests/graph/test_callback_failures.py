@@ -82,7 +82,7 @@ def test_nothing_but_exceptions_end_the_node_with_one_line(programs, observer):
     machine = Machine(programs, observer, duration=1.0, fails=True)
     assert machine.program.wait() == 1
     last = machine.program.stderr.splitlines()[-1]
-    assert last.startswith("fragile: nothing but failures; ")
+    assert last.startswith("fragile: only failures; ")
     assert CAUSE in last
     assert "Traceback" not in machine.program.stderr
 

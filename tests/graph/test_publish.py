@@ -108,4 +108,4 @@ def test_lines_of_the_player_were_put_into_its_bar(path, domain):
     shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
     assert shown.code == 0, shown.text
     warnings = [line for line in shown.lines if "nobody subscribes" in line]
-    assert warnings == ["[WARN] nobody subscribes to what is played"]
+    assert warnings == ["[WARN] no node subscribes to the played topics"]

@@ -249,7 +249,7 @@ def test_a_full_disk_is_shouted_and_what_it_holds_is_kept(programs, observer):
     assert report.level == DiagnosticStatus.ERROR
     assert "/emulator/fault lost" in {pair.key for pair in report.values}
     assert program.end()[0] == 0
-    assert "what comes from now on is lost" in program.stderr
+    assert "further messages are lost" in program.stderr
     assert "Traceback" not in program.stderr
     again = programs.tool("trackslip", "recover", "bag")
     assert again.wait() == 0, again.stderr

@@ -171,7 +171,7 @@ class Recording:
             work()
         except OSError as error:
             self.disk_error = f"cannot write ({error.strerror})"
-            self._log.error(f"{self.disk_error}: what comes from now on is lost")
+            self._log.error(f"{self.disk_error}: further messages are lost")
             for topic, count in self.bag.unsaved.items():
                 self.losses.add(topic, count)
             self.bag.abandon()

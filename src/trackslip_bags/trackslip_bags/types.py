@@ -144,7 +144,7 @@ def check_finite(types: Typesdict) -> None:
 def _values_of(name: str, types: Typesdict, known: dict[str, int], inside: tuple[str, ...] = ()) -> int:
     """Minimum number of values in a message of a type; ``known`` caches the numbers of other types."""
     if name in inside:
-        raise ValueError(f"type {name}: it holds itself; accepted: a type of others")
+        raise ValueError(f"type {name}: it contains itself; accepted: a type of others")
     if name not in known:
         values = 1
         for _, description in types[name][1] if name in types else ():

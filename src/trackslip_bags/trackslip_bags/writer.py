@@ -43,7 +43,7 @@ def refuse_existing(path: Path | None) -> None:
 
 
 def _exists(path: Path) -> InputError:
-    return InputError(f"bag '{path}' exists already; accepted: a path where nothing is")
+    return InputError(f"bag '{path}' exists already; accepted: a path that does not exist")
 
 
 def _is_utf8(name: str) -> bool:

@@ -45,7 +45,7 @@ class _Loader(Composer, yaml.CSafeLoader):
         node: yaml.Node = super().compose_node(parent, index)  # type: ignore[assignment]
         if isinstance(event, yaml.AliasEvent):
             if node not in self._values_of:
-                raise _refused(event, "an alias of what it stands in")
+                raise _refused(event, "a recursive alias")
             self._values += self._values_of[node]
         else:
             self._values += 1
@@ -108,7 +108,7 @@ def _check_keys(node: yaml.Node) -> None:
         seen: set[str] = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise _refused(key, f"'{key.value}' stands there twice")
+                raise _refused(key, f"'{key.value}' is duplicated")
             seen.add(str(key.value))
 
 

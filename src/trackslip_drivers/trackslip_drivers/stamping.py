@@ -35,9 +35,9 @@ _PROMPT_NS = 20_000_000  # greatest lateness of a prompt read
 class StampEvent(Enum):
     """Events of a stamp or a clock."""
 
-    MOVED = "stamp moved to stay in order"
+    MOVED = "stamp shifted to keep the order"
     CLOCK_JUMPED = "jumped"
-    WAITED = "waited while the host was held up"
+    WAITED = "delayed while the host was suspended"
 
 
 class PeriodicStamps:

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--mode", choices=tuple(MODES), default="shear", help="which truth (default: shear)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the sensors' noise in the bag")
-    parser.add_argument("--output", type=Path, metavar="BAG", help="write what the sensors would see")
+    parser.add_argument("--output", type=Path, metavar="BAG", help="write the sensor data to a bag")
     shared_options.add_json(parser, "the summary")
 
 

@@ -106,7 +106,7 @@ class PlayerNode(TrackslipNode[PlayerParameters]):
     def _warn_of_others(self) -> None:
         """Warn if nothing subscribes, and of topics with other publishers, such as running drivers."""
         if not self._matched:
-            self.get_logger().warning("nobody subscribes to what is played")
+            self.get_logger().warning("no node subscribes to the played topics")
         for topic in self._outlets:
             others = {info.node_name for info in self.get_publishers_info_by_topic(topic)} - {self.get_name()}
             if others:

@@ -85,7 +85,7 @@ def run(
         _spin(node, executor, signals)
         node.drain(lambda: _spin_for(node, executor, _DRAIN_POLL))
         if node.callback_failures.are_hopeless:
-            print(f"{node.get_name()}: nothing but failures; {node.callback_failures.last}", file=sys.stderr)
+            print(f"{node.get_name()}: only failures; {node.callback_failures.last}", file=sys.stderr)
             return ExitCode.FAILED
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -129,7 +129,7 @@ def _spin_for(node: TrackslipNode[Any], executor: Any, seconds: float) -> None:
 def _settle(node: TrackslipNode[Any]) -> None:
     """After the start: set the requested priority, and exempt all present objects from garbage collection."""
     if not _request_priority(node.common.realtime_priority):
-        node.get_logger().info("no right to real-time scheduling: on a busy host it waits its turn")
+        node.get_logger().info("real-time scheduling is not permitted: expect delays on a busy host")
     gc.freeze()  # objects of the imports stay: to search them for garbage would take tens of ms
 
 

@@ -124,7 +124,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         return steady_ns
 
     def waited(self, steady_ns: int) -> bool:
-        """Whether data that seem to have arrived just now may have waited while the host was held up."""
+        """Whether data that seem to have arrived just now may have waited while the host was suspended."""
         assert self._link is not None
         return self._link.look.waited(steady_ns, time.monotonic_ns())
 
@@ -195,13 +195,13 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
             is_recent = time.monotonic() - then_s < RECENT
             return (WARN, f"running; some is rejected: {latest}") if is_recent else (OK, "running")
         if not self._published and state.connected and state.openings == 1 and state.since_s < _OPENING:
-            return WARN, f"{where}: opened, nothing yet"
+            return WARN, f"{where}: opened, no data yet"
         talk = f" ({self.talk()})" if self.talk() else ""
         if state.silent_s < _PAUSE and (lack := self.lack()):
             return ERROR, f"{where}: {lack}"
         if state.silent_s > 0.5 * limit_s or not state.has_received:
             return STALE, f"{where}: no {self.carries}{talk}; {self.advice}"
-        reason = self._rejected[0] or "nothing whole yet"
+        reason = self._rejected[0] or "no complete message yet"
         if reason in self.passing:
             return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"
         what = f"{where}: {self.carries} come, but nothing of use: {reason}{talk}"

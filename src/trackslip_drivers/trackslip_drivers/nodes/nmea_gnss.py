@@ -37,7 +37,7 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
     """Receives bytes; publishes ``fix``, ``fix_velocity`` and ``heading``."""
 
     device = "GNSS receiver"
-    passing = MappingProxyType({"no fix": "give the antenna sight of the sky"})
+    passing = MappingProxyType({"no fix": "check that the antenna sees the sky"})
     silence = 10.0  # a cold start takes longer, but the receiver then reports no fix
 
     def __init__(self) -> None:
@@ -101,8 +101,8 @@ class NmeaNode(DriverNode[NmeaParameters, bytes]):
         """The driver's health, with latency and counters of the stream; and that of the corrections."""
         (entry, *others) = super().health()
         entry.values["latency (s)"] = f"{self._stream.latency_ns * 1e-9:.3f}"
-        entry.values["sentences of other kinds"] = self._stream.others
-        entry.values["measurements stated twice"] = self._stream.repeated
+        entry.values["unused sentences"] = self._stream.others
+        entry.values["duplicate measurements"] = self._stream.repeated
         entry.values["bytes between sentences"] = self._stream.binary
         return [entry, *others, *self._health_of_corrections()]
 

@@ -86,9 +86,9 @@ class SickNode(DriverNode[SickParameters, bytes]):
             level = WARN if status.severity == Severity.WARNING else ERROR
             entries.append(Health(level, f"scanner reports: {status.severity_text}", part="status"))
         if status.implausible:
-            entries.append(Health(ERROR, "scanner finds its values implausible", part="implausible"))
+            entries.append(Health(ERROR, "scanner reports implausible values", part="implausible"))
         if status.restart:
-            entries.append(Health(WARN, "scanner asks for a restart, or has had one", part="restart"))
+            entries.append(Health(WARN, "scanner requests a restart, or has restarted", part="restart"))
         if status.pollution:
             entries.append(Health(WARN, "front window is dirty", part="pollution"))
         return entries

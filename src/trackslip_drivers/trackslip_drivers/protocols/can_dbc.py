@@ -172,7 +172,7 @@ class _Multiplexing:
     def _count(self, name: str, depth: int) -> int:
         if depth > _DEEPEST:
             accepted = f"up to {_DEEPEST} in each other"
-            raise InputError(f"{self._frame}: multiplexer '{name}' lies too deep; accepted: {accepted}")
+            raise InputError(f"{self._frame}: multiplexer '{name}' is nested too deep; accepted: {accepted}")
         if name not in self._known:
             below = self._below[name]
             ids = frozenset[int]().union(*below.values())

@@ -48,7 +48,7 @@ class Rejection(Enum):
     ERROR_FRAME = "error frame"
     WRONG_LENGTH = "wrong length"
     CHECKSUM = "checksum"
-    UNUSED_BITS = "bits set that mean nothing"
+    UNUSED_BITS = "unused bits are set"
     OUT_OF_RANGE = "out of range"
 
 

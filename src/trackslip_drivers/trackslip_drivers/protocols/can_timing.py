@@ -34,7 +34,7 @@ class TimingEvent(Enum):
 
     LOST = "lost"
     ALIVE_REPEATED = "alive counter repeated"
-    BURST = "came at once with the next"
+    BURST = "arrived in a burst"
     CUT_OFF = "waited for the next while the bus was reopened"
 
 

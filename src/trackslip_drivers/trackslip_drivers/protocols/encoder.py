@@ -33,7 +33,7 @@ class EncoderEvent(Enum):
     STARTED = "first reading"
     RESTARTED = "restarted after silence"  # of a length that allows half a turn of the encoder
     JUMP = "jump"  # further than the sprocket can turn
-    SIMULTANEOUS = "no time since the last"
+    SIMULTANEOUS = "same time as the last reading"
     BROKEN = "turned unseen"  # the distance from the previous position is unknown
 
 

@@ -37,7 +37,7 @@ _LEVELS = (*_PRESSURES, *_SPOOLS, SUPPLY)
 class PairingRejection(Enum):
     """Why an accepted frame gave no sample."""
 
-    TOO_OLD = "nothing recent to go with it"
+    TOO_OLD = "no recent value of the other frame"
 
 
 class ExcavatorCan:

@@ -226,7 +226,7 @@ class NtripClient:
                 return sentence
             with self._lock:
                 if self._messages == 0:
-                    self._fault = "waits for the receiver's first position, which the caster wants"
+                    self._fault = "waiting for the first position, which the caster requires"
             self._stopping.wait(_LOOK_S)
         return None
 

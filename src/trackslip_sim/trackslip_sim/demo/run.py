@@ -107,7 +107,7 @@ def _run(options: argparse.Namespace, domain: int, console: Console) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     console.print(
         f"Trackslip demo: {options.duration:g} s of '{options.scenario}' on {options.soil}; "
-        f"look in with ROS_DOMAIN_ID={domain}"
+        f"observe with ROS_DOMAIN_ID={domain}"
     )
     console.print(f"vehicle: {escape(options.machine)}")
     live = [replace(LIVE, parameters={"port": _free_tcp_port()})] if options.live else []

@@ -117,7 +117,7 @@ class EmulatorNode(TrackslipNode[EmulatorParameters]):
         values = {
             **emitted,
             "finished": self._finished,
-            "bytes that nobody read": self._cables.bytes_lost,
+            "bytes lost without a reader": self._cables.bytes_lost,
             "faults": "; ".join(map(str, at_work)) or "none",
             "faults accepted": self._excavator.faults.added,
             "faults refused": self._faults_refused,

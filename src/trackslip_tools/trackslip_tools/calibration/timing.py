@@ -49,7 +49,7 @@ def gyro_delay(recordings: Sequence[Recording]) -> Finding:
     if fit is None or not fit.values[0]:
         return refused("the drive is too short", "s")
     if unexplained > _WEAK:
-        return refused(f"the yaw rate follows the tracks badly: {unexplained:.0%} of it is left over", "s")
+        return refused(f"yaw rate and tracks correlate too weakly: {unexplained:.0%} of it is left over", "s")
     spread = fit.spread(1) / abs(float(fit.values[0])) + GROUND_LAG / 2.0
     return found(late - GROUND_LAG / 2.0, spread, "s", f"{len(turning)} drives, {unexplained:.1%} left over")
 

@@ -227,13 +227,13 @@ def _happened(result: Replay) -> list[str]:
     lines = [f"  {(h.stamp_ns - result.start_ns) * 1e-9:8.1f} s  {h.text}" for h in events[:_MOST_EVENTS]]
     lines += [f"  and {len(events) - _MOST_EVENTS} more"] if len(events) > _MOST_EVENTS else []
     lines += [f"  {outliers} single outliers"] if outliers else []
-    return ["what explains contradictions", *lines] if lines else []
+    return ["events that explain contradictions", *lines] if lines else []
 
 
 def _learned(result: Replay) -> list[str]:
     """One line for each observed quantity, and one for all others."""
     lines = lines_of(result.learned[-1].findings) if result.learned else []
-    return ["learned: of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
+    return ["learned values of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 
 def _final(result: Replay) -> dict[str, float] | None:

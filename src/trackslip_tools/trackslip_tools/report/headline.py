@@ -139,7 +139,7 @@ def _soil(run: Run) -> Fact:
     likely = max(chances, key=lambda name: chances[name])
     found = f"{likely.replace('_', ' ')}, {PERCENT * chances[likely]:.0f} %"
     if chances[likely] < CERTAIN:
-        return Fact("Soil", "not told apart", f"likeliest: {found}; {note}")
+        return Fact("Soil", "undetermined", f"likeliest: {found}; {note}")
     return Fact("Soil", found, note)
 
 

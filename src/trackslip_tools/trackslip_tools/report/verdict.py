@@ -249,7 +249,11 @@ def _gaps(run: Run, _: VerdictLimits) -> Verdict:
         return _checked(True, "none", "No source of the estimator was silent.")
     worst = max(longest, key=lambda name: longest[name] / allowed[name])
     bad = [name for name in longest if longest[name] > allowed[name]]
-    words = f"Lost: {', '.join(bad)}." if bad else "None was lost: silent beyond timeout and three periods."
+    words = (
+        f"Lost: {', '.join(bad)}."
+        if bad
+        else "None was lost: silent for longer than its timeout and three periods."
+    )
     return _checked(not bad, f"{worst} {longest[worst]:.2f} s", words)
 
 
