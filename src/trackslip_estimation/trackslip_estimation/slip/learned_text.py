@@ -24,7 +24,7 @@ class Form(NamedTuple):
     """Display of a quantity: (value − zero) · scale, in ``unit``."""
 
     label: str
-    text: str  # {v}: displayed value, {a}: its size, {way}: its direction, {s}: ±, {of}: its source
+    text: str  # {v}: displayed value, {a}: its size, {direction}: its direction, {s}: ±, {of}: its source
     unit: str = "1"
     scale: float = 1.0
     zero: float = 0.0
@@ -37,13 +37,15 @@ class Form(NamedTuple):
 
 
 _FORMS = {
-    "gyro_scale": Form("gyro scale", "gyro reads {a} % {way} ± {s}", "%", 100.0, 1.0, ("high", "low")),
+    "gyro_scale": Form("gyro scale", "gyro reads {a} % {direction} ± {s}", "%", 100.0, 1.0, ("high", "low")),
     "gyro_bias": Form("gyro bias", "gyro shows {v} °/s at rest ± {s}", "°/s", _DEGREES),
     "gyro_noise_factor": Form("gyro noise", "gyro variance {v} times what it states ± {s}", least=0.0),
     "asymmetry": Form(
-        "side asymmetry ε", "turns {a} rad/m to the {way} ± {s}", "rad/m", directions=("left", "right")
+        "side asymmetry ε", "turns {a} rad/m to the {direction} ± {s}", "rad/m", directions=("left", "right")
     ),
-    "fix_delay": Form("delay of {of}", "{of} fixes {a} s {way} ± {s}", "s", directions=("late", "early")),
+    "fix_delay": Form(
+        "delay of {of}", "{of} fixes {a} s {direction} ± {s}", "s", directions=("late", "early")
+    ),
     "fix_noise_factor": Form("noise of {of}", "{of} variance {v} times what it states ± {s}", least=0.0),
     "track_error": Form("track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0, least=0.0),
     "efficiency": Form("turning efficiency κ", "turning efficiency κ {v} ± {s}"),
@@ -51,7 +53,7 @@ _FORMS = {
     "common_slip": Form("common slip i₀", "both tracks slip {v} % ± {s}", "%", 100.0),
     "rotation_offset": Form(
         "centre of rotation x_I",
-        "turns about {a} m {way} its middle ± {s}",
+        "turns about {a} m {direction} its middle ± {s}",
         "m",
         directions=("ahead of", "behind"),
     ),

@@ -62,5 +62,6 @@ def log_odds_of_hidden_change(window: Window, p: int, k: int, event: int, c: Con
 @compiled
 def has_hidden_change(window: Window, p: int, k: int, c: Config) -> bool:
     """Whether an earlier change of slip or bias is likely enough for a child."""
-    odds = max(log_odds_of_hidden_change(window, p, k, event, c) for event in (SLIPPED, BIASED))
-    return bool(odds > -c.bank.spawns)
+    slipped = log_odds_of_hidden_change(window, p, k, SLIPPED, c)
+    biased = log_odds_of_hidden_change(window, p, k, BIASED, c)
+    return bool(max(slipped, biased) > -c.bank.spawns)
