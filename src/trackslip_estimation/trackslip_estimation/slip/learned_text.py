@@ -88,7 +88,7 @@ class Finding(NamedTuple):
             v=f"{round(shown, digits) + 0.0:.{digits}f}",  # no −0
             a=f"{abs(shown):.{digits}f}",
             of=self.name.partition(".")[2],
-            distance=form.directions[int(shown < 0.0)],
+            direction=form.directions[int(shown < 0.0)],
             s=f"{stddev:.{digits}f}",
         )
 
