@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
-from trackslip_bags.old_parameters import current_names
+from trackslip_bags.old_parameters import RENAMED, current_names
 from trackslip_common.errors import InputError
-from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_common.parameters import flat_fields
+from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
+from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
 
 
 def test_lists_become_groups() -> None:
@@ -30,6 +32,17 @@ def test_lists_become_groups() -> None:
     assert [source.timeout for source in p.poses().values()] == [2.0, 2.0]
     gyro = p.gyros()["imu/data_raw"]
     assert (gyro.sign, gyro.stddev) == (-1, 0.01)
+
+
+def test_a_renamed_parameter_keeps_its_value() -> None:
+    p = load_slip_parameters(current_names({"events.stray_rate": 1e-4, "receivers.way_error": 0.05}))
+    assert (p.events.failure_rate, p.receivers.distance_error) == (1e-4, 0.05)
+
+
+def test_each_renamed_parameter_exists() -> None:
+    slip = {name for name, _, _ in flat_fields(SlipEstimatorParameters)}
+    soil = {name for name, _, _ in flat_fields(SoilEstimatorParameters)}
+    assert set(RENAMED.values()) <= slip | soil
 
 
 @pytest.mark.parametrize("stated", [{}, {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}])

@@ -34,12 +34,34 @@ _VEHICLE = {
     **{f.name: f"hydraulics.{f.name}" for f in fields(Hydraulics)},
     **{f"box_{name}": f"sensors.box.{name}" for name in ("length", "width", "x", "y")},
 }
+# Until 28 November 2026 these had other names.
+RENAMED = {
+    "adaptation.rate_doubt": "adaptation.rate_odds",
+    "events.stray_rate": "events.failure_rate",
+    "events.stray_heading": "events.failure_heading",
+    "bank.least_sound": "bank.least_healthy",
+    "bank.alike": "bank.merge_distance",
+    "bank.least_driven": "bank.least_distance",
+    "bank.sound_share": "bank.healthy_share",
+    "bank.longest_way": "bank.longest_interval",
+    "receivers.way_error": "receivers.distance_error",
+    "receivers.way_rate": "receivers.displacement_walk",
+    "receivers.most_lasting": "receivers.most_correlated",
+    "receivers.surprised": "receivers.largest_inflation",
+    "ground.alike": "ground.agreement",
+    "dynamics.unseen_walk": "dynamics.unmeasured_walk",
+    "thrust.unseen_walk": "thrust.unmeasured_walk",
+    "watch.naming_time": "watch.report_time",
+    "watch.telling_difference": "watch.least_swap_difference",
+    "strength.lasting_samples": "strength.correlated_samples",
+    "strength.way_stddev": "strength.distance_stddev",
+}
 _DEFAULTS = {"pose_sources": ["box_pose"], "yaw_rate_sources": ["imu/data_raw"]}  # if none are named
 
 
 def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
     """The same parameters under the current names."""
-    values = dict(stated)
+    values = {RENAMED.get(name, name): value for name, value in stated.items()}
     for kind, keys in SOURCE_LISTS.items():
         topics = _topics(stated, kind)
         for old, key in keys.items():
