@@ -20,7 +20,7 @@ class Part(Record):
     """Of another."""
 
     number: int
-    is_finite_state: bool
+    is_sound: bool
 
 
 class Whole(Record):

@@ -90,7 +90,7 @@ def test_a_silent_port_is_reported_as_silent_after_it_was_reopened(domain, monke
         found, where = messages(node, 1.5), node.where()
         assert node._link.state().openings > 1
     assert found[-1] == f"{where}: no bytes; check power and port"
-    assert sum("nothing yet" in text for text in found) == 1
+    assert sum("no data yet" in text for text in found) == 1
 
 
 def test_of_two_reasons_the_one_that_came_last_was_named(driver):

@@ -79,7 +79,7 @@ def test_a_four_wheel_robot_goes_through(bag: Path, found: dict[str, Any]) -> No
     assert found["nees_position"] < 8.0
     page = bag.parent / "report.html"
     assert main(["report", str(bag), "--output", str(page)]) == ExitCode.DONE
-    assert "of the position" not in page.read_text(encoding="utf-8")
+    assert "NEES of the position" not in page.read_text(encoding="utf-8")
 
 
 def test_the_page_on_imports_stated_figures_of_an_older_filter(found: dict[str, Any]) -> None:

@@ -62,7 +62,7 @@ def test_a_replay_states_what_was_learned(
     assert found["track_error"]["observed"] is True
     assert found["fix_delay.box_pose"]["observed"] is False
     shown = capsys.readouterr().out
-    assert "learned: " in shown
+    assert "learned values" in shown
     assert "tracks err by " in shown
     assert "not observed yet: " in shown
 
@@ -100,7 +100,7 @@ def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
     ("learned", "options", "reason"),
     [
         (None, ("--set", "slip_estimator.vehicle.kinematics.tread=0.8"), "of another vehicle"),
-        (3, (), "does not hold what was learned"),
+        (3, (), "contains no learned values"),
         ({"machine": "x"}, (), "of another vehicle"),
     ],
 )

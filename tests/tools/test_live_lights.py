@@ -37,7 +37,7 @@ def test_a_node_without_reports_for_longer_than_a_period_is_silent() -> None:
     assert lit(lights, 10.0 + SILENT_S)["can_driver"][0] is Level.OK
     level, message = lit(lights, 10.1 + SILENT_S)["can_driver"]
     assert level is Level.SILENT
-    assert "ended" in message
+    assert "stopped" in message
     receive(lights, 20.0, "can_driver")
     assert lit(lights, 20.5)["can_driver"][0] is Level.OK
 

@@ -124,8 +124,8 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
     [
         ("Bag", lambda r: changed(r, recording={"damage": "cut short"}), "cut short"),
         ("Position", lambda r: dataclasses.replace(r, details=Details()), "no fix"),
-        ("Consistency of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* too sure"),
-        ("Consistency of the innovations", lambda r: consistent_run(r, 2.0), "box_pose .* too sure"),
+        ("Consistency of the pose", lambda r: changed(r, nees=30.0), "3.16 times .* overconfident"),
+        ("Consistency of the innovations", lambda r: consistent_run(r, 2.0), "box_pose .* overconfident"),
         ("Slip", lambda r: changed(r, slip_rmse=0.06), "at most 5 %"),
         (
             "Replay = live",

@@ -192,7 +192,7 @@ def test_other_gates_are_the_same_machine(learned: Learned) -> None:
     ],
 )
 def test_what_is_no_estimate_is_refused(learned: Learned, name: str, value: object) -> None:
-    with pytest.raises(InputError, match="no estimates"):
+    with pytest.raises(InputError, match="do not fit"):
         from_tree({**to_tree(learned, OF), name: value}, OF)
 
 

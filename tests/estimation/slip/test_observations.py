@@ -154,5 +154,5 @@ def test_only_observations_and_the_weighing_correct_a_state() -> None:
     attitude = {"attitude/filter.py", "attitude/orientation.py"}
     assert users["correct"] == {f"slip/{name}" for name in corrects} | attitude
     assert users["propagate_covariance"] == {"slip/step.py", "attitude/filter.py"}
-    assert users["soften"] <= users["correct"]
+    assert users["inflate_noise_to_gate"] <= users["correct"]
     assert not {"correct_keeping", "correct_knowing", "correct_shared"} & set(users)

@@ -128,22 +128,22 @@ def test_a_file_changed_anywhere_is_noticed(at: int, character: str) -> None:
 
 @given(st.integers(0, len(TEXT.rstrip()) - 1))
 def test_a_file_cut_anywhere_is_noticed(length: int) -> None:
-    with pytest.raises(InputError, match="edited, or cut off"):
+    with pytest.raises(InputError, match="edited or truncated"):
         parse_state(TEXT[:length], OF)
 
 
 @given(st.text())
 def test_a_file_of_anything_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="edited, or cut off"):
+    with pytest.raises(InputError, match="edited or truncated"):
         parse_state(text, OF)
 
 
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "edited, or cut off"),
-        (b"\xff\x00\xfe" * 100, "edited, or cut off"),
-        (TEXT.replace("value: -0.0", "value: -0.1").encode(), "edited, or cut off"),
+        (b"", "edited or truncated"),
+        (b"\xff\x00\xfe" * 100, "edited or truncated"),
+        (TEXT.replace("value: -0.0", "value: -0.1").encode(), "edited or truncated"),
         (b"#" * (1 << 20), "larger than 256 KiB"),
     ],
 )
@@ -276,7 +276,7 @@ def test_without_a_date_it_is_not_used(when: str) -> None:
     date = datetime.fromtimestamp(NOW_S, timezone.utc).isoformat()
     body = TEXT.replace(date, when).rpartition("\nchecksum: ")[0]
     assert body != TEXT
-    with pytest.raises(InputError, match="when it was written"):
+    with pytest.raises(InputError, match="time of writing"):
         parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
 
 
