@@ -122,7 +122,7 @@ def test_a_journal_refuses_a_file_of_the_users(tmp_path: Path) -> None:
 
 
 def test_a_study_wrote_its_pieces_behind_a_text_of_the_users(mine: Path) -> None:
-    with pytest.raises(InputError, match="is not the cache of a study"):
+    with pytest.raises(InputError, match="is no cache of a study"):
         Cache(mine, Row)
     assert mine.read_text(encoding="utf-8") == MINE
 

@@ -41,7 +41,7 @@ class Cache(Generic[R]):
             raise InputError(f"--cache: '{path}' cannot be used ({error.strerror})") from error
         except TypeError as error:
             raise InputError(
-                f"--cache: '{path}' is not the cache of a study; accepted: a new file, or such a cache"
+                f"--cache: '{path}' is no cache of a study; accepted: a new file, or such a cache"
             ) from error
         for line in () if fresh else lines:
             self._remember(line)
