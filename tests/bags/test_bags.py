@@ -31,13 +31,13 @@ def test_the_manifest_names_every_file_and_they_are_small() -> None:
 
 
 @each
-def test_the_files_are_those_that_were_recorded(name: str) -> None:
+def test_files_match_the_digests_of_the_manifest(name: str) -> None:
     for file, digest in MANIFEST["bags"][name]["sha256"].items():
         assert hashlib.sha256((BAGS / name / file).read_bytes()).hexdigest() == digest
 
 
 @each
-def test_bag_holds_what_the_manifest_lists(name: str) -> None:
+def test_bag_matches_the_counts_of_the_manifest(name: str) -> None:
     holds = MANIFEST["bags"][name]["holds"]
     with open_bag(BAGS / name) as bag:
         assert {topic: info.count for topic, info in bag.topics.items()} == holds["messages"]

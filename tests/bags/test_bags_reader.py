@@ -211,7 +211,7 @@ def test_a_cut_file_opens_up_to_its_last_whole_chunk(
         assert next(iter(bag.messages(start_ns=bag.end_ns))).log_time_ns == bag.end_ns
 
 
-def test_a_lost_summary_costs_nothing(tmp_path: Path) -> None:
+def test_file_without_a_summary_is_read_whole(tmp_path: Path) -> None:
     path = write_long(tmp_path / "bag")
     file = path / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-8])
@@ -219,7 +219,7 @@ def test_a_lost_summary_costs_nothing(tmp_path: Path) -> None:
         assert len(times(bag)) == 400
 
 
-def test_no_metadata_costs_nothing(tmp_path: Path) -> None:
+def test_bag_without_metadata_is_read_whole(tmp_path: Path) -> None:
     path = write_long(tmp_path / "bag")
     (path / "metadata.yaml").unlink()
     with open_bag(path) as bag:
@@ -250,7 +250,7 @@ def test_damage_inside_is_reported_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "content"), [("bag.mcap", b"\x89MCAP0\r\n"), ("bag", None)])
-def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes | None) -> None:
+def test_file_that_is_no_bag_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes | None) -> None:
     path = tmp_path / name
     if content is None:
         path.mkdir()
@@ -306,7 +306,7 @@ def test_the_description_fits_a_terminal(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("read", [open_bag, lambda path: recover(path, path.with_name("out"))])
-def test_a_bag_of_ros_1_was_called_an_unrecognized_storage_format(
+def test_bag_of_ros_1_is_refused_with_the_import_command(
     read: Callable[[Path], object], tmp_path: Path
 ) -> None:
     file = tmp_path / "robot.bag"

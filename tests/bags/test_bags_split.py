@@ -29,7 +29,7 @@ def write_imu(path: Path, count: int, size: float = math.inf, duration: float = 
     return path
 
 
-def test_files_span_no_more_than_they_should(tmp_path: Path) -> None:
+def test_each_file_of_a_split_bag_spans_the_configured_duration(tmp_path: Path) -> None:
     path = write_imu(tmp_path / "run", 450, duration=1.0)
     info = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
     names = [f"run_{k}.mcap" for k in range(5)]
@@ -56,7 +56,7 @@ def test_a_large_file_is_followed_by_another(tmp_path: Path) -> None:
     assert all(100_000 <= size < 200_000 for size in sizes[:-1])
 
 
-def test_the_whole_is_read_as_one_by_all(tmp_path: Path) -> None:
+def test_every_reader_reads_a_split_bag_as_one(tmp_path: Path) -> None:
     path = write_imu(tmp_path / "bag", 450, duration=1.0)
     expected = sorted([0, *(i * 10 * MS for i in range(450))])
     with open_bag(path) as bag:
@@ -67,7 +67,7 @@ def test_the_whole_is_read_as_one_by_all(tmp_path: Path) -> None:
         assert [time_ns for _, time_ns, _ in reader.messages()] == expected
 
 
-def test_each_file_stands_for_itself(tmp_path: Path) -> None:
+def test_each_file_of_a_split_bag_is_readable_alone(tmp_path: Path) -> None:
     """Foxglove and ``mcap`` open any of them alone: all topics with their definitions, all checksums."""
     path = write_imu(tmp_path / "bag", 250, duration=1.0)
     total = 0

@@ -164,7 +164,7 @@ def test_stamps_survive(stamp_ns: int) -> None:
     )
 
 
-def test_a_few_bytes_behind_a_message_are_accepted() -> None:
+def test_trailing_bytes_after_a_message_are_accepted() -> None:
     name = "sensor_msgs/msg/JointState"
     raw = messages.serialize(messages.make(name, velocity=[1.0, 2.0]))
     assert list(messages.deserialize(raw + b"\x07" * 8, name).velocity) == [1.0, 2.0]

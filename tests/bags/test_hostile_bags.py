@@ -109,7 +109,7 @@ def test_metadata_with_absurd_entries_do_not_hide_the_messages(tmp_path: Path, n
 @pytest.mark.parametrize(
     "content", ["", "hello", "[1, 2]", "rosbag2_bagfile_information: {version: 99}", "{{{"]
 )
-def test_metadata_that_are_none_do_not_hide_the_messages(tmp_path: Path, content: str) -> None:
+def test_messages_are_read_beside_unparsable_metadata(tmp_path: Path, content: str) -> None:
     (text_bag(tmp_path / "bag") / METADATA).write_text(content, encoding="utf-8")
     is_read_without_metadata(tmp_path / "bag")
 
@@ -166,7 +166,7 @@ def test_a_full_disk_leaves_nothing_of_recover(tmp_path: Path, request: pytest.F
 @pytest.mark.parametrize(
     ("name", "is_inside"), [("bag.mcap", False), ("bag.db3", False), ("bag", False), ("bag_0.mcap", True)]
 )
-def test_a_pipe_is_refused_and_not_waited_for(
+def test_named_pipe_is_refused_without_blocking(
     pipe: Callable[[str], Path], name: str, is_inside: bool
 ) -> None:
     path = pipe(name)
@@ -175,12 +175,12 @@ def test_a_pipe_is_refused_and_not_waited_for(
             read(path.parent if is_inside else path)
 
 
-def test_a_pipe_as_a_csv_log_is_refused_and_not_waited_for(pipe: Callable[[str], Path]) -> None:
+def test_named_pipe_as_a_csv_log_is_refused_without_blocking(pipe: Callable[[str], Path]) -> None:
     with pytest.raises(InputError, match="no regular file"):
         read_table(pipe("log.csv"), Wanted((), (), ()))
 
 
-def test_metadata_of_a_gigabyte_was_parsed_for_minutes(tmp_path: Path) -> None:
+def test_metadata_above_16_mb_is_not_parsed(tmp_path: Path) -> None:
     bag = text_bag(tmp_path / "bag")
     os.truncate(bag / METADATA, 2**30)
     assert "more than 16 MB" in open_bag(bag).damage

@@ -74,7 +74,7 @@ def test_the_oldest_go_first_and_never_one_that_is_written() -> None:
     assert removed(0) == ["other_0.mcap", "other_1.mcap", "bag_0.mcap"]
 
 
-def test_what_is_left_of_a_bag_is_read(tmp_path: Path) -> None:
+def test_bag_is_read_after_removal_of_its_oldest_file(tmp_path: Path) -> None:
     path = recording(tmp_path / "bag", 3)
     remove_recorded(path / "bag_0.mcap")
     with open_bag(path) as bag:
@@ -84,7 +84,7 @@ def test_what_is_left_of_a_bag_is_read(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_the_metadata_names_no_file_that_was_removed(tmp_path: Path) -> None:
+def test_metadata_does_not_list_removed_files(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "bag")
     for k in range(4):
         bag.write("/text", TEXT, DATA, k)
@@ -99,7 +99,7 @@ def test_the_metadata_names_no_file_that_was_removed(tmp_path: Path) -> None:
         assert [message.log_time_ns for message in opened.messages()] == [0, 3]
 
 
-def test_minutes_left_follow_the_rate_of_the_last_minute() -> None:
+def test_minutes_left_are_from_the_rate_of_the_last_minute() -> None:
     watch = DiskWatch()
     assert watch.minutes_left is None
     for second in range(200):
@@ -122,7 +122,7 @@ def test_link_planted_in_the_place_of_the_metadata_is_not_followed(tmp_path: Pat
     assert not (tmp_path / "bag" / "metadata.yaml").is_symlink()
 
 
-def test_recording_whose_recorder_was_killed_at_its_end_is_ours(tmp_path: Path) -> None:
+def test_recording_is_recognised_after_a_kill_during_closing(tmp_path: Path) -> None:
     path = recording(tmp_path / "bag")
     (path / "metadata.yaml").rename(path / ".trackslip-0123456789abcdef.new")
     assert is_recording(path)

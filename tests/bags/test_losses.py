@@ -15,14 +15,14 @@ def test_gaps_are_counted_for_each_publisher_of_a_topic() -> None:
     assert losses.total == {"/x": 3 + 1}
 
 
-def test_what_comes_again_is_no_loss() -> None:
+def test_repeated_sequence_number_is_not_counted_as_lost() -> None:
     losses = Losses()
     for number in (5, 6, 5, 6, 7):
         losses.see("/latched", b"a", number)
     assert not losses.total
 
 
-def test_news_are_reported_once() -> None:
+def test_each_loss_is_reported_once() -> None:
     losses = Losses()
     losses.add("/b", 2)
     losses.add("/a", 1)
@@ -34,8 +34,8 @@ def test_news_are_reported_once() -> None:
     assert losses.total == {"/a": 5, "/b": 2}
 
 
-def test_what_waited_for_a_repair_is_not_logged_before_it() -> None:
-    """Two and three were received first, delivered after one, which was lost and sent again."""
+def test_log_times_increase_when_messages_wait_for_a_retransmission() -> None:
+    """Message 1 is lost and sent again; 2 and 3 are received before it and delivered after it."""
     order = DeliveryOrder()
     came = {0: 10 * S, 1: 13 * S, 2: 11 * S, 3: 12 * S, 4: 14 * S}
     logged = [order.after_all_before("odometry", came_ns) for came_ns in came.values()]
@@ -43,7 +43,7 @@ def test_what_waited_for_a_repair_is_not_logged_before_it() -> None:
     assert order.after_all_before("sprockets", 11 * S) == 11 * S
 
 
-def test_a_clock_that_was_set_back_is_followed() -> None:
+def test_log_times_follow_a_clock_that_is_set_back() -> None:
     order = DeliveryOrder()
     came = (100 * S, 40 * S, 41 * S, 140 * S)
     assert tuple(order.after_all_before("odometry", came_ns) for came_ns in came) == came

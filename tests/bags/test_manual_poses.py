@@ -25,7 +25,7 @@ def path(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return tmp_path / "bag"
 
 
-def test_each_pose_that_was_set_is_read_and_played_once(path: Path) -> None:
+def test_each_set_pose_is_read_and_played_once(path: Path) -> None:
     with open_bag(path) as bag:
         assert list(input_names(bag).values()) == ["slip_estimator/set_pose"]
         topics = played_topics(bag, InputFilters(), ())
@@ -33,7 +33,7 @@ def test_each_pose_that_was_set_is_read_and_played_once(path: Path) -> None:
         assert [message.topic for message in played(bag, InputFilters(), topics)] == [GIVEN]
 
 
-def test_a_repetition_that_never_came_hides_nothing(tmp_path: Path) -> None:
+def test_set_poses_are_read_where_the_repeat_topic_is_empty(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic(REPEATED, POSE, [])
         bag.write(GIVEN, POSE, serialize(make(POSE)), 1)

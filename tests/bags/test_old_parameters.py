@@ -46,18 +46,18 @@ def test_each_renamed_parameter_exists() -> None:
 
 
 @pytest.mark.parametrize("stated", [{}, {"pose_sources": ["rtk"], "sources.rtk.lever_arm_x": 0.3}])
-def test_names_of_today_stay(stated: dict[str, Any]) -> None:
+def test_current_names_are_kept(stated: dict[str, Any]) -> None:
     assert current_names(stated) == stated
 
 
-def test_a_mapping_of_before_that_names_no_source_means_the_default_ones() -> None:
+def test_old_mapping_without_sources_applies_to_the_default_sources() -> None:
     assert current_names({"use_heading": False}) == {"sources.box_pose.use_heading": False}
 
 
 @pytest.mark.parametrize("wrong", [True, None, 3, {"a": 1}, [None, ["box_pose"]]])
 @pytest.mark.parametrize("name", ["pose_sources", "slip_sources", "position_only", "pose_timeouts"])
-def test_a_list_of_sources_that_is_none_ended_a_replay(name: str, wrong: Any) -> None:
-    """With a traceback; such a value is refused where all are checked."""
+def test_malformed_list_of_sources_is_refused(name: str, wrong: Any) -> None:
+    """Old lists are converted without a check; the loader refuses malformed values."""
     stated = current_names({"pose_timeouts": [1.0], "use_heading": True, name: wrong})
     if name.endswith("_sources"):
         with pytest.raises(InputError, match=name):

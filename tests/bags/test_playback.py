@@ -38,7 +38,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "bag"
 
 
-def test_messages_come_when_their_time_has_come() -> None:
+def test_messages_are_due_at_their_log_time() -> None:
     playback = Playback(three, rate=1.0)
     assert taken(playback, 50.0) == ["0"]
     assert taken(playback, 50.9) == []
@@ -49,7 +49,7 @@ def test_messages_come_when_their_time_has_come() -> None:
     assert playback.counts == {"/a": 3}
 
 
-def test_the_rate_stretches_time() -> None:
+def test_playback_rate_scales_time() -> None:
     playback = Playback(three, rate=2.0)
     assert taken(playback, 0.0) == ["0"]
     assert taken(playback, 0.5) == ["1"]
@@ -58,7 +58,7 @@ def test_the_rate_stretches_time() -> None:
     assert taken(playback, 1.5) == ["3"]
 
 
-def test_nothing_comes_and_no_time_passes_in_a_pause() -> None:
+def test_pause_stops_messages_and_the_clock() -> None:
     playback = Playback(three, rate=1.0, paused=True)
     assert taken(playback, 0.0) == []
     assert taken(playback, 100.0) == []
@@ -71,7 +71,7 @@ def test_nothing_comes_and_no_time_passes_in_a_pause() -> None:
     assert taken(playback, 201.0) == ["1"]
 
 
-def test_what_is_not_taken_stays_due() -> None:
+def test_message_not_fetched_remains_due() -> None:
     playback = Playback(three, rate=1.0)
     assert taken(playback, 0.0) == ["0"]
     first = next(playback.due(10.0))
@@ -79,8 +79,8 @@ def test_what_is_not_taken_stays_due() -> None:
     assert taken(playback, 10.0) == ["3"]
 
 
-def test_the_clock_ran_ahead_of_messages_that_were_still_to_be_played() -> None:
-    """A player that stood still for 3 s at four times the speed told a time 12 s ahead, beyond the end."""
+def test_clock_does_not_run_ahead_of_due_messages() -> None:
+    """After a stall of 3 s at four times the speed, the clock stops at the messages that are still due."""
     playback = Playback(three, rate=4.0)
     assert taken(playback, 0.0) == ["0"]
     messages = playback.due(3.0)
@@ -101,7 +101,7 @@ def test_a_loop_begins_again_with_its_time() -> None:
     assert taken(playback, 4.0) == ["1"]
 
 
-def test_what_the_estimators_make_is_not_played_unless_asked_for(path: Path) -> None:
+def test_outputs_of_estimators_are_played_only_on_request(path: Path) -> None:
     with open_bag(path) as bag:
         assert played_topics(bag, InputFilters(), []) == {"/sprockets": TEXT}
         assert played_topics(bag, InputFilters(), ["odometry", "/clock"]).keys() == {

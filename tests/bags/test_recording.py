@@ -36,7 +36,7 @@ def fail() -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_what_comes_after_the_disk_refused_is_counted_and_the_rest_stays(begin: Begin) -> None:
+def test_messages_after_a_disk_error_are_counted_as_lost(begin: Begin) -> None:
     recording = begin()
     write(recording, 1)
     recording.save()
@@ -49,8 +49,8 @@ def test_what_comes_after_the_disk_refused_is_counted_and_the_rest_stays(begin: 
     assert recording.losses.total == {"/topic": 2}
 
 
-def test_a_disk_error_of_one_bag_is_none_of_the_next(begin: Begin) -> None:
-    """What was being saved when the recorder was deactivated failed after the next bag was begun."""
+def test_disk_error_of_one_bag_does_not_affect_the_next(begin: Begin) -> None:
+    """A write of the first bag fails after the next bag is begun."""
     failed: Future[None] = Future()
     failed.set_exception(OSError(5, "Input/output error"))
     first = begin()
@@ -65,7 +65,7 @@ def test_a_disk_error_of_one_bag_is_none_of_the_next(begin: Begin) -> None:
     assert second.losses.total.total() == 0
 
 
-def test_the_oldest_files_go_where_the_disk_is_to_take_no_more(begin: Begin, tmp_path: Path) -> None:
+def test_oldest_files_are_removed_at_the_disk_limit(begin: Begin, tmp_path: Path) -> None:
     recording = begin(max_disk=1)
     for number in (1, 2, 3):
         write(recording, number)

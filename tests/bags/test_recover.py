@@ -78,7 +78,7 @@ def contents(path: Path) -> list[bytes]:
 
 
 @pytest.mark.parametrize("kept", [0.12, 0.3, 0.5, 0.7, 0.9, 0.99])
-def test_a_cut_bag_comes_back_up_to_its_last_whole_chunk(
+def test_cut_bag_is_recovered_up_to_its_last_whole_chunk(
     damaged: Path, tmp_path: Path, kept: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut(damaged, kept)
@@ -110,7 +110,7 @@ def test_topics_types_times_and_quality_of_service_come_along(damaged: Path, tmp
     assert channels["/imu"].metadata["topic_type_hash"].startswith("RIHS01_")
 
 
-def test_a_damaged_chunk_costs_no_more_than_itself(
+def test_damaged_chunk_loses_only_its_own_messages(
     damaged: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     damage_chunk(damaged / "bag_0.mcap", 3)
@@ -121,7 +121,7 @@ def test_a_damaged_chunk_costs_no_more_than_itself(
     assert contents(tmp_path / "out") == [imu(i) for i in range(COUNT) if not 150 <= i < 200]
 
 
-def test_a_damaged_first_chunk_which_names_the_topics_costs_no_more(damaged: Path, tmp_path: Path) -> None:
+def test_damaged_first_chunk_loses_only_its_own_messages(damaged: Path, tmp_path: Path) -> None:
     damage_chunk(damaged / "bag_0.mcap", 0)
     recover(damaged, tmp_path / "out")
     assert contents(tmp_path / "out") == [imu(i) for i in range(50, COUNT)]
@@ -145,7 +145,7 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     assert 300 <= len(found) < 400
 
 
-def test_one_file_of_a_bag_will_do(damaged: Path, tmp_path: Path) -> None:
+def test_one_file_of_a_bag_is_recovered_alone(damaged: Path, tmp_path: Path) -> None:
     cut(damaged, 0.5)
     assert main(["recover", str(damaged / "bag_0.mcap")]) == ExitCode.DONE
     assert contents(damaged / "bag_0_recovered")
@@ -157,8 +157,8 @@ def test_a_whole_bag_loses_nothing(whole: Path, tmp_path: Path, capsys: pytest.C
     assert contents(tmp_path / "out") == contents(whole)
 
 
-def test_what_follows_the_end_of_a_file_was_read_into_memory(damaged: Path) -> None:
-    """Gigabytes of zeros, of which a sparse file has as many as it likes."""
+def test_zeros_after_the_end_of_a_file_are_not_read_into_memory(damaged: Path) -> None:
+    """The file is sparse: 8 GiB of zeros follow its end."""
     file = damaged / "bag_0.mcap"
     with file.open("r+b") as stream:
         stream.truncate(file.stat().st_size + 2**33)
@@ -209,7 +209,7 @@ def test_bags_of_ros2_bag_are_read_and_recovered(
     assert contents(tmp_path / "out") == [imu(i) for i in range(20)]
 
 
-def test_packed_files_before_the_one_that_was_cut_are_recovered(whole: Path, tmp_path: Path) -> None:
+def test_compressed_files_before_a_cut_one_are_recovered(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     content = next(whole.glob("*.mcap")).read_bytes()
     (tmp_path / "bag" / "bag_0.mcap.zstd").write_bytes(zstandard.ZstdCompressor().compress(content))
@@ -219,7 +219,7 @@ def test_packed_files_before_the_one_that_was_cut_are_recovered(whole: Path, tmp
     assert any("bag_1.mcap: cut short" in problem for problem in recovery.problems)
 
 
-def test_what_is_no_message_is_left_out_and_reported(
+def test_message_that_is_not_cdr_is_dropped_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:

@@ -95,7 +95,7 @@ def test_a_database_opens_whatever_its_name(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["info", "recover", "replay"])
-def test_a_database_cut_short_gives_the_words_of_sqlite(
+def test_truncated_database_is_refused_with_the_message_of_sqlite(
     tmp_path: Path, command: str, refuse: Callable[..., str]
 ) -> None:
     file = written(tmp_path / "bag", COUNT)

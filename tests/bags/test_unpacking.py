@@ -40,17 +40,17 @@ def test_chunk_is_unpacked_to_what_it_states(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", PACKED)
 @pytest.mark.parametrize("stated", [0, 4999, 5001])
-def test_chunk_of_another_size_than_it_states(kind: str, stated: int) -> None:
+def test_chunk_of_another_size_than_stated_is_refused(kind: str, stated: int) -> None:
     with pytest.raises(ValueError, match="another size"):
         unpacked(PACKED[kind](5000), kind.partition("_")[0], stated)
 
 
-def test_chunk_that_states_too_much() -> None:
+def test_chunk_above_the_size_limit_is_refused() -> None:
     with pytest.raises(ValueError, match="4000 MB; accepted"):
         unpacked(b"", "zstd", 4_000_000_000)
 
 
-def test_message_that_unpacks_to_too_much() -> None:
+def test_message_above_the_unpacked_limit_is_refused() -> None:
     packer = zstandard.ZstdCompressor().compressobj()
     pieces = [packer.compress(b"\0" * 1_000_000) for _ in range(LARGEST // 1_000_000 + 1)]
     packed = b"".join([*pieces, packer.flush()])
@@ -113,7 +113,9 @@ def test_131_kb_that_unpack_to_4_gb(tmp_path: Path, bomb: Callable[[Path, int], 
     assert "4000 MB" in done.stderr
 
 
-def test_chunk_that_lies_about_its_size(tmp_path: Path, bomb: Callable[[Path, int], None]) -> None:
+def test_chunk_whose_stated_size_is_wrong_is_refused(
+    tmp_path: Path, bomb: Callable[[Path, int], None]
+) -> None:
     file = tmp_path / "bomb.mcap"
     bomb(file, 1000)
     with pytest.raises(InputError, match=r"damaged inside .*another size"):
