@@ -34,8 +34,7 @@ class TheirFilter:
         TheirFilter.updates += 1
 
 
-def test_the_bench_of_filters_ended_in_a_typing_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``observed`` wanted the state where the bench gave False; no test ran the bench."""
+def test_filter_bench_runs_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench_filters, "ROWS", 400)
     monkeypatch.setattr(TheirFilter, "updates", 0)
     seconds = bench_filters._filterpy(

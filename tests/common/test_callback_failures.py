@@ -86,7 +86,7 @@ def repeat(guarded, clock, seconds, step=0.5):
         clock.now += step
 
 
-def test_failures_without_pause_are_hopeless_at_last(failures, clock):
+def test_uninterrupted_failures_become_hopeless_after_their_limit(failures, clock):
     guarded = failures.guard(fail, "scan", handles_data=True)
     repeat(guarded, clock, STREAK_S)
     assert not failures.are_hopeless
@@ -115,13 +115,13 @@ def test_a_timer_that_succeeds_does_not_end_the_streak(failures, clock):
 @pytest.mark.parametrize(
     ("duration", "step"), [(10.0 * STREAK_S, PAUSE_S + 0.1), (STREAK_S + PAUSE_S, PAUSE_S)]
 )
-def test_failures_now_and_then_or_few_are_not_hopeless(failures, clock, duration, step):
+def test_rare_or_few_failures_are_not_hopeless(failures, clock, duration, step):
     guarded = failures.guard(fail, "timer")
     repeat(guarded, clock, duration, step=step)
     assert not failures.are_hopeless
 
 
-def test_rclpy_still_sees_what_a_guarded_callback_accepts(failures):
+def test_guarded_callback_keeps_its_signature_for_rclpy(failures):
     def with_info(topic, data, info):
         return topic, data, info
 
@@ -130,7 +130,7 @@ def test_rclpy_still_sees_what_a_guarded_callback_accepts(failures):
     assert guarded(b"", {}) == ("scan", b"", {})
 
 
-def test_what_ends_a_program_is_not_caught(failures):
+def test_keyboard_interrupt_is_not_caught(failures):
     def interrupt():
         raise KeyboardInterrupt
 

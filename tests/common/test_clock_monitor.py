@@ -42,11 +42,11 @@ def test_jump_among_samples_at_a_slow_pace_is_ahead() -> None:
     assert statuses([*SLOW, 4000.0, 51.0])[-2:] == [AHEAD, IN_LINE]
 
 
-def test_gap_holds_again_once_samples_are_faster() -> None:
+def test_gap_limit_applies_again_once_samples_are_faster() -> None:
     assert statuses([*SLOW, 41.2, 41.4, 50.0, 41.6])[-2:] == [AHEAD, IN_LINE]
 
 
-def test_samples_at_a_slow_pace_confirm_that_the_clock_went_back() -> None:
+def test_slow_samples_confirm_a_clock_set_back() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
     assert monitor.later_sample(1000 * S) is IN_LINE
     steps = [monitor.later_sample(round((1000.0 + s) * S)) for s in SLOW[1:]]
@@ -62,7 +62,7 @@ def test_a_sample_in_line_ends_the_streak() -> None:
     assert found[1:] == [*[BEHIND] * 3, IN_LINE, BEHIND]
 
 
-def test_samples_behind_that_agree_show_that_the_clock_went_back() -> None:
+def test_consistent_samples_behind_confirm_a_clock_set_back() -> None:
     assert statuses([9.0, 1.0, 1.1, 1.2, 1.3], oldest=7.0) == [
         IN_LINE,
         *[BEHIND] * (CONFIRMATIONS - 1),
@@ -74,7 +74,7 @@ def late(monitor: ClockMonitor, stamps: list[float], contradicts: bool) -> list[
     return [monitor.sample(round(s * S), 0, contradicts=contradicts) for s in stamps]
 
 
-def test_late_samples_that_contradict_show_that_the_clock_went_back() -> None:
+def test_contradicting_late_samples_confirm_a_clock_set_back() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
     monitor.sample(9 * S, 0)
     assert late(monitor, [8.1, 8.2], contradicts=True) == [IN_LINE] * 2
@@ -82,7 +82,7 @@ def test_late_samples_that_contradict_show_that_the_clock_went_back() -> None:
     assert late(monitor, [8.5, 8.6], contradicts=True) == [IN_LINE, BACK]  # nor end the streak
 
 
-def test_late_samples_that_fit_in_show_no_jump_of_the_clock() -> None:
+def test_consistent_late_samples_show_no_clock_jump() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
     monitor.sample(9 * S, 0)
     assert set(late(monitor, [7.0 + k / 100.0 for k in range(3 * CONFIRMATIONS)], contradicts=False)) == {

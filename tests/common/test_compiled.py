@@ -76,8 +76,7 @@ def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path
     assert run(tmp_path) == [30.0, 0.0]
 
 
-def test_a_kernel_is_compiled_once_whatever_constants_its_callers_write(tmp_path: Path) -> None:
-    """That which opens an event was compiled 21 times, once for each event that a caller named."""
+def test_kernel_is_compiled_once_for_all_constants_of_its_callers(tmp_path: Path) -> None:
     (tmp_path / "outer.py").write_text(CONSTANTS, encoding="utf-8")
     assert run(tmp_path) == [12.0, 1.0]
 
@@ -136,7 +135,7 @@ def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
     assert not (used / "cache").exists()  # nothing was compiled
 
 
-def test_shipped_machine_code_of_another_state_of_the_source_is_left_alone(
+def test_shipped_machine_code_of_another_source_version_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made, used = tmp_path / "made", tmp_path / "used"
@@ -159,7 +158,7 @@ def test_machine_code_is_kept_with_the_user_where_sources_cannot_be_written(
     assert machine_code.directory(str(tmp_path / "kernel.py")) == tmp_path / "trackslip"
 
 
-def test_a_compilation_is_announced_at_once_though_lines_are_collected(
+def test_compilation_is_announced_at_once_while_output_is_collected(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with compilation_announced(), collected() as lines:
@@ -168,7 +167,7 @@ def test_a_compilation_is_announced_at_once_though_lines_are_collected(
     assert lines == []
 
 
-def test_a_terminal_shows_how_long_compilation_still_takes_and_then_nothing(
+def test_terminal_shows_the_remaining_compile_time_and_clears_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
@@ -185,7 +184,7 @@ def test_a_terminal_shows_how_long_compilation_still_takes_and_then_nothing(
     ("elapsed", "used", "text"),
     [(30.0, 30.0, "about 30 s left"), (70.0, 30.0, "about 60 s left"), (100.0, 70.0, "almost done")],
 )
-def test_time_left_is_longer_where_other_programs_have_the_processor(
+def test_remaining_compile_time_grows_with_processor_load(
     monkeypatch: pytest.MonkeyPatch, elapsed: float, used: float, text: str
 ) -> None:
     begun, times = threading.Event(), {"monotonic": 7.0, "process_time": 3.0}

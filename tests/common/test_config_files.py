@@ -50,7 +50,7 @@ def test_each_node_has_a_default_for_each_parameter(node: str) -> None:
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_each_file_gives_its_node_something(node: str) -> None:
+def test_each_file_has_parameters_of_its_node(node: str) -> None:
     for name in NODES[node][1]:
         assert node_parameters(read_yaml(config_file(name)), node, name)
 
@@ -71,7 +71,7 @@ def test_a_file_of_the_user_comes_first(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("name", ["no_such.yaml", "", "mappings"])
-def test_a_missing_file_is_named_with_where_it_was_sought(name: str) -> None:
+def test_missing_file_is_named_with_the_searched_directories(name: str) -> None:
     with pytest.raises(InputError, match=f"^file '{name}' not found, here or in {config_directory()}$"):
         config_file(name)
 
@@ -82,7 +82,7 @@ def test_numbers_are_read_as_ros_reads_them(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["1e", "e3", "1e3m", "+", "a1e3", "0x1e3g"])
-def test_what_is_no_number_stays_text(text: str) -> None:
+def test_text_that_is_no_number_stays_text(text: str) -> None:
     assert parse_yaml(text, "here") == text
 
 
@@ -91,7 +91,7 @@ def test_a_missing_file_cannot_be_read(tmp_path: Path) -> None:
         read_yaml(tmp_path / "no.yaml")
 
 
-def test_a_node_takes_its_section_over_the_common_one() -> None:
+def test_section_of_a_node_overrides_the_common_section() -> None:
     tree = {
         "node": {"ros__parameters": {"a": {"b": 1}}},
         "/**": {"ros__parameters": {"a": {"b": 2, "c": 3}}},
@@ -114,7 +114,7 @@ def test_the_parameters_of_a_mapping_are_those_of_the_estimator(name: str) -> No
     assert to_flat(p).items() >= flatten(tree).items()
 
 
-def test_layers_lie_over_the_defaults_the_last_on_top() -> None:
+def test_later_layers_override_earlier_ones_and_defaults() -> None:
     p = slip_parameters.load_slip_parameters(
         {"jump_confirmations": 7, "start": "initial_pose"}, {"jump_confirmations": 8}
     )

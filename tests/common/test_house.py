@@ -103,12 +103,12 @@ def test_package_imports_only_those_below_it(package: str) -> None:
     assert wrong == {}
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
+def test_modules_have_no_import_cycle() -> None:
     assert len(sources()) > 400
     list(TopologicalSorter({module: imports(module) for module in sources()}).static_order())
 
 
-def test_no_rooms_of_the_estimators_import_each_other_in_a_circle() -> None:
+def test_folders_of_the_estimators_have_no_import_cycle() -> None:
     """kalman ← attitude ← slip ← soil, and the nodes above all."""
     graph: dict[str, set[str]] = {}
     for module in sources():
@@ -163,7 +163,7 @@ def test_package_of_the_vehicle_imports_no_library_of_the_desk(package: str) -> 
     assert libraries(set().union(*(imports(module, deep=True) for module in own))) - ON_VEHICLE == set()
 
 
-def test_every_file_of_code_names_its_licence_and_who_holds_it() -> None:
+def test_every_source_file_states_licence_and_copyright() -> None:
     listed = subprocess.check_output(
         ["git", "ls-files", "*.py", "*.xml", "*.js", "*.css", "*.sh"], cwd=ROOT, text=True
     )

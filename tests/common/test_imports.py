@@ -106,7 +106,7 @@ def test_keys_that_install_by_pip_are_defined_for_each_system_that_the_packages_
 
 
 @pytest.mark.parametrize("file", ["docs/install.md", "deploy/Dockerfile", ".github/workflows/ci.yml"])
-def test_whoever_installs_by_rosdep_reads_our_keys_and_adds_what_no_key_gives(file: str) -> None:
+def test_rosdep_instructions_name_our_keys_and_the_remaining_pip_packages(file: str) -> None:
     text = (SOURCES.parent / file).read_text(encoding="utf-8")
     assert "deploy/rosdep.yaml" in text
     line = text.split("pip install ", 1)[1].splitlines()[0]

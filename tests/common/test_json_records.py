@@ -27,7 +27,7 @@ class Score(NamedTuple):
 GOOD: dict[str, Any] = {"name": "a", "error": 1, "seeds": 2, "passed": True, "interval": [0.1, 1]}
 
 
-def test_what_was_written_is_read() -> None:
+def test_written_record_is_read() -> None:
     piece = record(Piece, GOOD)
     assert piece == Piece("a", 1.0, 2, True, (0.1, 1.0))
     assert isinstance(piece.error, float)
@@ -42,13 +42,13 @@ def test_what_was_written_is_read() -> None:
     ],
     ids=str,
 )
-def test_a_value_of_another_type_ended_what_used_it(changes: dict[str, Any]) -> None:
+def test_value_of_another_type_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(TypeError):
         record(Piece, GOOD | changes)
 
 
 @pytest.mark.parametrize("entry", [None, [], "a", {}, {"name": "a"}], ids=str)
-def test_what_is_no_record_is_none(entry: Any) -> None:
+def test_entry_that_is_no_record_is_refused(entry: Any) -> None:
     with pytest.raises(TypeError):
         record(Piece, entry)
 

@@ -80,7 +80,7 @@ def test_nested_mappings_flatten_to_dotted_names() -> None:
     assert flatten({"a": {"b": {"c": 1}, "d": [2]}, "e": None}) == {"a.b.c": 1, "a.d": [2], "e": None}
 
 
-def test_whole_numbers_serve_as_numbers() -> None:
+def test_integers_are_accepted_as_floats() -> None:
     made = cart(mass=3, gears=[1, 2])
     assert cart(gears=array("d", (1.0, 2.0))).gears == (1.0, 2.0)  # as ROS hands them over
     assert (type(made.mass), made.mass) == (float, 3.0)
@@ -125,25 +125,25 @@ def test_a_bad_value_is_refused_by_name_value_and_range(
 
 
 @pytest.mark.parametrize("value", [1e308, -1e160, 1e31])
-def test_numbers_whose_square_is_none_were_tracebacks(value: float) -> None:
-    """Such as a standard deviation of 1e308 in ``--params`` of a replay."""
+def test_number_whose_square_overflows_is_refused(value: float) -> None:
+    """For example a standard deviation of 1e308 in ``--params`` of a replay."""
     assert refusal(drift=value).startswith(f"cart: drift: {value!r} is no size of anything; accepted: ")
 
 
 @pytest.mark.parametrize("value", [5e-324, 1e-31])
-def test_numbers_whose_inverse_is_none_were_tracebacks(value: float) -> None:
-    """Such as an acceleration of 5e-324; a coordinate may be as small as it likes."""
+def test_number_whose_inverse_overflows_is_refused(value: float) -> None:
+    """For example an acceleration of 5e-324; a coordinate may be arbitrarily small."""
     assert f"gears[0]: {value!r} is no size of anything" in refusal(gears=[value])
     assert cart(drift=-value).drift == -value
 
 
 @pytest.mark.parametrize("changes", [{"name": 7}, {"open": "yes"}])
-def test_no_range_is_made_up_for_text_and_flags(changes: dict[str, Any]) -> None:
+def test_refusals_of_text_and_flags_state_no_range(changes: dict[str, Any]) -> None:
     assert "finite" not in refusal(**changes)
 
 
 @pytest.mark.parametrize("edge", [{"seats": 1}, {"seats": 4}, {"mass": 0.0}, {"wheel__radius": 1.999}])
-def test_limits_that_belong_to_the_range_are_taken(edge: dict[str, Any]) -> None:
+def test_inclusive_limits_are_accepted(edge: dict[str, Any]) -> None:
     cart(**edge)
 
 
@@ -161,7 +161,7 @@ def test_a_name_that_is_almost_right_is_recognised(name: str, meant: str) -> Non
 
 
 @pytest.mark.parametrize("name", ["wheel", "name.first"])
-def test_a_group_is_no_value_and_a_value_no_group(name: str) -> None:
+def test_value_for_a_group_and_group_for_a_value_are_refused(name: str) -> None:
     assert refusal(**{name: 1.0}).startswith(f"cart: unknown parameter '{name}'")
 
 
@@ -181,7 +181,7 @@ def test_parameters_cannot_be_changed() -> None:
         cart().seats = 3  # type: ignore[misc]
 
 
-def test_parity_n_without_quotes_was_false():
+def test_parity_n_without_quotes_is_text():
     """YAML 1.1 takes n, no, off and their likes for booleans, in rcl's reader as in PyYAML."""
 
     @dataclass(frozen=True, kw_only=True)

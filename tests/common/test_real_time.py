@@ -51,7 +51,7 @@ def test_a_stalled_computer_is_distinguished_from_a_busy_one(watch_of, late_s, s
         (0.4, "teardown", True, "failed"),
     ],
 )
-def test_only_a_failure_of_a_test_on_a_stalled_machine_is_left_out(watch_of, late_s, when, failed, outcome):
+def test_only_failed_tests_on_a_stalled_machine_are_skipped(watch_of, late_s, when, failed, outcome):
     stash = {real_time._WATCH: watch_of((late_s,))}
     item = SimpleNamespace(stash=stash, location=("test_it.py", 7, "test_it"))
     call = SimpleNamespace(excinfo=SimpleNamespace(exconly=lambda: "AssertionError: 49 Hz"), when=when)

@@ -85,7 +85,7 @@ def test_a_declaration_has_the_dtype_of_its_fields_in_their_order() -> None:
     assert dtype_of(More) == np.dtype([*fields, ("last", np.int64)], align=True)
 
 
-def test_what_is_no_number_array_record_or_table_is_refused() -> None:
+def test_field_of_an_unsupported_type_is_refused() -> None:
     class Wrong(Record):
         name: str
 

@@ -98,7 +98,7 @@ def test_soil_without_strength_is_refused():
         Soil(name="x", cohesion=0.0, friction_angle=0.0)
 
 
-def test_value_asks_for_what_the_table_must_give():
+def test_value_missing_in_the_table_is_refused():
     assert soil("sand").value("shear_modulus") == 0.01
     with pytest.raises(InputError, match=r"'petawawa_snow': shear_modulus = None.*accepted: > 0"):
         soil("petawawa_snow").value("shear_modulus")

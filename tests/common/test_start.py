@@ -67,7 +67,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_a_library_that_is_not_installed_was_a_traceback() -> None:
+def test_missing_library_is_named_in_one_line() -> None:
     code = "import sys; sys.modules['cantools'] = None; from trackslip_drivers import executables as e"
     command = [sys.executable, "-c", f"{code}; e.can_driver()"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -78,12 +78,8 @@ def test_a_library_that_is_not_installed_was_a_traceback() -> None:
 
 
 @pytest.mark.parametrize("place", LOSING)
-def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str, tmp_path: Path) -> None:
-    """A study that compiled went on, and a traceback was shown.
-
-    Where a library ran code of a string, Python killed itself by SIGINT at the end of a module that had
-    caught the interrupt.
-    """
+def test_ctrl_c_ends_the_program_where_python_ignores_it(place: str, tmp_path: Path) -> None:
+    """Exit code 130 and no traceback; a lost interrupt is repeated."""
     body = "\n".join(f"    {line}" for line in LOSING[place].splitlines())
     (tmp_path / "program.py").write_text(PROGRAM.format(body=body))
     command, output = [sys.executable, "-m", "program"], subprocess.PIPE
@@ -96,14 +92,14 @@ def test_ctrl_c_in_a_place_that_loses_it_ended_nothing(place: str, tmp_path: Pat
         assert process.stderr.read() == ""
 
 
-def test_ctrl_c_that_was_lost_at_the_very_end_killed_by_an_alarm() -> None:
-    """Exit code 142: Python had given its handlers up, and the interrupt was yet to be raised again."""
+def test_ctrl_c_lost_at_exit_keeps_the_exit_code() -> None:
+    """The alarm that repeats a lost interrupt must not kill a process that is already exiting."""
     done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_a_node_whose_middleware_hung_at_the_exit_stayed_for_ever() -> None:
-    """And took a core: one of 650 nodes that ended with their whole graph, on busy cores."""
+def test_node_whose_middleware_hung_at_exit_is_ended() -> None:
+    """An alarm ends a process whose exit handlers never return."""
     done = subprocess.run(
         [sys.executable, "-c", HANGING], stderr=subprocess.PIPE, timeout=PATIENCE, check=False
     )

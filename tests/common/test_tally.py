@@ -25,7 +25,7 @@ def test_reasons_are_counted_by_source() -> None:
     assert tally.total["a", "number"] == 3
 
 
-def test_the_latest_detail_stands_for_its_own_reason() -> None:
+def test_each_reason_shows_its_latest_detail() -> None:
     tally = Tally()
     for detail in ("7 fields", "8 fields", ""):
         tally.add("a", Reason.TEXT, detail=detail)
@@ -64,7 +64,7 @@ def test_a_tally_is_read_while_another_thread_counts() -> None:
     assert seen + sum(tally.since_last_look().values()) == 30_000
 
 
-def test_what_did_not_occur_is_not_shown() -> None:
+def test_reason_with_a_count_of_zero_is_not_shown() -> None:
     tally = Tally()
     tally.add("imu", Reason.TEXT, 0)
     assert tally.by_source() == {}

@@ -47,8 +47,8 @@ def test_angles_of_another_unit() -> None:
     st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=200),
     st.floats(0.01, 100.0),
 )
-def test_continuous_angles_stay_as_they_are_to_the_last_bit(start, speeds, factor):
-    """In the node, which sees one after the other, and in the import, which sees all."""
+def test_continuous_angles_are_unchanged_bit_for_bit(start, speeds, factor):
+    """In the node, which receives one angle after the other, and in the import, which has all of them."""
     angles = start + np.cumsum(speeds) * min(factor, 1.5 * math.pi / 3.0 - 1e-6)
     stamps_ns = np.arange(len(angles)) * 20_000_000
     assert continuous(stamps_ns, angles).tobytes() == angles.tobytes()
@@ -57,7 +57,7 @@ def test_continuous_angles_stay_as_they_are_to_the_last_bit(start, speeds, facto
     assert np.array(one_by_one).tobytes() == angles.tobytes()
 
 
-def test_a_motion_of_a_turn_that_the_speed_confirms_is_none() -> None:
+def test_angle_jump_that_the_speed_confirms_is_no_wrap() -> None:
     """Two samples of a fast joint at 1 Hz, both within a turn."""
     stamps_ns, angles = np.array((0, 10**9)), np.array((0.5, 6.0))
     assert continuous(stamps_ns, angles, np.array((5.4, 5.6))).tolist() == [0.5, 6.0]
@@ -65,13 +65,13 @@ def test_a_motion_of_a_turn_that_the_speed_confirms_is_none() -> None:
     assert continuous(stamps_ns, angles, np.zeros(2))[1] == pytest.approx(6.0 - math.tau)
 
 
-def test_after_a_gap_a_jump_may_be_any_motion() -> None:
+def test_jump_after_a_gap_is_not_unwrapped() -> None:
     angles = np.array((0.5, 6.0))
     assert continuous(np.array((0, 3 * 10**9)), angles).tolist() == [0.5, 6.0]
     assert continuous(np.array((0, 10**8)), angles)[1] == pytest.approx(6.0 - math.tau)
 
 
-def test_what_is_no_number_is_passed_over() -> None:
+def test_nan_angles_are_skipped() -> None:
     angles = wrapped(5.0 * TIMES, -math.pi)
     angles[::7] = math.nan
     found = continuous(STAMPS_NS, angles)
@@ -80,8 +80,8 @@ def test_what_is_no_number_is_passed_over() -> None:
     np.testing.assert_allclose(found[known], (5.0 * TIMES)[known], atol=1e-9)
 
 
-def test_an_angle_that_leaves_its_turn_after_all_is_a_continuous_one() -> None:
-    """One wrong count may have been made before; none is after."""
+def test_angle_beyond_one_turn_is_continuous() -> None:
+    """The first step may be unwrapped wrongly; no later one is."""
     counter = TurnCounter()
     found = [counter.continuous(k * 100_000_000, angle) for k, angle in enumerate((0.2, 5.9, 11.6, 17.3))]
     assert np.diff(found[1:]) == pytest.approx([5.7, 5.7])

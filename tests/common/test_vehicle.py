@@ -36,7 +36,7 @@ def file(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_a_vehicle_survives_the_way_through_its_topic(name: str) -> None:
+def test_vehicle_is_unchanged_by_its_topic(name: str) -> None:
     vehicle = load_vehicle(name)
     assert vehicle.name == name
     assert vehicle_of_text(vehicle_text(vehicle), "vehicle") == vehicle
@@ -61,7 +61,7 @@ def test_a_whole_machine_has_the_numbers_of_its_groups() -> None:
     assert whole.weight == pytest.approx(21000.0 * GRAVITY)
 
 
-def test_a_vehicle_that_is_named_replaces_all_of_another_and_its_numbers_may_be_changed(file: Path) -> None:
+def test_named_vehicle_replaces_another_and_single_numbers_override_it(file: Path) -> None:
     p = load_slip_parameters(
         vehicle_layer(load_vehicle("excavator_20t")),
         {"vehicle": str(file), "vehicle.kinematics.tread": 2.1},
@@ -105,7 +105,7 @@ def test_an_unknown_vehicle_is_refused_with_the_known_ones() -> None:
         load_slip_parameters({"vehicle": "pc5"})
 
 
-def test_a_vehicle_takes_from_its_base_what_it_does_not_state() -> None:
+def test_vehicle_inherits_unspecified_values_from_its_base() -> None:
     cab, base = load_vehicle("pc05_cab"), load_vehicle("pc05")
     assert (cab.kinematics, cab.hydraulics) == (base.kinematics, base.hydraulics)
     assert cab.name == "pc05_cab"
@@ -122,7 +122,7 @@ def test_a_base_with_a_base_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("own", "name"), [("", "antenna_aft"), ("name: digger seven\n", "digger seven")])
-def test_a_variant_was_called_as_its_base_is(own: str, name: str, tmp_path: Path) -> None:
+def test_variant_is_named_after_its_file_or_its_own_name(own: str, name: str, tmp_path: Path) -> None:
     path = tmp_path / "antenna_aft.yaml"
     path.write_text(f"base: excavator_20t\n{own}sensors: {{antenna: {{x: -2.0}}}}\n", encoding="utf-8")
     variant, base = load_vehicle(str(path)), load_vehicle("excavator_20t")
@@ -169,7 +169,7 @@ sensors: {antenna: {x: -1.2, y: 0.6, z: 3.0}}
         ("x: -1.2", "x: -1200.0", "antenna.x: -1200.0 is out of range; accepted: >= -20 and <= 20 m"),
     ],
 )
-def test_numbers_in_other_units_passed(si: str, other: str, words: str, file: Path) -> None:
+def test_numbers_in_other_units_are_refused(si: str, other: str, words: str, file: Path) -> None:
     file.write_text(_WHOLE, encoding="utf-8")
     load_vehicle(str(file))
     file.write_text(_WHOLE.replace(si, other, 1), encoding="utf-8")

@@ -41,7 +41,7 @@ def test_link_planted_beside_a_file_is_not_followed(page: Path, victim: Path, na
 
 
 @pytest.mark.parametrize("plant", ["link", "dangling link", "file"])
-def test_name_that_was_foreseen_is_not_written_to(
+def test_existing_temporary_file_is_not_written_to(
     page: Path, victim: Path, monkeypatch: pytest.MonkeyPatch, plant: str
 ) -> None:
     monkeypatch.setattr(secrets, "token_hex", lambda count: "0" * 2 * count)
@@ -57,14 +57,14 @@ def test_name_that_was_foreseen_is_not_written_to(
     assert [path.name for path in page.parent.iterdir()] == [planted.name]
 
 
-def test_failure_before_the_move_leaves_what_was_there(page: Path) -> None:
+def test_failure_before_the_move_keeps_the_old_file(page: Path) -> None:
     write_whole(page, "before")
     with pytest.raises(KeyboardInterrupt), replacing(page, "after"):
         raise KeyboardInterrupt
     assert [(path.name, path.read_text()) for path in page.parent.iterdir()] == [("page", "before")]
 
 
-def test_full_disk_leaves_what_was_there(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_keeps_the_old_file(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -75,7 +75,7 @@ def test_full_disk_leaves_what_was_there(page: Path, monkeypatch: pytest.MonkeyP
     assert [(path.name, path.read_text()) for path in page.parent.iterdir()] == [("page", "before")]
 
 
-def test_link_in_the_place_of_the_file_is_replaced(page: Path, victim: Path) -> None:
+def test_link_is_replaced_and_its_target_kept(page: Path, victim: Path) -> None:
     page.symlink_to(victim)
     replace_whole(page, "mine")
     assert not page.is_symlink()

@@ -46,7 +46,7 @@ def test_values_are_read_as_ros_reads_them(text: str, value: object) -> None:
     assert parse_yaml(f"a: {text}", "text") == {"a": value}
 
 
-def test_what_names_and_values_hold_cannot_reach_the_terminal() -> None:
+def test_control_characters_in_errors_are_escaped() -> None:
     error = InputError('unknown parameter "\x1b]0;title\x07" and\nmore')
     assert str(error).isprintable()
     assert "\\x1b]0;title\\x07" in str(error)
