@@ -121,7 +121,7 @@ def test_messages_of_that_bus(tmp_path):
         ),
     ],
 )
-def test_a_roles_file_that_is_wrong_is_refused_in_one_line(tmp_path, old, new, words):
+def test_wrong_roles_file_is_refused_in_one_line(tmp_path, old, new, words):
     text = refusal(tmp_path, old, new)
     assert [word for word in words if word not in text] == [], text
 
@@ -302,6 +302,6 @@ def test_settings_reach_python_can(changes, options):
 
 
 @pytest.mark.parametrize("text", ["fd", "=1", "a b=1"])
-def test_a_setting_that_is_none_is_refused(text):
+def test_malformed_can_option_is_refused(text):
     with pytest.raises(InputError, match=f"can_options: '{text}'; accepted: NAME=VALUE"):
         dataclasses.replace(PARAMETERS, can_options=(text,)).bus_options()

@@ -37,7 +37,7 @@ UNUSED = {  # by the roles
 
 
 @pytest.mark.parametrize("text", UNUSED.values(), ids=UNUSED)
-def test_a_dbc_is_read_but_for_frames_that_cannot_be(tmp_path, text):
+def test_unreadable_frames_without_a_role_are_skipped(tmp_path, text):
     assert len(sprockets_of(machine(tmp_path, dbc=unseen_bus.DBC + text))) == 50
 
 
@@ -49,7 +49,7 @@ def test_a_role_in_a_frame_that_cannot_be_read_names_the_frame(tmp_path):
 
 
 @pytest.mark.parametrize("given", ["[0.0|0.0]", "[0|0]", "[0.00|0]", "[0E0|-0.0]"])
-def test_a_range_of_zeros_is_none(tmp_path, given):
+def test_range_of_zeros_means_no_range(tmp_path, given):
     assert "[-300|300]" in unseen_bus.DBC
     driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("[-300|300]", given))
     assert len(sprockets_of(driver)) == 50
@@ -57,7 +57,7 @@ def test_a_range_of_zeros_is_none(tmp_path, given):
 
 
 @pytest.mark.parametrize("pump", [f"{10**307},0", "1E308,1E308"], ids=str.__len__)
-def test_no_factor_that_a_double_holds_gives_an_infinite_value(tmp_path, pump):
+def test_value_beyond_the_range_of_a_double_is_never_infinite(tmp_path, pump):
     assert "(0.2,0) [0|50]" in unseen_bus.DBC
     driver = machine(tmp_path, dbc=unseen_bus.DBC.replace("(0.2,0) [0|50]", f"({pump}) [0|0]"))
     samples = drive(driver, [(s, i, d) for s, i, d in unseen_bus.frames(S, 2 * S)])
@@ -171,7 +171,7 @@ def test_a_pilot_pressure_needs_its_ends(tmp_path, old, new, reason):
         ("Temperature : 47|8@0+", "Temperature : 60|8@1+", "signal Temperature does not fit"),
     ],
 )
-def test_a_frame_with_a_role_must_be_whole(tmp_path, old, new, reason):
+def test_malformed_frame_with_a_role_is_refused(tmp_path, old, new, reason):
     assert old in unseen_bus.DBC
     with pytest.raises(InputError) as caught:
         machine(tmp_path, dbc=unseen_bus.DBC.replace(old, new))
@@ -182,19 +182,19 @@ def test_a_frame_with_a_role_must_be_whole(tmp_path, old, new, reason):
     assert "\n" not in text
 
 
-def test_a_position_with_the_factor_0_ended_in_a_traceback(tmp_path):
+def test_position_with_factor_0_is_refused(tmp_path):
     text = refusal(tmp_path, "roles", "roles", unseen_bus.DBC.replace("(0.1,0) [0|359.9]", "(0,0) [0|359.9]"))
     assert "signal 'Upper.Swing' has the factor 0 in" in text
 
 
-def test_of_two_frames_of_a_name_the_wrong_one_was_read(tmp_path):
+def test_two_frames_of_one_name_are_refused(tmp_path):
     other = 'BO_ 1028 Upper: 8 MC\n SG_ Fan : 0|8@1+ (1,0) [0|0] "" ECU\n'
     text = refusal(tmp_path, "roles", "roles", unseen_bus.DBC + other)
     assert text.endswith("machine.dbc: frame 'Upper' is there twice; accepted: a name for each")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
-def test_a_degree_sign_of_utf_8_was_unknown(tmp_path, encoding):
+def test_degree_sign_in_utf_8_is_read(tmp_path, encoding):
     dbc, roles = unseen_bus.write(tmp_path, dbc=unseen_bus.DBC.replace('"deg"', '"°"'))
     dbc.write_text(dbc.read_text(encoding="utf-8").replace('"l/min"', '"m³/s"'), encoding=encoding)
     frames = FrameSet(dbc, roles, PARAMETERS.vehicle)
@@ -207,8 +207,8 @@ def test_a_degree_sign_of_utf_8_was_unknown(tmp_path, encoding):
     [("16@0- (0.1,0)", "deg"), ("16@0- (0.0055,0)", "°"), ("16@0- (0.001,0)", "rad")],
     ids=["0.1 deg", "360/65536 deg, rounded", "mrad"],
 )
-def test_a_swing_without_a_range_went_back_a_turn_at_each_wrap(tmp_path, signal, unit, low):
-    """Up to −4.5 rad/s were published."""
+def test_swing_without_a_range_is_continuous_over_its_wrap(tmp_path, signal, unit, low):
+    """The published rate stays that of the motion at each wrap."""
     swing = f'Swing : 7|{signal} [0|0] "{unit}"'
     dbc = unseen_bus.DBC.replace('Swing : 7|16@0+ (0.1,0) [0|359.9] "deg"', swing)
     if low == 0.0:

@@ -82,7 +82,7 @@ def test_cycle_comes_from_the_contract(frames):
     assert {codec.nominal_ns for codec in frames.codecs.values()} == {CYCLE_NS}
 
 
-def test_strangers_and_error_frames(decoder, tally, frames):
+def test_unknown_frames_are_ignored_and_error_frames_counted(decoder, tally, frames):
     _, data = frames.encode(ENCODERS, COUNTS, 0)
     assert decoder.decode(0x0CFF1081, data, 0) == ()
     assert decoder.decode(0x0CFF1080 | STANDARD_FLAG, data, 0) == ()
@@ -244,7 +244,7 @@ def test_broken_contract_is_refused_in_one_line(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_contract_larger_than_memory_was_read(tmp_path):
+def test_dbc_larger_than_8_mb_is_refused(tmp_path):
     with (tmp_path / "large.dbc").open("wb") as file:
         file.truncate(2**33)
     with pytest.raises(InputError, match=r"large\.dbc: more than 8 MB; accepted: a DBC"):

@@ -64,13 +64,13 @@ def test_a_sender_that_changes_its_cycle_is_followed():
     assert found.index(None, 200) < 225  # within a second or so
 
 
-def test_four_blocks_of_which_no_two_middle_ones_agree_ended_the_reading():
-    """Their median was none of them, and the mean of those that agree with it one of nothing."""
+def test_cycle_is_measured_where_no_block_equals_the_median():
+    """The median of four blocks lies between them, and no block agrees with it."""
     blocks = np.repeat([10.0, 10.0, 12.0, 12.0, 10.0], 32)
     assert measured(10.0, np.cumsum([0.0, *np.full(8, 10.0), *blocks]))[-1] == 10.0 * MS
 
 
-def test_blocks_of_frames_that_all_came_at_once_ended_the_reading():
+def test_cycle_is_measured_after_a_burst_of_100_frames():
     times = np.concatenate((np.arange(9) * 10.0, np.full(100, 80.0), 90.0 + np.arange(200) * 10.0))
     assert measured(10.0, times)[-1] == 10.0 * MS
 
@@ -83,8 +83,8 @@ def counted(cycle_ns):
 
 @pytest.mark.parametrize("at_once", [2, 9, 12, 17, 40, 300])
 @pytest.mark.parametrize("nominal_ms", [0.0, 10.0])
-def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
-    """The first frames had waited on a busy host: each after them counted as 256, motion was refused."""
+def test_burst_at_the_start_is_not_taken_for_the_cycle(nominal_ms, at_once):
+    """The first frames wait on a busy host and are read at once."""
     timing, lost = counted(nominal_ms * MS)
     arrivals = np.arange(at_once + 600) * 10 * MS
     arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
@@ -94,8 +94,8 @@ def test_a_burst_at_the_start_was_taken_for_the_cycle(nominal_ms, at_once):
     assert timing.cycle_ns == pytest.approx(10 * MS, rel=0.001)
 
 
-def test_a_wrong_cycle_is_found_out():
-    """Thousands of frames at once look like a fast sender; a second of what does not fit ends that."""
+def test_wrong_cycle_is_corrected():
+    """Thousands of frames at once look like a fast sender; a second of other frames resets the cycle."""
     timing, lost = counted(0.0)
     first = np.arange(2000) * 39_000
     arrivals = np.concatenate((first, first[-1] + np.arange(1, 400) * 10 * MS))
@@ -132,8 +132,8 @@ def standing_still(count, seed, apart_ms, elapsed_ms, stood_ms):
     ],
 )
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_host_that_stands_still_works_off_was_taken_for_the_cycle(seed, host, most_off, most_lost):
-    """0.7 to 3 ms for 10: up to 64000 of 6000 frames were lost, and the time between them wrong."""
+def test_backlog_of_a_stalled_host_is_not_taken_for_the_cycle(seed, host, most_off, most_lost):
+    """The backlog arrives every 0.7 to 3 ms; the cycle is 10 ms."""
     timing, lost = counted(10.0 * MS)
     arrivals = standing_still(6000, seed, *host)
     placed = [one for number, at in enumerate(arrivals) for one in timing.add(number % 16, at, number)]
@@ -144,8 +144,8 @@ def test_what_a_host_that_stands_still_works_off_was_taken_for_the_cycle(seed, h
     assert lost[TimingEvent.LOST] <= most_lost
 
 
-def test_a_late_frame_after_a_gap_made_the_gap_a_stall():
-    """76 frames lost, the next one 6 ms late: 64 of them, whole turns of its counter, were not counted."""
+def test_late_frame_after_a_gap_is_not_taken_for_a_stall():
+    """76 frames are lost and the next one is 6 ms late: all 76 are counted, also turns of the counter."""
     timing, events = counted(10.0 * MS)
     placed = []
     for number in (*range(100), *range(176, 200)):
@@ -160,8 +160,8 @@ def number_of(placed: Any) -> int:
     return int(placed.values)
 
 
-def test_loss_and_stall_together_were_taken_for_a_stall():
-    """64 frames and some are lost, and then the sender is late by some cycles, and catches up."""
+def test_loss_followed_by_a_stall_counts_the_lost_frames():
+    """76 frames are lost; then the sender is some cycles late and catches up."""
     timing, lost = counted(10.0 * MS)
     placed = []
     for number in (*range(100), *range(176, 220)):
@@ -171,8 +171,8 @@ def test_loss_and_stall_together_were_taken_for_a_stall():
     assert max(abs(one.stamp_ns // MS - 10 * number_of(one)) for one in placed if number_of(one) > 183) == 0
 
 
-def test_a_sender_that_comes_back_faster_is_not_held_back():
-    """Frames less than half a cycle apart are no burst for ever: they make up the silence, and go on."""
+def test_faster_sender_after_a_silence_is_not_held_back():
+    """Frames less than half a cycle apart count as a burst only until the silence is made up."""
     timing = CountedFrames(10.0 * MS, 16, lambda *_: None, *SENDER)
     found = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
     found += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]
@@ -181,7 +181,7 @@ def test_a_sender_that_comes_back_faster_is_not_held_back():
 
 
 @pytest.mark.parametrize("modulus", [0, 16])
-def test_frames_that_waited_while_the_bus_was_reopened_are_counted(modulus):
+def test_frames_held_back_at_a_reopening_are_counted(modulus):
     events = Counter()
 
     def report(event, times):

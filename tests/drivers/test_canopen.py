@@ -56,11 +56,11 @@ def test_positions_of_encoders_are_sprockets_over_their_wrap(tmp_path):
         (0x185, b"\x00", None),
     ],
 )
-def test_a_node_that_waits_is_started(name, data, node):
+def test_node_in_bootup_or_preoperational_state_is_started(name, data, node):
     expected = None if node is None else (STANDARD_FLAG, bytes((1, node)))
     assert start_of(name | STANDARD_FLAG, data) == expected
     assert start_of(name, data) is None  # of 29 bits: no CANopen
 
 
-def test_the_start_at_first_is_for_all_nodes():
+def test_first_start_command_addresses_all_nodes():
     assert (STANDARD_FLAG, bytes((1, 0))) == START_ALL

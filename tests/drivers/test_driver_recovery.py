@@ -95,7 +95,7 @@ def test_stamps_of_the_inertial_unit():
     assert p99(np.array(stamps), device) < 5.0
 
 
-def test_lines_that_waited_while_the_host_was_held_were_stamped_up_to_a_second_late():
+def test_stamps_after_a_host_stall_are_right_within_10_ms():
     device = WatsonDevice(LAYOUT, BaudLine(9600, 10), inertia, True, 0)
     stream, samples = WatsonStream(LAYOUT, 9600, 0, Tally()), []
     before, after = 20 * S, 25 * S
@@ -217,7 +217,7 @@ def watson_outcome(rate, lines):
     return right, wrong, device.lines_emitted - right - wrong
 
 
-def test_what_slips_through_the_inertial_units_lines():
+def test_corrupt_lines_without_checksum_pass_in_under_3_percent():
     """No checksum: a digit that becomes another digit cannot be seen. See the docstring of ``watson``."""
     right, wrong, rejected = watson_outcome(0.01, 3000)
     assert right / 3000 == pytest.approx(0.99**65, abs=0.04)

@@ -64,7 +64,7 @@ def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
 
 @pytest.mark.parametrize("speed", [-3.0, -1.0, 0.0, 0.4, 2.0, 3.14])
 @pytest.mark.parametrize("gap", [25, 30, 45, 60])
-def test_a_silence_neither_invents_nor_loses_motion(speed, gap):
+def test_silence_neither_adds_nor_loses_motion(speed, gap):
     """At the speeds of a drive that goes on, or brakes steadily; the sprocket is then where it is."""
     unit, position, cycle = encoder(), 7.0, 0
     last = None

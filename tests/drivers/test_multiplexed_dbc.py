@@ -69,7 +69,9 @@ def unpacked(decoder: Codec, data: bytes) -> dict[str, float] | None:
 
 
 @given(st.one_of(trees(), places()), PAYLOADS)
-def test_values_are_those_of_cantools(path: Path, signals: list[Signal], payloads: list[bytes]) -> None:
+def test_multiplexed_values_equal_those_of_cantools(
+    path: Path, signals: list[Signal], payloads: list[bytes]
+) -> None:
     decoder = codec(path, LENGTH, signals)
     (message,) = read_dbc(path).database.messages
     for data in payloads:
@@ -85,7 +87,7 @@ def test_values_are_those_of_cantools(path: Path, signals: list[Signal], payload
             assert found == {name: float(value) for name, value in expected.items()}
 
 
-def test_frames_of_the_dbcs_of_cantools_give_its_values(path: Path) -> None:
+def test_decoded_values_equal_those_of_cantools(path: Path) -> None:
     for row in FRAMES:
         signals = [Signal(*facts)._replace(low=0, high=0) for facts in row["signals"]]
         decoder = codec(path, row["bytes"], signals)
@@ -95,7 +97,7 @@ def test_frames_of_the_dbcs_of_cantools_give_its_values(path: Path) -> None:
             assert unpacked(decoder, bytes.fromhex(data)) == expected, (row["file"], row["frame"])
 
 
-def test_a_frame_is_read_if_all_its_values_lie_in_their_ranges(path: Path) -> None:
+def test_frame_is_accepted_if_all_values_are_in_range(path: Path) -> None:
     for row in FRAMES:
         signals = [Signal(*facts) for facts in row["signals"]]
         decoder = codec(path, row["bytes"], signals)

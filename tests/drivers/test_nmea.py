@@ -171,7 +171,7 @@ def test_damage_is_found(raw, expected):
     assert decode(raw) is expected
 
 
-def test_what_comes_before_a_sentence_does_not_matter():
+def test_bytes_before_a_sentence_are_ignored():
     assert isinstance(decode(b"\xb5\x62\x01\x07$GNGGA,1015" + line(GGA.format(4))), Gga)
 
 
@@ -256,7 +256,9 @@ def test_gns_is_a_position_of_the_best_mode(modes, status, expected):
     st.floats(0.001, 50.0),
     st.floats(0.0, 359.9),
 )
-def test_what_is_sent_is_what_is_read(latitude, longitude, altitude, centiseconds, stddev, heading):
+def test_encoded_sentences_decode_to_their_values(
+    latitude, longitude, altitude, centiseconds, stddev, heading
+):
     time_ns = centiseconds * 10_000_000
     at = Position(time_ns, latitude, longitude, altitude, 5, 0.9, stddev, 2 * stddev, heading, 0.2)
     position = decode(nmea_sentences.gga(at)[:-1])
@@ -290,7 +292,7 @@ def test_speed_and_course_are_a_velocity(content):
     assert velocity[1:] == pytest.approx((1.0, 0.0, 0.0, 0.0), abs=1e-6)
 
 
-def test_slow_antenna_without_a_course_stands_as_far_as_is_known():
+def test_slow_antenna_without_a_course_has_zero_velocity():
     assert decode(line("GNVTG,,T,,M,0.1,N,0.18,K,A")) == Velocity(None, 0.0, 0.0, 0.0, pytest.approx(0.05))
 
 

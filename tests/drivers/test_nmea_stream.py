@@ -85,7 +85,7 @@ def test_gst_of_another_quality_is_not_used():
     assert samples[0].covariance_type is CovarianceType.APPROXIMATED
 
 
-def test_gst_once_a_second_serves_all_fixes_of_that_second():
+def test_gst_once_a_second_applies_to_all_fixes_of_that_second():
     parser, samples = stream(), []
     for k, time_ns in enumerate(EPOCHS):
         burst = gga(at(time_ns)) + (gst(at(time_ns)) if k % 10 == 0 else b"")
@@ -121,7 +121,7 @@ def gpgga(position):
         ((hdt, ths, pashr, gga), math.radians(0.2)),
     ],
 )
-def test_a_heading_stated_twice_is_used_once_with_its_accuracy(encoders, stddev):
+def test_heading_in_two_sentences_is_used_once_with_its_accuracy(encoders, stddev):
     parser = stream()
     headings = [s for s in received(parser, EPOCHS, encoders) if isinstance(s, HeadingSample)]
     assert len(headings) == len(EPOCHS)
@@ -132,7 +132,7 @@ def test_a_heading_stated_twice_is_used_once_with_its_accuracy(encoders, stddev)
 
 
 @pytest.mark.parametrize("encoders", [(gpgga, gga), (gga, gpgga, gst), (gga, gga)])
-def test_a_position_stated_twice_is_used_once(encoders):
+def test_position_in_two_sentences_is_used_once(encoders):
     parser = stream()
     fixes = received(parser, EPOCHS, encoders)
     assert np.diff([s.stamp_ns for s in fixes]) == pytest.approx(S / 10, abs=MS)
@@ -140,13 +140,13 @@ def test_a_position_stated_twice_is_used_once(encoders):
     assert not parser.tally.total
 
 
-def test_another_talker_after_one_fix_goes_on_at_once():
+def test_change_of_talker_after_one_fix_loses_no_fix():
     parser = stream()
     fixes = received(parser, EPOCHS[:1], (gpgga,)) + received(parser, EPOCHS[1:], (gga,), first=1)
     assert len(fixes) == len(EPOCHS)
 
 
-def test_another_talker_goes_on_at_once():
+def test_change_of_talker_loses_no_fix():
     parser = stream()
     later = [EPOCHS[-1] + k * S // 10 for k in range(1, 51)]
     fixes = received(parser, EPOCHS, (gpgga,)) + received(parser, later, (gga,), first=50)
@@ -181,7 +181,7 @@ def test_an_accuracy_of_zero_beside_a_valid_fix_is_unknown():
 
 @pytest.mark.parametrize("size", [20, 100, 600, 1500, 5000])
 @pytest.mark.parametrize("form", ["ubx", "rtcm", "cut ubx", "random", "zeros", "dollars"])
-def test_binary_bursts_take_no_sentence(size, form):
+def test_binary_bursts_lose_no_sentence(size, form):
     """Without a line end between them."""
     random, parser, samples = np.random.default_rng(size), stream(), []
     for k, time_ns in enumerate(EPOCHS):
@@ -270,7 +270,7 @@ def test_leap_second_at_one_fix_a_second():
     assert [s.stamp_ns for s in samples] == [(k + 5) * S for k in range(20)]
 
 
-def test_clock_that_is_not_set_gives_arrivals():
+def test_fixes_without_a_time_are_stamped_at_arrival():
     samples = received(stream(), [None] * 5, (gga,))
     assert errors_ms(samples) == pytest.approx([0.0] * 5)
 
@@ -291,7 +291,7 @@ def test_slower_line_is_accepted_after_a_while():
     assert errors[-1] == pytest.approx(25.0, abs=5.0)
 
 
-def test_host_on_utc_takes_the_receiver_s_time():
+def test_host_on_utc_stamps_by_the_receiver_time():
     parser = stream(utc=lambda steady_ns: steady_ns - 5 * S + 3600 * S)
     samples = received(parser, EPOCHS, (gga, gst), lambda k: (20 + 30 * (k % 3)) * MS)
     assert errors_ms(samples) == pytest.approx([0.0] * 50, abs=1e-3)

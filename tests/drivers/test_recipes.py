@@ -91,7 +91,7 @@ def test_receivers_with_two_antennas(recipe):
     assert [fix.variances[0] for fix in fixes[2:]] == pytest.approx([1e-4] * (EPOCHS - 2))
 
 
-def test_total_station_errs_by_its_own_range_error():
+def test_total_station_variance_is_from_its_range_error():
     range_errors = replace(NMEA.range_errors, rtk_fixed=0.005)
     fixes, _ = played(total_station, range_errors=range_errors, latency=0.2)
     assert len(fixes) == EPOCHS

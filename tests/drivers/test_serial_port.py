@@ -40,7 +40,7 @@ def test_read_times_out_empty(pty_port):
     port.close()
 
 
-def test_what_drips_is_read_at_one_go(pty_port, monkeypatch):
+def test_bytes_that_arrive_in_drips_are_read_at_once(pty_port, monkeypatch):
     port, sleep = SerialPort(str(pty_port.link), 9600, "N"), time.sleep
 
     def drip(duration):
@@ -66,7 +66,7 @@ def test_pty_counts_unread_bytes(pty_port):
     port.close()
 
 
-def test_port_in_use_was_shared_byte_by_byte(pty_port):
+def test_port_in_use_is_locked(pty_port):
     port = SerialPort(str(pty_port.link), 9600, "N")
     with pytest.raises(OSError, match="locked: another program has it open"):
         SerialPort(str(pty_port.link), 9600, "N")

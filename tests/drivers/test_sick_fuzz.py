@@ -82,7 +82,7 @@ def test_raw_scans_survive_a_round_trip(values: list[int], status: int, unit: in
 
 
 @given(data=noise, cuts=st.lists(st.integers(0, 400), max_size=20))
-def test_noise_is_counted_to_the_last_byte(data: bytes, cuts: list[int]) -> None:
+def test_every_byte_of_noise_is_counted(data: bytes, cuts: list[int]) -> None:
     receiver = Receiver()
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
     for start, end in itertools.pairwise(edges):
@@ -117,7 +117,7 @@ def test_a_telegram_may_be_split_anywhere() -> None:
 
 
 @given(position=st.integers(0, 731), flip=st.integers(1, 255), seed=st.integers(0, 1000))
-def test_a_byte_changed_is_a_scan_rejected(position: int, flip: int, seed: int) -> None:
+def test_scan_with_a_changed_byte_is_rejected(position: int, flip: int, seed: int) -> None:
     whole, following = bytearray(scan_frame(seed)), [scan_frame(seed + 1), scan_frame(seed + 2)]
     whole[position] ^= flip
     receiver = Receiver()
@@ -130,7 +130,7 @@ def test_a_byte_changed_is_a_scan_rejected(position: int, flip: int, seed: int) 
 
 
 @given(position=st.integers(0, 731), lost=st.integers(1, 100), seed=st.integers(0, 1000))
-def test_bytes_lost_are_a_scan_rejected(position: int, lost: int, seed: int) -> None:
+def test_scan_with_lost_bytes_is_rejected(position: int, lost: int, seed: int) -> None:
     whole, following = scan_frame(seed), [scan_frame(seed + 1), scan_frame(seed + 2)]
     receiver = Receiver()
     receiver.feed(whole[:position] + whole[position + lost :])

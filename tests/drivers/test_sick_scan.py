@@ -45,7 +45,7 @@ def test_known_scans_encode_and_decode(payload: bytes) -> None:
     assert scan.payload() == payload
 
 
-def test_flags_are_no_distance() -> None:
+def test_flagged_values_have_no_distance() -> None:
     scan = parse_scan(MINI)
     assert isinstance(scan, RawScan)
     assert scan.distances.tolist() == [100, 1000, 4999]
@@ -117,21 +117,21 @@ def test_the_status_byte(byte: int, status: DeviceStatus) -> None:
 
 
 @pytest.mark.parametrize(("severity", "text"), [(0, "none"), (4, "fatal"), (6, "severity 6")])
-def test_severity_has_a_word(severity: int, text: str) -> None:
+def test_severity_is_named(severity: int, text: str) -> None:
     assert DeviceStatus.from_byte(severity).severity_text == text
 
 
 @pytest.mark.parametrize(("count", "steps"), [(101, 1), (100, 1), (201, 2), (200, 2), (401, 4), (400, 4)])
-def test_field_of_100_degrees_was_refused(count: int, steps: int) -> None:
-    """Of an LMS, from −50° on; its interlaced scans have one value less."""
+def test_field_of_100_degrees_is_decoded(count: int, steps: int) -> None:
+    """Field of an LMS from −50°; its interlaced scans have one value less."""
     sample = decoded(raw(*[700] * count).payload(), LMS).sample
     assert sample.angle_min == pytest.approx(math.radians(-50.0))
     assert sample.angle_increment == pytest.approx(math.radians(1.0 / steps))
     assert len(sample.ranges) == count
 
 
-def test_scan_of_a_scanner_upside_down_was_mirrored() -> None:
-    """Its first ray is at +90° of its frame, and the last one measured is the first counter-clockwise."""
+def test_scan_of_a_scanner_upside_down_is_not_mirrored() -> None:
+    """Its first ray is at +90° of its frame; the last one measured is the first counter-clockwise."""
     hanging = replace(PLS, clockwise=True)
     scan = raw(*range(100, 461))
     upright, turned = decoded(scan.payload()).sample, decoded(scan.payload(), hanging).sample
@@ -157,7 +157,7 @@ def test_other_scans_are_refused(payload: bytes, fault: ScanFault) -> None:
 
 
 @pytest.mark.parametrize("parameters", [PLS, LMS])
-def test_what_has_no_distance_survives_a_round_trip(parameters: SickParameters) -> None:
+def test_nan_and_infinite_ranges_survive_a_round_trip(parameters: SickParameters) -> None:
     ranges = np.full(361, 12.34)
     ranges[:3] = [np.nan, np.inf, -np.inf]
     scan = RawScan(values_of(ranges, parameters), status=0)

@@ -135,8 +135,8 @@ def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
 
 @pytest.mark.parametrize("baud", [9600, 38400, 500000])
 @pytest.mark.parametrize("held_s", [0.5, 5.0, 60.0])
-def test_scans_that_waited_while_the_host_was_held_were_stamped_as_of_now(baud: int, held_s: float) -> None:
-    """The box localizer then sought the box where it had been, and did not find it again."""
+def test_scans_read_after_a_host_stall_are_stamped_at_their_measurement(baud: int, held_s: float) -> None:
+    """Stamps are within 5 ms of the sweep after the host is held."""
     bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(2.0)
     bench.hold_the_host(held_s)
@@ -159,7 +159,7 @@ def test_waits_for_a_scanner_that_boots(boot_delay: float) -> None:
 
 
 @pytest.mark.parametrize("baud", [9600, 38400])
-def test_takes_over_a_scanner_that_streams_already(baud: int) -> None:
+def test_connects_to_a_scanner_that_already_streams(baud: int) -> None:
     bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(2.0)
     bench.session = SickSession(PLS, Tally())
@@ -170,7 +170,7 @@ def test_takes_over_a_scanner_that_streams_already(baud: int) -> None:
     assert len(bench.scans) > before + 2
 
 
-def test_starts_again_when_the_scanner_lost_power() -> None:
+def test_restarts_after_a_power_cycle_of_the_scanner() -> None:
     bench = streaming()
     bench.run(1.0)
     bench.device.power_cycle(bench.now_ns)
@@ -181,7 +181,7 @@ def test_starts_again_when_the_scanner_lost_power() -> None:
     assert bench.count(SessionFault.SILENT) == 1
 
 
-def test_starts_again_at_once_when_the_scanner_reports_a_restart() -> None:
+def test_restarts_at_once_when_the_scanner_reports_a_restart() -> None:
     bench = streaming(power_on_baud=38400)
     bench.device.power_cycle(bench.now_ns)
     bench.run(1.2)
@@ -189,7 +189,7 @@ def test_starts_again_at_once_when_the_scanner_reports_a_restart() -> None:
     assert bench.count(SessionFault.RESTARTED) == 1
 
 
-def test_starts_again_when_the_cable_was_out() -> None:
+def test_restarts_after_the_cable_is_replugged() -> None:
     bench = streaming()
     bench.run(1.0)
     bench.plugged = False
@@ -199,7 +199,7 @@ def test_starts_again_when_the_cable_was_out() -> None:
     bench.run_until(Phase.STREAMING, within=4.0)
 
 
-def test_outlives_a_scanner_slow_to_change_its_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waits_for_a_scanner_that_is_slow_to_change_its_mode(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sick_device, "_REPLY_DELAY_NS", 2500 * MS)
     bench = Bench()
     bench.run_until(Phase.STREAMING, within=25.0)
@@ -239,7 +239,7 @@ def test_stopping_without_a_scanner_takes_no_longer_than_its_acknowledgement() -
 
 
 @pytest.mark.parametrize("parameters", [PLS, LMS])
-def test_a_rate_that_the_scanner_refuses_was_asked_for_again_and_again(
+def test_refused_rate_is_replaced_by_the_next_lower_one(
     parameters: SickParameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On an RS-232 line the scanner has no 500000 Bd: it streams at the next lower rate."""

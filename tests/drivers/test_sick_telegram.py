@@ -100,7 +100,7 @@ def test_the_checksum_is_that_of_the_manuals_register() -> None:
         assert sick_crc(data) == crc
 
 
-def test_controls_stand_between_telegrams() -> None:
+def test_controls_are_received_between_telegrams() -> None:
     receiver = Receiver()
     assert receiver.feed(ACK + OK + NAK + OK + ACK) == [
         Control.ACK,
@@ -132,7 +132,7 @@ def test_a_silence_ends_garbage() -> None:
 
 
 @pytest.mark.parametrize("length", [0, MAX_PAYLOAD + 1])
-def test_bad_lengths_are_counted_and_passed(length: int) -> None:
+def test_telegram_of_a_bad_length_is_counted_and_skipped(length: int) -> None:
     receiver = Receiver()
     assert receiver.feed(b"\x02\x80" + length.to_bytes(2, "little") + OK) == [b"\xa0\x00\x00"]
     assert receiver.counted(TelegramFault.BAD_LENGTH) == 1
@@ -147,7 +147,7 @@ def test_a_corrupt_telegram_is_counted_and_the_next_one_received() -> None:
     assert receiver.counted(TelegramFault.GARBAGE_BYTE) == len(OK)
 
 
-def test_a_telegram_cut_short_gives_way_after_a_silence() -> None:
+def test_truncated_telegram_is_dropped_after_a_silence() -> None:
     receiver = Receiver()
     assert receiver.feed(b"\x02\x80\xd6\x02\xb0" + OK, 0) == []
     assert receiver.feed(b"", SILENCE_NS - 1) == []
@@ -156,7 +156,7 @@ def test_a_telegram_cut_short_gives_way_after_a_silence() -> None:
     assert receiver.parser.bytes_held == 0
 
 
-def test_what_came_at_the_old_rate_is_dropped() -> None:
+def test_bytes_of_the_old_baud_rate_are_dropped() -> None:
     receiver = Receiver()
     assert receiver.feed(OK[:4]) == []
     receiver.parser.set_baud(9600)
@@ -170,7 +170,7 @@ def only(events: list[Telegram | Control]) -> Telegram:
     return event
 
 
-def test_a_telegram_read_at_once_began_its_transfer_time_ago() -> None:
+def test_start_of_a_telegram_is_its_end_minus_the_transfer_time() -> None:
     telegram = only(Receiver().parser.feed(OK, 50 * MS))
     assert telegram.end_ns == 50 * MS
     assert telegram.start_ns == 50 * MS - round(9 * CHAR_NS)

@@ -27,7 +27,7 @@ def filtered(raw, cycles=None):
     lost=st.lists(st.integers(0, 20), min_size=80, max_size=80),
     drift=st.floats(-TOLERANCE, TOLERANCE),
 )
-def test_never_worse_than_raw_where_cycles_are_counted(delays, lost, drift):
+def test_stamps_with_counted_cycles_are_never_later_than_raw_ones(delays, lost, drift):
     cycles = [0] + [1 + n for n in lost[: len(delays) - 1]]
     true = np.cumsum(np.array(cycles) * PERIOD * (1.0 + drift))
     raw = np.ceil(true) + delays
@@ -40,7 +40,7 @@ def test_never_worse_than_raw_where_cycles_are_counted(delays, lost, drift):
     delays=st.lists(st.integers(0, PERIOD // 2 - MS), min_size=2, max_size=80),
     lost=st.lists(st.integers(0, 9), min_size=80, max_size=80),
 )
-def test_never_worse_than_raw_where_delays_are_below_half_a_period(delays, lost):
+def test_stamps_with_short_delays_are_never_worse_than_raw_ones(delays, lost):
     true = np.cumsum([(1 + n) * PERIOD for n in lost[: len(delays)]])
     raw = true + delays
     stamps = filtered(raw)
@@ -58,7 +58,7 @@ def recorded_like(rng, count):
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
-def test_takes_recorded_like_jitter_off(drift):
+def test_recorded_jitter_is_removed(drift):
     rng = np.random.default_rng(1)
     true = (np.arange(5000) * PERIOD * (1.0 + drift)).astype(np.int64)
     delays = recorded_like(rng, len(true))
@@ -113,7 +113,7 @@ class Clocks:
 
 
 @pytest.mark.parametrize("jump_s", [-3600.0, -10.0, -0.03, 0.03, 10.0, 86400.0])
-def test_a_jump_is_noticed_and_stamps_stay_in_order(jump_s):
+def test_clock_jump_is_detected_and_stamps_stay_in_order(jump_s):
     clocks = Clocks()
     clocks.run(1.0)
     clocks.offset_ns += round(jump_s * S)
@@ -129,7 +129,7 @@ def test_a_jump_is_noticed_and_stamps_stay_in_order(jump_s):
     assert clocks.ahead() == max(0, round(jump_s * S))
 
 
-def test_slewing_is_followed_and_is_no_jump():
+def test_slewed_clock_is_followed_without_a_jump():
     for slew in (-5e-4, 5e-4):
         clocks = Clocks()
         clocks.run(100.0, slew)
@@ -137,7 +137,7 @@ def test_slewing_is_followed_and_is_no_jump():
         assert clocks.ahead() == 0
 
 
-def test_arrival_from_before_a_jump_is_now():
+def test_arrival_from_before_a_jump_is_stamped_now():
     clocks = Clocks()
     clocks.run(0.1)
     for jump in (-10 * S, 20 * S):
@@ -148,15 +148,15 @@ def test_arrival_from_before_a_jump_is_now():
         assert clocks.time.steady(stale_ns, between_ns) == clocks.steady_ns
 
 
-def test_an_arrival_over_a_second_ago_was_now():
-    """Nothing says that a reader is always run within a second; it is true since the port was empty."""
+def test_arrival_of_5_s_ago_keeps_its_time():
+    """A reader may be late by seconds; the arrival lies after the port was last empty."""
     clocks = Clocks()
     clocks.run(10.0)
     arrived_ns, between_ns = clocks.steady_ns - 5 * S, (clocks.steady_ns - 6 * S, clocks.steady_ns)
     assert clocks.time.steady(arrived_ns + clocks.offset_ns, between_ns) == arrived_ns
 
 
-def test_a_stamp_outside_the_interval_of_its_reading_is_replaced():
+def test_stamp_outside_its_read_interval_is_replaced_by_now():
     clocks = Clocks()
     clocks.run(1.0)
     drifted_ns = clocks.steady_ns + clocks.offset_ns - 900 * MS
@@ -164,7 +164,7 @@ def test_a_stamp_outside_the_interval_of_its_reading_is_replaced():
     assert clocks.time.steady(drifted_ns, between_ns) == clocks.steady_ns
 
 
-def test_a_reader_that_was_held_up_knows_until_the_port_is_empty():
+def test_data_count_as_delayed_until_a_held_up_reader_empties_the_port():
     look = Look(0)
     for step_ns in (10 * S, 10 * S + 90 * MS):  # as long as opening takes; a wait in vain
         look.step(step_ns)
@@ -180,7 +180,7 @@ def test_a_reader_that_was_held_up_knows_until_the_port_is_empty():
     assert not look.waited(12 * S, 12 * S + MS)
 
 
-def test_order_is_kept_by_the_least_possible():
+def test_stamps_are_ordered_by_the_smallest_shift():
     order = InOrder()
     assert [order.next(stamp) for stamp in (5, 3, 6, 6, 10)] == [5, 6, 7, 8, 10]
 
@@ -202,8 +202,8 @@ def test_host_clock_sees_the_host_set_back(monkeypatch):
 
 
 @pytest.mark.parametrize("silence_ms", [10, 400])
-def test_interrupted_look_at_the_clocks_stamped_as_early_as_the_last_one(monkeypatch, silence_ms):
-    """The host is busy between the two readings, after a while without data."""
+def test_interrupted_clock_reading_keeps_the_arrival_time(monkeypatch, silence_ms):
+    """The host is busy between the two clock readings, after a while without data."""
     import time
 
     now = {"steady": 5 * S, "busy": 0}

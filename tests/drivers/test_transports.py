@@ -123,7 +123,7 @@ def test_socket_url(received, start_link):
         client.close()
 
 
-def test_silence_is_reported_only_after_a_read_in_vain(received, start_link):
+def test_silence_is_reported_only_after_an_empty_read(received, start_link):
     """Bytes that wait while the reader is busy are no silence."""
     reads = [[(b"a", 1)], [(b"b", 2)], [], [(b"c", 3)], []]
     reported = []
@@ -151,8 +151,8 @@ def test_silent_port_is_reopened(pty_port, received, start_link):
     assert link.state().last_error == "nothing received for 0.2 s"
 
 
-def test_a_port_that_was_locked_or_missing_was_named_three_times(pty_port, tmp_path, start_link):
-    """Line of a node, which names the device, its port, and then this reason."""
+def test_reason_of_a_locked_or_missing_port_does_not_repeat_its_name(pty_port, tmp_path, start_link):
+    """The node prints the device, its port, and this reason."""
     first = SerialPort(str(pty_port.link), 9600, "N")
     for place, reason in (
         (str(pty_port.link), "locked: another program has it open"),
@@ -241,8 +241,8 @@ class SilentPort:
         pass
 
 
-def test_what_came_while_a_silent_port_was_closed_was_lost(start_link, monkeypatch):
-    """The first 0.15 s of a bus that was switched on, in one start of five."""
+def test_silent_port_is_reopened_without_a_pause(start_link, monkeypatch):
+    """Data that arrive while the port is closed would be lost."""
     pauses = []
     link = start_link(SilentPort, silence_s=0.02)
     monkeypatch.setattr(link._stopping, "wait", pauses.append)
@@ -308,7 +308,7 @@ def test_frames_from_the_network_are_not_the_machines(received, start_link):
         own.close()
 
 
-def test_a_port_that_never_falls_silent_does_not_hold_up_the_end(received, start_link):
+def test_link_stops_while_its_port_keeps_receiving(received, start_link):
     class Flood(BrokenPort):
         def read(self):
             while True:

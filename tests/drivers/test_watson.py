@@ -157,7 +157,7 @@ def test_the_number_of_fields_is_reported(line, text):
     assert stream.tally.words(key) == text
 
 
-def test_invalid_magnetometer_costs_the_field_alone():
+def test_invalid_magnetometer_drops_only_the_magnetic_field():
     parser = stream()
     (sample,) = parser.feed(b"R +0.012 -0.003 -1.001 +000.04 -000.11 +012.30 +0213 -*** -0466\r", 0)
     assert sample.magnetic_field is None
@@ -198,8 +198,8 @@ def test_stamp_is_the_start_of_transmission():
 
 
 @pytest.mark.parametrize("before", [b"", b"\n", b"  "])
-def test_one_prompt_read_of_a_line_is_enough(before):
-    """The others were late; what ended the line before came long ago."""
+def test_stamp_is_exact_after_one_prompt_read(before):
+    """The other reads are late; the end of the previous line arrives 15 ms earlier."""
     line, parser, began_ns = encode_line("R", {}, LAYOUT), stream(), 50_000_000_000
     parser.feed(before, began_ns - 15_000_000)
     late, begin = {10: 9_000_000, 40: 100_000, len(line) - 1: 30_000_000, len(line): 40_000_000}, 0

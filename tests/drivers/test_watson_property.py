@@ -84,7 +84,7 @@ def test_cutting_of_the_stream_changes_nothing(lines, places):
 
 @seeded
 @given(VALUES, st.integers(0, LAYOUT.line_length - 2), st.integers(1, 20))
-def test_lost_characters_never_pass_for_a_reading(values, start, count):
+def test_line_with_lost_characters_is_never_decoded(values, start, count):
     """Nothing but a loss that leaves every field's width right could, and then a space must go with it."""
     line = encode_line("R", values, LAYOUT)[:-1]
     damaged = line[:start] + line[start + count :]

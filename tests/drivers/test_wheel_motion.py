@@ -45,8 +45,8 @@ def test_positions_alone_are_differenced():
 
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("uses", ["both", "positions"])
-def test_positions_that_wrap_gave_minus_309_rad_per_s(first, uses):
-    """Each joint restarts at a moment of its own; at 50 Hz and 5 rad/s."""
+def test_wrapping_positions_give_a_steady_speed(first, uses):
+    """Each joint wraps at its own time; 50 Hz, 5 rad/s."""
     motion = JointMotion(parameters(uses=uses))
     turned = [0.3, 0.0, 2.0, 1.0, 5.9]
     found = []
@@ -76,7 +76,7 @@ def test_velocities_alone_leave_positions_unknown():
     assert (found.left_velocity, found.right_velocity) == (1.0, 1.0)
 
 
-def test_what_a_driver_fills_with_nonsense_is_left_out():
+def test_field_filled_with_nan_is_ignored():
     of_speed = JointMotion(parameters(uses="velocities")).sample(S, NAMES, [math.nan] * 5, [1.0] * 5)
     of_place = JointMotion(parameters(uses="positions")).sample(S, NAMES, [1.0] * 5, [math.nan] * 5)
     assert of_speed.left_velocity == of_place.left_position == 1.0
@@ -106,18 +106,18 @@ def test_speeds_are_those_of_the_tracks(v, rate, separation, radius):
     assert math.isnan(found.left_position)
 
 
-def test_speeds_that_are_no_numbers_are_refused():
+def test_non_finite_speeds_are_refused():
     assert of_speeds(S, math.nan, 0.0, parameters()) is Rejection.NOT_A_NUMBER
 
 
 @pytest.mark.parametrize("names", [[], [""], ["front_right_wheel"], ["a", "a"]])
-def test_joints_that_cannot_be_are_refused(names):
+def test_impossible_joint_settings_are_refused(names):
     with pytest.raises(InputError, match="one or more on each side, each once"):
         parameters(left_joints=names)
 
 
 @given(st.lists(st.floats(), max_size=5), st.lists(st.floats(), max_size=5), st.lists(st.sampled_from(NAMES)))
-def test_any_message_gives_numbers_or_a_reason(positions, velocities, names):
+def test_any_message_gives_finite_speeds_or_a_rejection(positions, velocities, names):
     found = JointMotion(parameters()).sample(S, names, positions, velocities)
     if not isinstance(found, Rejection):
         assert math.isfinite(found.left_velocity + found.right_velocity)
