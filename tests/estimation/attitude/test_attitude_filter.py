@@ -94,14 +94,14 @@ def spread(attitude: Any, k: int) -> float:
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.26, 0.0), (0.0, -0.26), (-0.2, 0.3)])
-def test_a_machine_that_stands(roll: float, pitch: float) -> None:
+def test_tilt_at_standstill_is_right_within_0_2_degrees(roll: float, pitch: float) -> None:
     ride = Ride(20.0, roll=roll, pitch=pitch)
     attitude, found = run(ride.samples(gyro_bias=0.008))
     assert errors(ride, found) < 0.2
     assert spread(attitude, ROLL) > math.radians(0.25)  # a bias of 0.05 m/s² looks the same
 
 
-def test_a_bias_is_within_what_is_stated() -> None:
+def test_tilt_error_of_an_accelerometer_bias_is_within_the_covariance() -> None:
     ride = Ride(20.0, pitch=0.1)
     attitude, found = run(ride.samples(bias=0.05))
     off = abs(found[-1, PITCH] - 0.1)
@@ -125,14 +125,14 @@ def test_turns_separate_a_bias_from_a_tilt() -> None:
     assert spread(attitude, PITCH) < math.radians(0.2)
 
 
-def test_driving_off_and_turning_is_no_tilt() -> None:
+def test_accelerating_and_turning_do_not_tilt_the_estimate() -> None:
     t = np.arange(4000) * 0.01
     ride = Ride(40.0, speed=0.5 * np.abs(np.sin(0.5 * t)), yaw_rate=0.4 * np.sin(0.3 * t))
     _, found = run(ride.samples())
     assert errors(ride, found) < 0.2
 
 
-def test_a_hill_at_a_walk() -> None:
+def test_attitude_and_height_follow_a_hill() -> None:
     t = np.arange(6000) * 0.01
     ride = Ride(
         60.0, speed=np.where(t > 5.0, 0.5, 0.0), pitch=-0.26 * np.sin(0.2 * np.clip(t - 8.0, 0.0, None))
@@ -143,7 +143,7 @@ def test_a_hill_at_a_walk() -> None:
     assert np.abs(found[:, HEIGHT] - climbed).max() < 0.01 * float(np.abs(climbed).max()) + 0.01
 
 
-def test_a_shaken_machine_goes_by_its_gyro() -> None:
+def test_attitude_under_vibration_follows_the_gyro() -> None:
     t = np.arange(6000) * 0.01
     ride = Ride(60.0, roll=0.2 * np.sin(0.2 * t), pitch=0.1 * np.sin(0.3 * t))
     attitude, found = run(ride.samples(noise=3.0))
@@ -151,7 +151,7 @@ def test_a_shaken_machine_goes_by_its_gyro() -> None:
     assert attitude["noise"] == pytest.approx(9.0 / 8.0, rel=0.5)  # that of a mean of eight samples
 
 
-def test_without_a_gyro_about_x_and_y_the_accelerometers_do() -> None:
+def test_attitude_without_roll_and_pitch_gyros_follows_the_accelerometers() -> None:
     ride = Ride(20.0, roll=0.1)
     samples = ride.samples()
     samples["rates"][:, :2] = np.nan
@@ -168,7 +168,7 @@ def test_without_a_gyro_about_x_and_y_the_accelerometers_do() -> None:
         ((9.8, 0.0, 0.1), "set its mounting"),
     ],
 )
-def test_what_is_not_gravity_from_below_leaves_the_ground_flat(force: Any, words: str) -> None:
+def test_acceleration_that_is_not_gravity_leaves_the_ground_flat(force: Any, words: str) -> None:
     samples = Ride(5.0).samples()
     samples["force"] = force
     attitude, found = run(samples)
@@ -180,7 +180,7 @@ def test_what_is_not_gravity_from_below_leaves_the_ground_flat(force: Any, words
     assert TOPIC in text
 
 
-def test_an_accelerometer_that_falls_silent_leaves_the_gyro_with_what_it_loses() -> None:
+def test_attitude_variance_grows_without_accelerations() -> None:
     ride = Ride(100.0, roll=0.2)
     samples = ride.samples(gyro_bias=0.005)
     samples["force"][1000:] = np.nan
@@ -190,7 +190,7 @@ def test_an_accelerometer_that_falls_silent_leaves_the_gyro_with_what_it_loses()
     assert abs(found[-1, ROLL] - 0.2) < 3.0 * spread(attitude, ROLL)
 
 
-def test_no_imu_no_words() -> None:
+def test_missing_imu_is_reported_as_flat_ground() -> None:
     assert attitude_text(np.zeros(1, ATTITUDE)[0], None).startswith("flat: no IMU")
 
 
@@ -202,8 +202,8 @@ def test_a_tilted_mounting_is_observable_after_turns() -> None:
     assert "imu/data_raw is tilted 2." in attitude_text(attitude, TOPIC)
 
 
-def test_at_100_hz_what_the_speed_errs_by_passed_for_a_shake() -> None:
-    """Fixes and rounding move it by centimetres per second: pitch then went with the gyro, and drifted."""
+def test_speed_noise_at_100_hz_is_not_taken_for_vibration() -> None:
+    """Fixes and rounding change the speed by centimetres per second; the pitch must not follow the gyro."""
     ride = Ride(60.0, speed=np.clip(np.arange(6000) * 0.01 - 3.0, 0.0, 0.5))
     samples = ride.samples(gyro_bias=0.0015)
     errs = np.random.default_rng(2).normal(0.0, 0.02, len(samples))
@@ -222,8 +222,8 @@ def test_samples_of_a_span_count_as_their_mean() -> None:
 
 
 @pytest.mark.parametrize("rate", [12.0, 50.0])
-def test_a_message_without_acceleration_between_two_that_have_one(rate: float) -> None:
-    """It neither restarts the span nor shortens it."""
+def test_message_without_acceleration_does_not_restart_the_span(rate: float) -> None:
+    """Nor does it shorten the span."""
     every = round(100.0 / rate)
     samples = Ride(30.0, pitch=0.1).samples()[::every]
     samples["force"][1::2] = np.nan

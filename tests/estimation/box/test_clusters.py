@@ -53,7 +53,7 @@ def test_object_is_rejoined_where_something_nearer_cuts_it(between, expected):
     assert spans(rejoined(parts, ranges, ANGLES, extent=1.0)) == expected
 
 
-def test_free_ends_lie_between_neighbouring_beams():
+def test_free_ends_are_between_neighbouring_beams():
     ranges = scan(box=(100, 109, 8.0))
     beams = beams_on(np.arange(100, 110), ranges, ANGLES, extent=0.92, margin=0.1)
     assert beams.right == pytest.approx((ANGLES[99], ANGLES[100]))
@@ -61,7 +61,7 @@ def test_free_ends_lie_between_neighbouring_beams():
 
 
 @pytest.mark.parametrize("other", [(106, 108, 5.0), (106, 107, 8.7)], ids=["nearer", "just behind"])
-def test_end_may_lie_anywhere_beside_something_that_hides_or_touches_it(other):
+def test_end_beside_an_occluding_object_is_bounded_by_that_object(other):
     ranges = scan(box=(100, 105, 8.0), other=other)
     beams = beams_on(np.arange(100, 106), ranges, ANGLES, extent=0.92, margin=0.1)
     assert beams.left == pytest.approx((ANGLES[105], ANGLES[other[1] + 1]))

@@ -122,7 +122,7 @@ def test_exact_without_noise_where_two_sides_are_seen(distance, bearing, corner,
         max_size=361,
     )
 )
-def test_no_scan_breaks_it_or_gives_numbers_that_are_none(ranges):
+def test_any_scan_gives_a_finite_fix_or_a_rejection(ranges):
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0), BOX)
     outcome = localizer.locate(Scan(0, np.array(ranges), ANGLE_MIN, ANGLE_INCREMENT, TIME_INCREMENT))
     if isinstance(outcome, BoxFix):

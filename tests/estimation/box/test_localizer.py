@@ -162,7 +162,7 @@ def seen_again(pose_at, scans, hidden_for, seed=11):
     return drive(localizer, scanner, pose_at, scans, first=10 + hidden_for)
 
 
-def test_lost_for_two_seconds_it_is_found_again_with_its_heading():
+def test_box_hidden_for_two_seconds_is_found_with_its_heading():
     outcomes = seen_again(turning, scans=60, hidden_for=10)
     assert_near(outcomes[0], turning)
     for outcome in outcomes[-20:]:
@@ -170,8 +170,10 @@ def test_lost_for_two_seconds_it_is_found_again_with_its_heading():
         assert outcome.covariance[2, 2] < 0.01
 
 
-def test_back_in_sight_the_sides_were_claimed_at_once():
-    """Turned by a quarter while hidden, as the tracks would tell: the last orientation is not the next."""
+def test_sides_are_uncertain_when_the_box_is_back_in_sight():
+    """The box turns by a quarter or half a turn while hidden: the previous orientation says nothing about
+    the next.
+    """
     for quarter, seed in ((1, 3), (-1, 4), (2, 5)):
         localizer = BoxLocalizer(PARAMETERS, BOX)
         scanner = SiteScanner(BARE, BOX, seed=seed)
@@ -211,8 +213,8 @@ def test_half_turn_unseen_is_not_falsely_certain():
         assert abs(error(outcome, after)[2]) < 3.0 * np.sqrt(outcome.covariance[2, 2])
 
 
-def test_what_was_there_before_is_not_the_box():
-    """A second box stands on the site; when ours is hidden for long, it is not mistaken for it."""
+def test_object_of_the_background_is_not_the_box():
+    """A second box is part of the site; when ours is hidden for long, the other one is not taken for it."""
     twin = dataclasses.replace(
         BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
     )
@@ -225,7 +227,7 @@ def test_what_was_there_before_is_not_the_box():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 0.01])
-def test_scan_of_one_odd_value_gives_no_fix(value):
+def test_scan_with_all_ranges_equal_gives_no_fix(value):
     outcome = locate(BoxLocalizer(PARAMETERS, BOX), 1.0, np.full(361, value))
     assert isinstance(outcome, Rejection)
 

@@ -48,7 +48,7 @@ def test_heading_predicted_well_leaves_no_ambiguity():
     assert not sides_are_known(0.3, 0.5**2, CERTAIN)
 
 
-def test_heading_predicted_by_nothing_is_any_of_four():
+def test_unpredicted_heading_is_any_of_four():
     assert prior(QUARTERS, np.full(4, 9.0**2), CERTAIN) == pytest.approx(0.25, abs=0.05)
 
 
@@ -79,14 +79,14 @@ def test_many_scans_settle_the_sides_and_leave_half_a_turn_open():
     assert weights == pytest.approx(headings.weights)
 
 
-def test_sides_expected_wrongly_are_turned_over():
+def test_wrong_prior_of_the_sides_is_corrected():
     received, _, headings = listened(OPEN, 3.0, 15, moved=0.2)
     assert abs(np.sin(received[0].pose[2])) == pytest.approx(1.0)
     assert headings.evidence.log_odds < 0.0
 
 
-def test_scans_from_one_place_were_counted_as_new_evidence_each():
-    """The same beams hit and miss in each: 100 scans that say 1 : 2 say no more than one."""
+def test_scans_from_one_place_count_as_one_piece_of_evidence():
+    """The same beams hit and miss in each: 100 scans with a ratio of 1 : 2 count as one."""
     assert listened(OPEN, -0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
     assert SideEvidence().after(0.5, np.zeros(3), 0.1).turned().log_odds == -0.5
 
@@ -97,8 +97,8 @@ def test_absence_forgets_the_evidence():
     assert lost.evidence.log_odds == 0.0
 
 
-def test_an_ambiguous_place_is_not_stated_as_certain():
-    """A laser 15 m away had taken the wrong quarter for 17 s: the place was five standard deviations off."""
+def test_covariance_spans_ambiguous_positions():
+    """Four fixes per second with the wrong quarter must not add up to a certain position."""
     weights = np.array([0.95, 0.05, 0.0, 0.0])
     pose, covariance = mixed(modes(), weights, elapsed=0.25)
     off = modes()[1].pose[:2] - pose[:2]
@@ -108,7 +108,7 @@ def test_an_ambiguous_place_is_not_stated_as_certain():
     assert covariance[1, 1] == pytest.approx(NARROW[1, 1])  # no hypothesis lies there
 
 
-def test_mixture_holds_each_place_and_heading():
+def test_covariance_of_the_mixture_spans_each_position_and_heading():
     pose, covariance = mixed(modes(), np.full(4, 0.25), elapsed=30.0)
     assert pose == pytest.approx([0.025, 0.0, 0.0])
     assert covariance[0, 0] == pytest.approx(0.01**2 + 0.025**2)

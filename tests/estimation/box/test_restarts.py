@@ -86,7 +86,7 @@ def test_background_of_another_place_or_other_beams_is_not_used(change):
     assert localizer.tally.by_source()["scan"][Reason.UNCERTAIN.value] > 50
 
 
-def test_track_without_background_gives_no_fix_until_the_box_has_driven():
+def test_localizer_without_background_gives_no_fix_until_the_box_drives():
     localizer = without_background(HIDDEN[SITE_DRIVE.name])
     scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY)
     assert longest_wrong(scored) <= LONGEST
@@ -103,8 +103,8 @@ def test_certain_odometry_finds_the_box_without_background():
     assert scored[0].stamp == pytest.approx(SEEN_AGAIN, abs=1.0)
 
 
-def test_thing_set_down_while_no_localizer_ran_contradicts_the_odometry():
-    """A crate in front of all that was there before: by the scans alone it is as good as the box."""
+def test_object_placed_between_runs_is_rejected_by_the_odometry():
+    """A crate in front of the whole background: by the scans alone it is as likely as the box."""
     drive, second = SITE_DRIVE, 47
     bare = drive.kept(second)
     empty = np.full_like(bare.background.ranges, np.inf)
@@ -118,7 +118,7 @@ def test_thing_set_down_while_no_localizer_ran_contradicts_the_odometry():
         assert scored[0].stamp == pytest.approx(SEEN_AGAIN, abs=1.0)
 
 
-def test_wrong_odometry_holds_the_fixes_back_only_until_the_machine_has_driven():
+def test_wrong_odometry_delays_fixes_only_until_the_machine_drives():
     localizer = BoxLocalizer(PARAMETERS, BOX, SITE_DRIVE.kept(HIDDEN[SITE_DRIVE.name]))
     wrong = SITE_DRIVE.odometry(0.05, off=(6.0, 3.0))
     scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY, wrong)
@@ -126,7 +126,7 @@ def test_wrong_odometry_holds_the_fixes_back_only_until_the_machine_has_driven()
     assert SEEN_AGAIN + 2.0 < scored[0].stamp < SEEN_AGAIN + 15.0
 
 
-def test_start_without_a_track_takes_nothing_that_the_odometry_contradicts():
+def test_start_without_a_track_rejects_positions_that_contradict_the_odometry():
     """The file is lost: a crate stands where the drive began, and the machine is out of sight."""
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=6.0, initial_reach=2.0), BOX)
     scored = SITE_DRIVE.scored(localizer, 50.0, odometry=SITE_DRIVE.odometry(0.1))
@@ -135,7 +135,7 @@ def test_start_without_a_track_takes_nothing_that_the_odometry_contradicts():
     assert localizer.places[0] == pytest.approx((6.0, 0.0), abs=0.3)
 
 
-def test_odometry_that_is_none_is_counted_and_not_used():
+def test_malformed_odometry_is_counted_and_not_used():
     tally = Tally()
     buffer = OdometryBuffer(tally)
     zero, eye = np.zeros(2), np.eye(2)

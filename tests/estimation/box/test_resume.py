@@ -78,7 +78,7 @@ def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
         ]
 
 
-def test_what_is_kept_is_the_track(drove):
+def test_track_file_restores_track_and_background(drove):
     kept = drove[0].kept
     parsed = parse_track(track_text(kept))
     assert parsed.scan_ns == kept.scan_ns
@@ -143,8 +143,8 @@ def test_a_changed_value_is_refused(drove, tmp_path, key, value):
     assert str(path) in file.failure
 
 
-def test_a_file_that_is_no_track_was_replaced_by_one(drove, tmp_path):
-    """``track_file`` was the name of a text of the user's."""
+def test_file_that_is_no_track_is_kept_under_another_name(drove, tmp_path):
+    """``track_file`` names a text of the user."""
     path = tmp_path / "notes.txt"
     for text in ("years of work", "more of it"):
         path.write_text(text, encoding="utf-8")

@@ -141,7 +141,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
     st.lists(numbers, min_size=4, max_size=4),
     st.integers(0, 255),
 )
-def test_any_fix_gives_a_place_or_a_reason(latitude, longitude, altitude, status, covariance, kind):
+def test_any_fix_gives_a_position_or_a_rejection(latitude, longitude, altitude, status, covariance, kind):
     which = localizer(**DATUM)
     found = which.locate(fix(latitude, longitude, altitude, status, np.reshape(covariance, (2, 2)), kind))
     if isinstance(found, Place):

@@ -14,22 +14,22 @@ from trackslip_estimation.kalman import chi_square
 
 
 @given(st.sampled_from((1, 2, 3)), st.floats(1e-12, 1.0 - 1e-6))
-def test_a_limit_is_scipy_s(dof, tail):
+def test_limit_equals_that_of_scipy(dof, tail):
     assert chi_square.limit(dof, tail) == pytest.approx(chdtri(dof, tail), rel=1e-6)
 
 
 @pytest.mark.parametrize("tail", [0.05, 0.01, 0.001, 1e-4])
 @pytest.mark.parametrize("dof", [1, 2, 3])
-def test_the_limit_of_a_gate_is_scipy_s_to_the_last_digits(dof, tail):
+def test_gate_limit_equals_that_of_scipy_within_1e_13(dof, tail):
     assert chi_square.limit(dof, tail) == pytest.approx(chdtri(dof, tail), rel=1e-13)
 
 
 @given(st.integers(1, 100_000))
-def test_an_interval_is_close_to_scipy_s(dof):
+def test_interval_is_close_to_that_of_scipy(dof):
     assert chi_square.interval(dof) == pytest.approx(chdtri(dof, (0.975, 0.025)), abs=0.1)
 
 
-def test_an_estimator_starts_without_scipy_s_special_functions():
+def test_estimator_starts_without_the_special_functions_of_scipy():
     loaded = "import sys, trackslip_estimation.slip.estimator, trackslip_estimation.soil.soil_estimator; "
     loaded += "import trackslip_estimation.slip.source_watch; print('scipy.special' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)

@@ -69,7 +69,7 @@ def covariance(rng: np.random.Generator, n: int, decades: float = 3.0) -> FloatA
 
 @kappas
 @pytest.mark.parametrize("n", [7, 10])
-def test_sigma_points_have_the_moments_they_stand_for(kappa: float, n: int) -> None:
+def test_sigma_points_have_mean_and_covariance_of_the_state(kappa: float, n: int) -> None:
     rng = np.random.default_rng(n)
     x, P = rng.normal(size=n), covariance(rng, n)
     points, weights = daf.sigma_points(x, P, kappa, n)
@@ -82,7 +82,7 @@ def test_sigma_points_have_the_moments_they_stand_for(kappa: float, n: int) -> N
 
 
 @kappas
-def test_a_square_has_the_mean_that_it_has(kappa: float) -> None:
+def test_mean_of_a_square_is_exact(kappa: float) -> None:
     """What the first order of the EKF lacks: E x² = x̄² + σ², for any κ."""
     points, weights = daf.sigma_points(np.array((3.0, 0.0, 0.0, 0.0, 0.0)), np.eye(5) * 0.25, kappa, 5)
     seen = np.ascontiguousarray(np.square(points[:, :1]))
@@ -90,7 +90,7 @@ def test_a_square_has_the_mean_that_it_has(kappa: float) -> None:
 
 
 @pytest.mark.parametrize("angle", [math.pi, -math.pi + 0.01, 3.0])
-def test_headings_are_averaged_the_short_way(angle: float) -> None:
+def test_headings_are_averaged_over_the_shorter_arc(angle: float) -> None:
     points, weights = daf.sigma_points(np.array((0.0, 0.0, angle)), np.eye(3) * 0.04, 0.0, 3)
     points[:, YAW] = [wrap(a) for a in points[:, YAW]]
     mean, departures, w = daf.moments(points, weights, YAW)
@@ -176,7 +176,7 @@ NEAR = {"icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # far from where
 @pytest.mark.slow
 @each
 @pytest.mark.parametrize("kappa", [None, 0.0, -4.0])
-def test_it_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
+def test_daf_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
     """Truth drawn from the model itself, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
     config, n = config_of({"model": model, **NEAR}, with_kappa(kappa)), MODELS[model].ACTIVE
     nees = []

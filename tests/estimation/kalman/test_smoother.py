@@ -113,7 +113,9 @@ def test_equals_the_batch_solution_with_singular_noise_and_a_certain_state(
     np.testing.assert_array_equal(covariances[:, 2], 0.0)
 
 
-def test_knows_more_than_the_filter_everywhere_but_at_the_end(filtered: tuple[FloatArray, ...]) -> None:
+def test_smoothed_covariance_is_below_the_filtered_one_before_the_end(
+    filtered: tuple[FloatArray, ...],
+) -> None:
     means, covariances = smooth_back(filtered, TRANSITIONS, ANGLE)
     gained = filtered[1] - covariances
     assert np.linalg.eigvalsh(gained).min() > -1e-12
@@ -188,7 +190,7 @@ def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -
     assert along[0][YAW] > 0.1, "the fix at the end turns the start too"
 
 
-def test_goes_back_by_the_derivative_of_the_very_steps(config: ConfigRecord) -> None:
+def test_smoother_uses_the_transition_of_the_filter_steps(config: ConfigRecord) -> None:
     """F by differences of the filter's own prediction gives the same."""
     passed = steps(config, 0.3)
     transitions = [np.eye(passed[0].updated.mean.size)]

@@ -101,7 +101,7 @@ def test_the_root_of_a_covariance_without_full_rank() -> None:
     np.testing.assert_allclose(root(P) @ root(P).T, P, atol=1e-12)
 
 
-def test_a_variance_lost_to_rounding_is_taken_as_none() -> None:
+def test_variance_lost_to_rounding_counts_as_zero() -> None:
     P = np.array(((1.0, 1.0), (1.0, 1.0 - 1e-16)))
     np.testing.assert_array_equal(root(P), ((1.0, 0.0), (1.0, 0.0)))
     np.testing.assert_array_equal(solve(root(P), np.ones((2, 1))), ((1.0,), (0.0,)))
@@ -150,7 +150,7 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
         assert np.linalg.eigvalsh(P)[0] > 0.0
 
 
-def test_a_perfect_reading_leaves_no_negative_variance() -> None:
+def test_precise_measurement_leaves_a_positive_covariance() -> None:
     """The case in which P − K S Kᵀ loses all its digits."""
     P = np.array(((1e8, 1e8 - 1.0), (1e8 - 1.0, 1e8)))
     correct(
@@ -161,8 +161,8 @@ def test_a_perfect_reading_leaves_no_negative_variance() -> None:
 
 
 @pytest.mark.parametrize("considered", [0, 1 << 2])
-def test_errors_shared_with_the_state_are_as_states_of_their_own(considered: int) -> None:
-    """Against the update of the state with those errors in it, the measurement having none beside them."""
+def test_correlated_noise_equals_augmented_states(considered: int) -> None:
+    """Against the update of the augmented state, whose measurement has no noise."""
     random = np.random.default_rng(4)
     n, m = 5, 2
     root_of_joint = random.standard_normal((n + m, n + m))
@@ -180,7 +180,7 @@ def test_errors_shared_with_the_state_are_as_states_of_their_own(considered: int
     np.testing.assert_allclose(P, (keep @ joint @ keep.T)[:n, :n], rtol=1e-9, atol=1e-9)
 
 
-def test_a_considered_state_keeps_mean_and_variance_and_counts_in_the_gain() -> None:
+def test_considered_state_keeps_its_moments_and_enters_the_gain() -> None:
     rng = np.random.default_rng(5)
     P, H, R, nu = spd(rng, 6), rng.normal(size=(2, 6)), spd(rng, 2), rng.normal(size=2)
     x, after = np.zeros(6), P.copy()
@@ -194,7 +194,7 @@ def test_a_considered_state_keeps_mean_and_variance_and_counts_in_the_gain() -> 
 
 
 @pytest.mark.parametrize("size", [1.0, 10.0])
-def test_the_soft_gate_leaves_the_nis_at_its_limit(size: float) -> None:
+def test_soft_gate_limits_the_nis(size: float) -> None:
     rng = np.random.default_rng(6)
     predicted, R, nu, limit = spd(rng, 2), spd(rng, 2), size * np.array((1.0, -0.5)), 9.0
     stated = R.copy()
@@ -217,7 +217,7 @@ def corrected_knowing(
 @pytest.mark.parametrize("m", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kept", [(2, 4), (4,), (1, 2, 4)])
-def test_what_is_known_keeps_mean_and_variance_and_the_rest_is_corrected_given_it(
+def test_known_states_keep_their_moments_and_the_rest_is_corrected_given_them(
     seed: int, kept: tuple[int, ...], m: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -247,7 +247,7 @@ def test_zero_variances_are_no_special_case(known: int) -> None:
     np.testing.assert_allclose(after, plain, rtol=1e-12, atol=1e-15)
 
 
-def test_two_known_states_that_are_one_count_once() -> None:
+def test_two_identical_known_states_count_once() -> None:
     rng = np.random.default_rng(8)
     P, H, R = spd(rng, 6), rng.normal(size=(1, 6)), np.array(((0.01,),))
     P[4], H[0, 4] = P[2], 0.0

@@ -27,19 +27,17 @@ def track_error(state: Any) -> float:
     return float(np.sqrt(state["adaptation"]["track_variance"]))
 
 
-def test_tracks_that_do_not_err_are_found_so() -> None:
+def test_track_error_of_ideal_tracks_is_near_zero() -> None:
     assert track_error(run(Machine())) < 0.01
 
 
 @pytest.mark.parametrize("share", [0.05, 0.15])
-def test_the_size_of_the_tracks_errors_is_found(share: float) -> None:
+def test_track_error_is_estimated(share: float) -> None:
     assert 0.5 * share < track_error(run(Machine(track_error=share))) < 2.0 * share
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0.0, 0.04), (0.05, 0.02, 0.1)])
-def test_fixes_show_the_size_of_the_tracks_errors_where_there_is_no_gyro(
-    share: float, least: float, most: float
-) -> None:
+def test_track_error_is_estimated_from_fixes_without_a_gyro(share: float, least: float, most: float) -> None:
     """It stayed at what it is at the start, 10 %."""
     recorded = drive(Machine(duration=100.0, track_error=share))
     estimator = SlipEstimator(parameters(yaw_rate_sources=[""]))
@@ -57,26 +55,26 @@ def test_the_track_error_is_unknown_and_large_at_the_start() -> None:
     assert track_error(run(Machine(duration=0.5))) > 0.05
 
 
-def test_a_gyro_as_good_as_it_states_is_found_so() -> None:
+def test_noise_factor_of_a_gyro_as_stated_is_1() -> None:
     assert run(Machine())["adaptation"]["rate_factor"] == pytest.approx(1.0, abs=0.2)
 
 
-def test_a_gyro_worse_than_it_states_is_found() -> None:
+def test_noise_factor_of_a_worse_gyro_is_estimated() -> None:
     worse = run(Machine(gyro_noise=0.02))
     assert 8.0 < worse["adaptation"]["rate_factor"] <= 16.0
     assert track_error(worse) < 0.03  # and not taken for an error of the tracks
 
 
 @pytest.mark.parametrize(("noise", "least", "most"), [(0.02, 0.6, 1.6), (0.04, 2.0, 6.0), (0.2, 50.0, 134.5)])
-def test_fixes_worse_than_they_state_are_found(noise: float, least: float, most: float) -> None:
+def test_noise_factor_of_worse_fixes_is_estimated(noise: float, least: float, most: float) -> None:
     factors = run(Machine(fix_noise=noise))["adaptation"]["fix_factors"]
     assert least < factors[0] < most
     assert np.all(factors[1:] == 1.0)  # sources that gave none
 
 
 @pytest.mark.slow
-def test_fixes_ten_times_as_far_off_as_they_state_were_followed_everywhere() -> None:
-    """With eight times their variance at the most NEES was 28; a wrong pose still is no noise of fixes."""
+def test_estimate_is_consistent_with_fixes_ten_times_worse_than_stated() -> None:
+    """The noise factor may reach 100 and more, and a wrong pose does not count as fix noise."""
     nees = []
     for seed in range(3):
         recorded = drive(Machine(duration=120.0, fix_noise=0.2, fix_rate=5, track_error=0.02, seed=seed))
@@ -88,21 +86,21 @@ def test_fixes_ten_times_as_far_off_as_they_state_were_followed_everywhere() -> 
     assert 1.0 < np.mean(nees) < 4.0
 
 
-def test_gaussian_fixes_as_good_as_they_state_are_not_found_better() -> None:
+def test_noise_factor_of_gaussian_fixes_is_not_below_1() -> None:
     # Student's t alone takes Gaussian noise for 0.83 of its variance, and the pose is then overconfident.
     factors = [run(Machine(seed=seed))["adaptation"]["fix_factors"][0] for seed in range(8)]
     assert np.mean(factors) == pytest.approx(1.0, abs=0.08)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
-def test_fixes_at_standstill_together_observe_what_the_common_part_leaves(share: float) -> None:
+def test_variance_of_repeated_fixes_at_standstill_is_limited_by_their_common_part(share: float) -> None:
     for count in (1, 2, 10, 500):
         reported = sum(1.0 / standstill_inflation(k, share) for k in range(1, count + 1))
         assert 1.0 / reported == pytest.approx(share + (1.0 - share) / count)
 
 
-def test_a_turn_by_a_side_slope_was_learned_as_the_machines_own() -> None:
-    """To a fraction of what it is on the level, and kept for months."""
+def test_turn_caused_by_a_side_slope_is_not_learned_as_asymmetry() -> None:
+    """The variance of the asymmetry on a side slope stays above that on level ground."""
     level, across = (
         float(np.sqrt(run(Machine(roll=roll))["covariance"][ASYMMETRY, ASYMMETRY])) for roll in (1e-6, -0.2)
     )
@@ -130,7 +128,7 @@ def test_yaw_rates_alone_do_not_correct_the_scale_of_the_gyro() -> None:
     assert np.sqrt(state["covariance"][GYRO_SCALE, GYRO_SCALE]) == pytest.approx(0.02)
 
 
-def test_what_was_found_is_the_same_however_late_the_fixes_come() -> None:
+def test_adapted_noise_does_not_depend_on_the_delay_of_fixes() -> None:
     estimators = [SlipEstimator(parameters()), SlipEstimator(parameters())]
     recorded = drive(Machine(track_error=0.1, duration=20.0)).measurements
     late = sorted(recorded, key=lambda m: m.stamp_ns + (9e8 if isinstance(m, PoseFix) else 0.0))

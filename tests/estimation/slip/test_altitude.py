@@ -129,8 +129,8 @@ def test_height_follows_the_receiver() -> None:
     assert height(without[-1])[0] - (true_height(without[-1]) - BEGIN) == pytest.approx(0.3, abs=0.15)
 
 
-def test_the_first_altitude_may_come_while_it_climbs() -> None:
-    """Nothing was before it: the time since then made a doubt of 10¹⁵ m², of which rounding left anything."""
+def test_first_altitude_during_a_climb_sets_the_height() -> None:
+    """The variance of the height must stay finite while there is no altitude."""
     late = drive(lambda t, z: (z, STDDEV**2) if t > 20.0 else (0.0, UNOBSERVED), seconds=60.0)
     estimates, reports = run(late)
     found = [(*height(e), true_height(e)) for e in estimates if e.stamp_ns > 20.6 * S]
@@ -139,13 +139,13 @@ def test_the_first_altitude_may_come_while_it_climbs() -> None:
     assert max(abs(at - truth) / stddev for at, stddev, truth in found) < 4.0
 
 
-def test_a_high_antenna_on_a_slope_was_refused_at_the_start() -> None:
-    """The first fix came before gravity: the place was 0.37 m off with 1 cm claimed, and others refused."""
+def test_fixes_of_a_high_antenna_on_a_slope_are_accepted_from_the_start() -> None:
+    """The first fix arrives before the tilt is known."""
     _, reports = run(drive(seconds=6.0))
     assert {report.outcome for report in reports if report.source == FIX} == {Outcome.ACCEPTED}
 
 
-def test_altitudes_show_what_the_pitch_is_off_by() -> None:
+def test_altitudes_halve_the_pitch_error() -> None:
     def off(estimates: list[Estimate]) -> float:
         tilt = estimates[-1].outputs.tilt
         assert tilt is not None
@@ -156,8 +156,8 @@ def test_altitudes_show_what_the_pitch_is_off_by() -> None:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("rate", [1, 10])  # Hz
-def test_errors_of_altitudes_that_last_do_not_pitch_the_machine(rate: int, seed: int) -> None:
-    """Ten altitudes a second were ten measurements: 0.8° off with 0.3° claimed, and the place with it."""
+def test_time_correlated_altitude_errors_keep_the_pitch_consistent(rate: int, seed: int) -> None:
+    """Ten altitudes a second with one common error count as one measurement."""
     estimates, _ = run(with_time_correlated_errors(rate, seed), RECEIVER)
     nees = []
     for e in estimates:

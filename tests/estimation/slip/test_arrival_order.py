@@ -84,7 +84,7 @@ def delayed(found: list[Measurement], seed: int) -> list[Measurement]:
 )
 @settings(max_examples=8)
 @given(seed=seeds)
-def test_any_order_within_the_window_ends_in_the_same_state(
+def test_final_state_does_not_depend_on_the_order_of_arrival(
     drive: Callable[..., Any], model: str, start: str, positions: bool, seed: int
 ) -> None:
     found = measurements(drive, start, positions)
@@ -98,10 +98,10 @@ def test_any_order_within_the_window_ends_in_the_same_state(
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 @settings(max_examples=6)
 @given(seed=seeds)
-def test_silence_and_jumping_positions_depend_on_no_order_either(
+def test_silence_and_jumps_do_not_depend_on_the_order_of_arrival(
     drive: Callable[..., Any], model: str, seed: int
 ) -> None:
-    """Intervals of up to 250 ms without sprockets, 120 ms of them silence; what closes one comes in time."""
+    """Gaps of up to 250 ms without sprockets, 120 ms of them silence; the sample that ends one is in time."""
     rng = np.random.default_rng(seed)
     found = []
     for m in measurements(drive, "initial_pose"):
@@ -134,7 +134,7 @@ def test_published_stamps_increase(drive: Callable[..., Any], seed: int) -> None
     assert max(m.stamp_ns for m in found) == published[-1]
 
 
-def test_in_order_every_sprocket_sample_gives_an_estimate_at_its_stamp(drive: Callable[..., Any]) -> None:
+def test_every_sprocket_sample_in_order_gives_an_estimate_at_its_stamp(drive: Callable[..., Any]) -> None:
     found = measurements(drive, "initial_pose")
     outcomes = processed(SlipEstimator(parameters("initial_pose")), found)
     for m, (_, estimate) in zip(found, outcomes, strict=True):
@@ -153,7 +153,7 @@ def test_every_repeat_is_refused_and_changes_nothing(drive: Callable[..., Any], 
     assert_same(twice.estimate(), once.estimate())
 
 
-def test_repeats_before_the_start_do_no_harm(drive: Callable[..., Any]) -> None:
+def test_repeats_before_the_start_have_no_effect(drive: Callable[..., Any]) -> None:
     found = measurements(drive, "first_fix")
     waiting = [m for m in found if isinstance(m, Sprockets)][:3]
     rest = [m for m in found if m.stamp_ns > waiting[-1].stamp_ns]
@@ -184,7 +184,7 @@ def test_too_late_is_refused_and_changes_nothing(drive: Callable[..., Any], kind
 
 
 @pytest.mark.parametrize("start", ["initial_pose", "first_fix"])
-def test_what_lies_before_the_start_is_too_late(drive: Callable[..., Any], start: str) -> None:
+def test_measurement_before_the_start_is_too_late(drive: Callable[..., Any], start: str) -> None:
     begin = measurements(drive, start)[0]
     estimator = SlipEstimator(parameters(start))
     assert estimator.process(begin)[0].outcome is Outcome.ACCEPTED
@@ -195,7 +195,7 @@ def test_what_lies_before_the_start_is_too_late(drive: Callable[..., Any], start
 
 
 @pytest.mark.parametrize("start", ["initial_pose", "first_fix"])
-def test_rubbish_is_invalid_and_never_touches_the_state(drive: Callable[..., Any], start: str) -> None:
+def test_invalid_measurements_never_change_the_state(drive: Callable[..., Any], start: str) -> None:
     found = measurements(drive, start)
     clean, dirty = SlipEstimator(parameters(start)), SlipEstimator(parameters(start))
     processed(clean, found)
@@ -228,8 +228,8 @@ def test_a_first_fix_with_an_asymmetric_covariance_is_invalid(
         assert_same(estimator.estimate(), clean.estimate())
 
 
-def test_what_has_the_stamp_of_the_start_may_come_after_it(drive: Callable[..., Any]) -> None:
-    """A sample and a fix of one stamp: whichever comes first, the end is the same, bit for bit."""
+def test_sample_with_the_stamp_of_the_start_may_arrive_after_it(drive: Callable[..., Any]) -> None:
+    """A sample and a fix of one stamp in either order end in the same bits."""
     found = measurements(drive, "first_fix")
     fix, sample = found[0], found[1]
     assert isinstance(fix, PoseFix)
@@ -266,10 +266,10 @@ def arrivals_of(drive: Callable[..., Any]) -> list[Measurement]:
         {"model": "free_slips", "filter": "daf", "sources.box_pose.use_heading": False},
     ],
 )
-def test_many_at_once_are_bit_for_bit_what_each_is_by_itself(
+def test_batches_give_the_same_bits_as_single_measurements(
     drive: Callable[..., Any], changes: dict[str, Any]
 ) -> None:
-    """A replay hands over thousands at a time, the live node one; chunks of any size give the same."""
+    """A replay hands over thousands at a time, the live node one."""
     short = {"history_window": WINDOW_MS * 1e-3, "jump_confirmations": 5, **changes}
     p, given = load_slip_parameters(short), arrivals_of(drive)
     single = SlipEstimator(p)
@@ -296,7 +296,7 @@ def test_many_at_once_are_bit_for_bit_what_each_is_by_itself(
             assert_same_bits(mine[:count], its[:count])
 
 
-def test_a_window_that_is_full_is_enlarged_and_changes_nothing(drive: Callable[..., Any]) -> None:
+def test_full_window_is_enlarged_without_effect_on_the_estimate(drive: Callable[..., Any]) -> None:
     """More arrivals within the history than there are entries at first."""
     found = drive([(6.0, 1.0, 2.0, 0.0, 0.2, 0.0)], step_ms=5, gyro_every=1).measurements
     long = {"history_window": 4.5}
@@ -309,7 +309,7 @@ def test_a_window_that_is_full_is_enlarged_and_changes_nothing(drive: Callable[.
     assert_same(estimator.estimate(), single.estimate())
 
 
-def test_settled_states_go_but_for_the_one_that_the_window_stands_on(drive: Callable[..., Any]) -> None:
+def test_states_older_than_the_window_are_trimmed_except_the_last(drive: Callable[..., Any]) -> None:
     found = measurements(drive, "first_fix")
     estimator = SlipEstimator(parameters("first_fix"))
     capacity = len(estimator.window.best)

@@ -66,7 +66,7 @@ def events(estimator: SlipEstimator) -> list[Event]:
 
 
 @pytest.mark.parametrize("size", [0.5, 1.0, 3.0])
-def test_multipath_moves_nothing(size: float) -> None:
+def test_multipath_does_not_move_the_estimate(size: float) -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     displaced = changed(recording, lambda m, t: moved(m, 0.8 * size, 0.6 * size) if 20.0 <= t < 30.0 else m)
     error, nees, estimator = errors(displaced, recording, parameters(**GNSS))
@@ -75,7 +75,7 @@ def test_multipath_moves_nothing(size: float) -> None:
     assert Event.OFFSET in events(estimator)
 
 
-def test_frozen_fixes_are_found_by_their_bits() -> None:
+def test_frozen_fixes_are_detected_by_identical_bits() -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     last = [np.zeros(3)]
 
@@ -90,7 +90,7 @@ def test_frozen_fixes_are_found_by_their_bits() -> None:
     assert Event.REPEATS in events(estimator)
 
 
-def test_explanation_of_frozen_fixes_states_since_when() -> None:
+def test_explanation_of_frozen_fixes_states_its_duration() -> None:
     recording = drive(Machine(duration=26.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     last = [np.zeros(3)]
 
@@ -105,7 +105,7 @@ def test_explanation_of_frozen_fixes_states_since_when() -> None:
     assert 19.0 < found.since_ns / S - 1.0 < 23.0
 
 
-def test_both_explanations_of_a_jump_are_in_the_covariance() -> None:
+def test_covariance_spans_both_explanations_of_a_jump() -> None:
     """One source alone cannot show whether it is off or the machine was moved."""
     recording = drive(Machine(duration=90.0, fix_noise=0.03, fix_stated=0.03))
     jumped = changed(recording, lambda m, t: moved(m, 2.0, 1.0) if t >= 20.0 else m)
@@ -122,7 +122,7 @@ def test_both_explanations_of_a_jump_are_in_the_covariance() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_gaussian_fixes_need_no_event(seed: int) -> None:
+def test_gaussian_fixes_cause_no_event(seed: int) -> None:
     recording = drive(Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
     error, nees, estimator = errors(recording.measurements, recording, parameters(**GNSS))
     assert not events(estimator)
@@ -152,14 +152,14 @@ def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("heading_noise", [10.0, 0.02])  # rad; of one antenna, and of two
-def test_fixes_that_go_off_evenly_do_not_take_the_machine_with_them(heading_noise: float) -> None:
-    """Within 6 s, for 10 s, and back: the tracks had slipped for certain, 0.6 m off at NEES 250."""
+def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> None:
+    """The fixes drift within 6 s, stay off for 10 s, and return."""
     rms, nees = np.median([off_evenly(part, heading_noise) for part in range(12)], axis=0)
     assert rms < 0.15
     assert nees < 3.0
 
 
-def test_fixes_that_went_off_and_stay_there_are_used_again_within_a_minute() -> None:
+def test_fixes_with_a_lasting_offset_are_used_again_within_a_minute() -> None:
     recording = drive(Machine(duration=110.0, fix_noise=0.03, fix_stated=0.03, track_error=0.05))
     off = [15.0, 21.0], [0.0, 0.7]
     given = changed(recording, lambda m, t: moved(m, np.interp(t, *off), -np.interp(t, *off)))
@@ -169,8 +169,8 @@ def test_fixes_that_went_off_and_stay_there_are_used_again_within_a_minute() -> 
     assert error[error.size * 75 // 110 :].max() < 0.2
 
 
-def test_children_start_half_a_look_back_ago_unless_fixes_agreed_since() -> None:
-    """A branch that fixes contradicted for long looked back for nothing, just when its children were made."""
+def test_branches_start_at_least_half_the_look_back_time_ago() -> None:
+    """A branch that fixes contradict keeps a snapshot of at least half the look-back time."""
     recording, random = drive(Machine(duration=30.0, fix_rate=1)), np.random.default_rng(0)
     noisy = changed(recording, lambda m, t: moved(m, *0.05 * random.standard_normal(2)))
     p = parameters(**GNSS)
@@ -188,7 +188,7 @@ def test_children_start_half_a_look_back_ago_unless_fixes_agreed_since() -> None
     assert max(kept_ages) > 0.9 * longest
 
 
-def test_swapped_tracks_leave_the_place_known() -> None:
+def test_position_is_kept_while_tracks_are_swapped() -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     swapped = [
         replace(m, left_speed=m.right_speed, right_speed=m.left_speed)
@@ -201,7 +201,7 @@ def test_swapped_tracks_leave_the_place_known() -> None:
     assert np.mean(nees > 13.8) < 0.02
 
 
-def test_a_first_fix_that_is_an_outlier_is_found_by_the_next_ones() -> None:
+def test_first_fix_that_is_an_outlier_is_detected_by_the_next_ones() -> None:
     """3 m off at a stated 2 cm, the receiver was called off for 20 s as it was right."""
     recording = drive(Machine(duration=20.0, track_error=0.05))
     first = next(m.stamp_ns for m in recording.measurements if isinstance(m, PoseFix))
@@ -222,7 +222,7 @@ def test_a_first_fix_that_is_far_off_is_forgotten(far: float, knows_heading: boo
 
 
 @pytest.mark.parametrize("far", [50.0, 1000.0])
-def test_a_machine_that_was_moved_is_found_however_far(far: float) -> None:
+def test_moved_machine_is_found_at_any_distance(far: float) -> None:
     recording = drive(Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     given = changed(recording, lambda m, t: moved(m, far, 0.0) if t >= 20.0 else m)
     there = recording._replace(poses=recording.poses + np.where(recording.t[:, None] >= 20.0, (far, 0, 0), 0))
@@ -232,7 +232,7 @@ def test_a_machine_that_was_moved_is_found_however_far(far: float) -> None:
     assert np.mean(nees[times > 21.0] > 13.8) < 0.02  # until then both explanations are in the covariance
 
 
-def test_a_machine_that_was_moved_while_its_fixes_scattered_is_found_again() -> None:
+def test_machine_moved_while_fixes_scatter_is_found() -> None:
     recording, random = (
         drive(Machine(duration=70.0, fix_noise=0.03, fix_stated=0.03)),
         np.random.default_rng(0),
@@ -250,7 +250,7 @@ def test_a_machine_that_was_moved_while_its_fixes_scattered_is_found_again() -> 
     assert error[-100:].max() < 0.2
 
 
-def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_two_seconds() -> None:
+def test_skidding_machine_follows_centimetre_fixes_within_two_seconds() -> None:
     """0.25 m aside within a second: the receiver was called off for ten seconds, and the fixes not used."""
     recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=5))
     true = recording.poses.copy()
@@ -264,7 +264,7 @@ def test_a_machine_that_skids_is_where_centimetre_fixes_show_it_within_two_secon
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_centimetre_fixes_that_are_off_for_ten_seconds_are_not_a_skid_for_certain(seed: int) -> None:
+def test_centimetre_fixes_off_for_ten_seconds_are_no_certain_skid(seed: int) -> None:
     """0.3 m between two fixes may be either; a machine was expected to skid once a minute."""
     machine = Machine(duration=50.0, track_error=0.1, fix_noise=0.02, fix_stated=0.02, fix_rate=1, seed=seed)
     recording = drive(machine)
@@ -273,7 +273,7 @@ def test_centimetre_fixes_that_are_off_for_ten_seconds_are_not_a_skid_for_certai
     assert np.mean(nees > 13.8) < 0.02
 
 
-def test_fixes_that_are_off_after_an_outage_are_no_skid() -> None:
+def test_fixes_off_after_an_outage_are_no_skid() -> None:
     """Whoever drives without fixes for 20 s may have skidded, but not by a share of all that way."""
     recorded = drive(Machine(duration=80.0, fix_rate=5))
     off = changed(recorded, lambda fix, t: moved(fix, 0.8, 0.6) if 50.0 <= t < 60.0 else fix)
@@ -283,8 +283,8 @@ def test_fixes_that_are_off_after_an_outage_are_no_skid() -> None:
     assert error[after].max() < 0.4
 
 
-def test_a_slip_that_no_track_can_have_is_a_wrong_heading() -> None:
-    """With half a turn a slip of 2 drives the same way; while it is slow to be found the slip is doubted."""
+def test_impossible_slip_is_taken_for_a_wrong_heading() -> None:
+    """A slip of 2 and a heading off by half a turn predict the same motion."""
     recording = drive(Machine(duration=60.0, track_error=0.05))
     p = parameters(**GNSS, initial_yaw=math.pi, initial_yaw_stddev=0.3)
     error, _, estimator = errors(recording.measurements, recording, p)
@@ -297,8 +297,7 @@ def test_a_slip_that_no_track_can_have_is_a_wrong_heading() -> None:
 @pytest.mark.parametrize(
     "shown", [(0.0, 0.0), (0.0, 1.0), (1.0, -1.0)], ids=["both 0", "left 0", "right reversed"]
 )
-def test_a_machine_whose_encoders_fail_is_where_the_fixes_show_it(shown: tuple[float, float]) -> None:
-    """Fixes were called off, or the machine slipping, and the place was metres off and certain."""
+def test_estimate_follows_fixes_while_encoders_fail(shown: tuple[float, float]) -> None:
     recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     begin, end = 20.0, 30.0
     broken = [
@@ -316,8 +315,7 @@ def test_a_machine_whose_encoders_fail_is_where_the_fixes_show_it(shown: tuple[f
 
 
 @pytest.mark.parametrize("fastest", [5.0, 20.0])  # rad/s, that a sprocket is said to reach
-def test_sprockets_that_lose_every_other_count_leave_the_place_to_fixes(fastest: float) -> None:
-    """The receiver was called off, with RTK of 5 cm all the time, and the place was off by 1 to 3 m."""
+def test_estimate_follows_fixes_while_every_other_count_is_lost(fastest: float) -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.05, fix_stated=0.05, fix_rate=1))
     begin, end = 20.0, 35.0
     halved = [
@@ -336,8 +334,8 @@ def test_sprockets_that_lose_every_other_count_leave_the_place_to_fixes(fastest:
 
 
 @pytest.mark.parametrize("share", [0.45, 0.5])
-def test_counts_that_are_lost_beside_fixes_with_headings_are_no_wandering_receiver(share: float) -> None:
-    """A slip explained the first of them, and counts that are lost had then to be as rare as both."""
+def test_lost_counts_beside_fixes_with_headings_keep_the_estimate_consistent(share: float) -> None:
+    """Lost counts must win against a wandering receiver plus a slip."""
     machine = Machine(seed=9, fix_rate=5, heading_noise=0.01, track_error=0.1, gyro_noise=0.002)
     recording = drive(machine)
     lost = [
@@ -351,7 +349,7 @@ def test_counts_that_are_lost_beside_fixes_with_headings_are_no_wandering_receiv
     assert np.mean(nees > 13.8) < 0.02
 
 
-def test_while_counts_are_lost_slips_are_none_of_the_ground() -> None:
+def test_motion_is_unknown_while_counts_are_lost() -> None:
     recording = drive(Machine(duration=30.0, fix_noise=0.03, fix_stated=0.03))
     estimator = SlipEstimator(parameters(**GNSS))
     for m in recording.measurements:
@@ -363,7 +361,7 @@ def test_while_counts_are_lost_slips_are_none_of_the_ground() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3])
-def test_a_gyro_that_fails_does_not_turn_the_machine(seed: int) -> None:
+def test_failing_gyro_does_not_turn_the_estimate(seed: int) -> None:
     """It has turned the heading before a fix shows it; half a radian of that stayed while it failed."""
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
     broken = [
@@ -378,7 +376,7 @@ def test_a_gyro_that_fails_does_not_turn_the_machine(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("rate", "seed"), [(5, 1), (5, 2), (10, 0), (10, 2)])
-def test_a_gyro_whose_bias_changes_does_not_turn_the_machine(rate: int, seed: int) -> None:
+def test_change_of_gyro_bias_does_not_turn_the_estimate(rate: int, seed: int) -> None:
     """It has turned the heading before a fix shows it; fixes that wander were the better explanation."""
     recording = drive(
         Machine(duration=60.0, track_error=0.01, fix_noise=0.02, fix_stated=0.02, fix_rate=rate, seed=seed)
@@ -396,13 +394,10 @@ def test_a_gyro_whose_bias_changes_does_not_turn_the_machine(rate: int, seed: in
     ("turn", "rate", "noise", "track_error"),  # rad/s, 1/s, m, 1
     [(0.25, FIXES, 0.03, 0.05), (0.3, FIXES, 0.03, 0.05), (0.25, 5, 0.02, 0.01), (0.25, 10, 0.02, 0.01)],
 )
-def test_fixes_that_wander_off_do_not_take_the_machine_with_them(
+def test_wandering_fixes_do_not_pull_the_estimate(
     turn: float, rate: int, noise: float, track_error: float
 ) -> None:
-    """Slow ones were tracks that push the machine by half more than they turn.
-
-    Fixes close to each other might wander as far from one to the next as those further apart.
-    """
+    """Slow wandering resembles tracks that slip, fast wandering resembles noise; both are covered."""
     machine = Machine(
         duration=50.0, track_error=track_error, fix_noise=noise, fix_stated=noise, fix_rate=rate
     )
@@ -418,8 +413,8 @@ def test_fixes_that_wander_off_do_not_take_the_machine_with_them(
     assert np.sqrt(np.mean(error**2)) < 0.2
 
 
-def test_fixes_that_stay_with_noise_and_go_on_leave_no_error() -> None:
-    """Nothing tells them from a machine that is stuck, until they go on."""
+def test_noisy_frozen_fixes_leave_no_error_once_they_resume() -> None:
+    """They cannot be distinguished from a stuck machine until they resume."""
     recording = drive(Machine(duration=70.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     random = np.random.default_rng(1)
     held = next(m for m in recording.measurements if isinstance(m, PoseFix))
@@ -434,7 +429,7 @@ def test_fixes_that_stay_with_noise_and_go_on_leave_no_error() -> None:
     assert error[error.size * 60 // 70 :].max() < 0.2
 
 
-def test_a_machine_that_is_stuck_is_where_its_fixes_show_it() -> None:
+def test_stuck_machine_follows_its_fixes() -> None:
     recording = drive(
         Machine(duration=60.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, stuck=(20.0, 40.0))
     )
@@ -466,7 +461,7 @@ def faulty(seed: int) -> list[Measurement]:
 
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 50), st.randoms(use_true_random=False), st.floats(0.05, 1.2))
-def test_any_order_of_arrival_gives_the_same_bits(seed: int, random: Any, late_s: float) -> None:
+def test_branches_do_not_depend_on_the_order_of_arrival(seed: int, random: Any, late_s: float) -> None:
     measurements = faulty(seed)
     begin = next(k for k, m in enumerate(measurements) if m.source == FIX) + 1
     rest = sorted(measurements[begin:], key=lambda m: m.stamp_ns + random.uniform(0.0, late_s) * S)
@@ -482,8 +477,8 @@ def test_any_order_of_arrival_gives_the_same_bits(seed: int, random: Any, late_s
         assert one.branches[s, last]["weight"] == other.branches[s, end]["weight"]
 
 
-def test_a_script_of_nothing_holds_for_a_receiver_that_wanders_however_long_the_log() -> None:
-    """The weight of the only branch is never set back there, and its exponential became infinite."""
+def test_empty_script_stays_finite_over_a_long_log_with_a_wandering_receiver() -> None:
+    """The weight of the only branch is never reset there; its exponential must stay finite."""
     recording = drive(Machine(duration=100.0, fix_noise=0.01, fix_stated=0.9, fix_rate=10))
     p = parameters(**GNSS)
     log = make_log(to_records(recording.measurements, SlipEstimator(p).sources), p)
@@ -493,8 +488,8 @@ def test_a_script_of_nothing_holds_for_a_receiver_that_wanders_however_long_the_
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_run_by_its_own_script_has_the_states_of_the_best_branch(seed: int) -> None:
-    """But for what is known of the errors of a receiver, which is by the branch that was best at the time."""
+def test_run_by_its_own_script_ends_in_the_best_branch(seed: int) -> None:
+    """Except for the receiver errors, which follow the branch that is best at the time."""
     p = parameters(**GNSS, **{"receivers.white_odds": 1e3})
     log = make_log(to_records(faulty(seed), SlipEstimator(p).sources), p)
     script = script_of(log, p)

@@ -43,8 +43,8 @@ def found(drive: Callable[..., Any]) -> list[Measurement]:
 
 
 @pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
-def test_a_bag_loop_gives_the_same_estimates_again(found: list[Measurement], start: str) -> None:
-    """After the samples that are needed to see it; from there on as if the node had just been started."""
+def test_bag_loop_repeats_the_same_estimates(found: list[Measurement], start: str) -> None:
+    """After the samples that confirm the restart the estimates are those of a new node."""
     once = moved(found, S)
     estimator, outcomes, twice = run([*once, *once], start=start)
     assert estimator.restarts == 1
@@ -57,7 +57,7 @@ def test_a_bag_loop_gives_the_same_estimates_again(found: list[Measurement], sta
     assert len(twice) == len(first) + len(fresh)
 
 
-def test_stamps_go_back_only_at_a_restart(found: list[Measurement]) -> None:
+def test_published_stamps_decrease_only_at_a_restart(found: list[Measurement]) -> None:
     _, _, published = run([*moved(found, HOUR_NS), *moved(found, S), *moved(found, 2 * HOUR_NS)])
     steps = np.diff([e.stamp_ns for e in published])
     assert np.count_nonzero(steps < 0) == 1
@@ -65,7 +65,7 @@ def test_stamps_go_back_only_at_a_restart(found: list[Measurement]) -> None:
 
 
 @pytest.mark.parametrize("back_ms", [203, 740, 1990])
-def test_a_clock_set_back_by_less_than_the_window_is_seen(found: list[Measurement], back_ms: int) -> None:
+def test_clock_set_back_by_less_than_the_window_is_detected(found: list[Measurement], back_ms: int) -> None:
     """What comes then looks late, but its positions are new: seen within the confirmations and a few more."""
     at = next(k for k, m in enumerate(found) if m.stamp_ns > 4 * S)
     after = moved(found[at:], -back_ms * 1_000_000)
@@ -77,7 +77,7 @@ def test_a_clock_set_back_by_less_than_the_window_is_seen(found: list[Measuremen
     assert same(published[-len(fresh) :], fresh)
 
 
-def test_a_late_burst_is_no_other_clock(found: list[Measurement]) -> None:
+def test_late_burst_is_not_taken_for_another_clock(found: list[Measurement]) -> None:
     """A stalled link: the sprockets of a second and a half come after those that follow them."""
     stalled = [m for m in found if isinstance(m, Sprockets) and 4 * S < m.stamp_ns < 5.5 * S]
     prompt = [m for m in found if m not in stalled]
@@ -90,7 +90,7 @@ def test_a_late_burst_is_no_other_clock(found: list[Measurement]) -> None:
 
 @pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])
 @pytest.mark.parametrize("k", [0, 200])
-def test_one_bad_stamp_far_ahead_harms_nothing(found: list[Measurement], kind: type, k: int) -> None:
+def test_one_stamp_far_ahead_has_no_effect(found: list[Measurement], kind: type, k: int) -> None:
     """In the midst of the drive, or before anything else has come."""
     once = moved(found, S)
     bad = replace(next(m for m in once[k:] if isinstance(m, kind)), stamp_ns=HOUR_NS)
@@ -103,7 +103,7 @@ def test_one_bad_stamp_far_ahead_harms_nothing(found: list[Measurement], kind: t
     assert estimator.restarts == (1 if k == 0 and kind is not YawRate else 0)
 
 
-def test_a_clock_set_forward_goes_on_with_what_was_learned(found: list[Measurement]) -> None:
+def test_clock_set_forward_keeps_the_learned_states(found: list[Measurement]) -> None:
     """From 1970 to now, as when the network comes up: no restart, and the next fix gives the pose."""
     before, after = moved(found, S), moved(found, 1_700_000_000 * S)
     estimator, outcomes, published = run([*before, *after[: len(after) // 2]])

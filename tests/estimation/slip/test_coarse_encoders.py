@@ -110,8 +110,8 @@ def run(
 
 
 @pytest.mark.parametrize("counts", COUNTS)
-def test_no_count_is_a_jump(counts: int) -> None:
-    """One count between two samples at 20 Hz was faster than any sprocket turns: nothing was known of it."""
+def test_single_count_is_never_taken_for_a_jump(counts: int) -> None:
+    """One count between two samples at 20 Hz may exceed the fastest sprocket."""
     assert run(counts)[3] == 0
 
 
@@ -133,7 +133,7 @@ def test_fixes_alone_place_a_machine_of_coarse_encoders(counts: int) -> None:
 
 
 @pytest.mark.parametrize("counts", COUNTS)
-def test_coarse_counts_add_up_to_the_way_without_fixes(counts: int) -> None:
+def test_coarse_counts_give_the_distance_without_fixes(counts: int) -> None:
     place, _, nees, _ = run(counts, fixes_until=80.0)
     assert place < 0.5
     assert nees < 5.0
@@ -141,8 +141,8 @@ def test_coarse_counts_add_up_to_the_way_without_fixes(counts: int) -> None:
 
 @pytest.mark.parametrize("beside", BESIDE)
 @pytest.mark.parametrize("counts", [16, 100])
-def test_what_shows_the_way_agrees_with_a_gyro_beside_coarse_encoders(counts: int, beside: str) -> None:
-    """The gyro was refused beside odometry; and what either showed cost more than it brought."""
+def test_velocity_and_odometry_improve_coarse_encoders_beside_a_gyro(counts: int, beside: str) -> None:
+    """Neither has the gyro refused."""
     half_a_count = KINEMATICS.rolling_radius * math.pi / counts
     for until in (END, 60.0):
         alone, both = (
@@ -157,8 +157,8 @@ def test_what_shows_the_way_agrees_with_a_gyro_beside_coarse_encoders(counts: in
 
 @pytest.mark.parametrize("beside", ["", *BESIDE])
 @pytest.mark.parametrize("counts", COUNTS)
-def test_speeds_that_are_differences_of_counts_show_what_the_counts_show(counts: int, beside: str) -> None:
-    """A driver that publishes no positions: 16 counts were 9 m off, 100 had the gyro refused."""
+def test_speeds_from_count_differences_equal_the_counts(counts: int, beside: str) -> None:
+    """A driver that publishes no positions."""
     for until in (END, 60.0):
         of_counts, of_speeds = (
             run(counts, fixes_until=until, beside=beside, has_positions=given) for given in (True, False)
@@ -167,8 +167,8 @@ def test_speeds_that_are_differences_of_counts_show_what_the_counts_show(counts:
 
 
 @pytest.mark.parametrize("counts", [100, 1000, 12_288])
-def test_rounding_on_a_straight_is_no_turn_of_less_efficiency(counts: int) -> None:
-    """All that the tracks differ by is rounding; κ drifted from 0.55 to 0.45."""
+def test_rounding_on_a_straight_leaves_the_turning_efficiency(counts: int) -> None:
+    """The tracks differ only by rounding; κ stays at its prior."""
     p = parameters(encoder_resolution=math.tau / counts)
     estimator, random = SlipEstimator(p), np.random.default_rng(1)
     shown: list[Measurement] = []

@@ -72,7 +72,7 @@ def test_reset_restarts_the_estimate(found: list[Measurement]) -> None:
             np.testing.assert_array_equal(mine.pose, its.pose)
 
 
-def test_frozen_it_reckons_on_and_ignores_poses(found: list[Measurement]) -> None:
+def test_frozen_estimator_dead_reckons_and_ignores_poses(found: list[Measurement]) -> None:
     estimator = running(found)
     estimator.process(Command(FREEZE))
     steps = [estimator.process(m) for m in after(found, 8.0)]
@@ -89,8 +89,8 @@ def test_frozen_it_reckons_on_and_ignores_poses(found: list[Measurement]) -> Non
 
 
 @pytest.mark.parametrize("stamp_s", [0.0, 7.5])
-def test_a_given_pose_replaces_the_estimated_one(found: list[Measurement], stamp_s: float) -> None:
-    """At its stamp, or now; what was learned of the slips stays, even where the poses are frozen."""
+def test_set_pose_replaces_the_estimated_pose(found: list[Measurement], stamp_s: float) -> None:
+    """At its stamp, or now. The slips stay, even where fixes are frozen."""
     estimator = running(found, start="initial_pose")
     before = estimator.estimate()
     estimator.process(Command(FREEZE))
@@ -105,7 +105,7 @@ def test_a_given_pose_replaces_the_estimated_one(found: list[Measurement], stamp
         np.testing.assert_array_equal(now.outputs.slips, before.outputs.slips)
 
 
-def test_a_given_pose_starts_the_estimate(found: list[Measurement]) -> None:
+def test_set_pose_starts_the_estimate(found: list[Measurement]) -> None:
     estimator = SlipEstimator(load_slip_parameters())
     assert estimator.process(manual_pose())[0].outcome is Outcome.WAITING  # now is not known yet
     assert estimator.process(found[0])[0].outcome is Outcome.WAITING
@@ -115,8 +115,8 @@ def test_a_given_pose_starts_the_estimate(found: list[Measurement]) -> None:
     np.testing.assert_array_equal(estimator.estimate().pose, manual_pose().pose)
 
 
-def test_a_given_pose_without_a_stamp_is_of_now_even_after_a_reset(found: list[Measurement]) -> None:
-    """A reset keeps the clock: nothing waits, and nobody takes stamp 0 for 1.8e9 s of silence."""
+def test_set_pose_without_a_stamp_counts_as_now_after_a_reset(found: list[Measurement]) -> None:
+    """A reset keeps the clock: stamp 0 does not count as 1.8e9 s of silence."""
     later = [replace(m, stamp_ns=m.stamp_ns + EPOCH_NS) for m in found]
     estimator = SlipEstimator(load_slip_parameters())
     watch = SourceWatch(estimator.parameters.timeouts_ns())
@@ -143,7 +143,7 @@ def test_a_given_pose_without_a_stamp_is_of_now_even_after_a_reset(found: list[M
     assert estimate is None or estimate.stamp_ns == now_ns
 
 
-def test_a_given_pose_without_a_covariance_is_refused(found: list[Measurement]) -> None:
+def test_set_pose_without_a_covariance_is_refused(found: list[Measurement]) -> None:
     assert running(found).process(manual_pose(variance=0.0))[0].outcome is Outcome.INVALID
 
 
@@ -169,7 +169,7 @@ def processed(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = 
     return Report(source, round(seconds * S), outcome, nis, 10.0, 2)
 
 
-def test_a_source_of_which_nothing_is_taken_is_lost() -> None:
+def test_source_without_accepted_measurements_is_lost() -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": 5 * S})
     assert watch.lost(100 * S) == {}  # nothing is due before the start
     for at_s in (10.0, 10.1):

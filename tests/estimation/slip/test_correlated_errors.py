@@ -53,7 +53,7 @@ def cap(P: float, R: float) -> float:
 
 
 @given(st.floats(1e-6, 1.0), st.floats(1.001, 1e4))
-def test_what_is_claimed_is_what_a_fix_leaves_of_an_error_that_both_have(R: float, share: float) -> None:
+def test_stated_variance_equals_the_error_after_a_fix_with_a_common_error(R: float, share: float) -> None:
     U = share * R
     P = R + U
     K = P / (P + cap(P, R) * R)
@@ -61,14 +61,14 @@ def test_what_is_claimed_is_what_a_fix_leaves_of_an_error_that_both_have(R: floa
     assert claimed == pytest.approx(left, rel=1e-6)
 
 
-def test_an_estimate_that_may_have_all_of_it_learns_nothing() -> None:
+def test_estimate_that_contains_the_whole_common_error_is_not_updated() -> None:
     assert cap(2.0, 1.0) == math.inf
     assert cap(0.1, 1.0) == math.inf
 
 
 @pytest.mark.parametrize("walk", [0.0003, 0.001, 0.003, 0.01, 0.03])
-def test_position_is_never_much_worse_than_the_fixes_and_claims_no_less_than_is_true(walk: float) -> None:
-    """``walk``: error of dead reckoning in a period, m. It was 4.3 times the fixes' for 0.03 m."""
+def test_position_error_is_near_that_of_the_fixes_and_within_its_covariance(walk: float) -> None:
+    """``walk``: error of dead reckoning in a period, m."""
     rng = np.random.default_rng(1)
     kept, runs = math.exp(-PERIOD / CORRELATION_TIME), 400
     slow, error, P = SIGMA * rng.normal(size=runs), np.zeros(runs), SIGMA**2
@@ -111,7 +111,7 @@ def prior_of(state: Any) -> Any:
     return prior
 
 
-def test_the_place_that_a_fix_shows_and_back() -> None:
+def test_transformation_to_the_offset_position_is_invertible() -> None:
     known = made_up()
     x, P = known.mean.copy(), known.covariance.copy()
     to_measured_position(x, P, SOURCE, 1.0, C)
@@ -124,8 +124,8 @@ def test_the_place_that_a_fix_shows_and_back() -> None:
     np.testing.assert_allclose(P, known.covariance, atol=1e-14)
 
 
-def test_a_first_coarse_fix_is_not_the_place() -> None:
-    """Its error is in the place and, the other way round, in its offset: seen by the receiver it is white."""
+def test_first_coarse_fix_splits_its_error_between_position_and_offset() -> None:
+    """In the coordinates of the receiver its error is white."""
     R = np.array(((0.9, 0.1), (0.1, 1.1)))
     state = given_offset(Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE))), 0.0)
     state["covariance"][PLACE, PLACE] = R
@@ -139,10 +139,8 @@ def test_a_first_coarse_fix_is_not_the_place() -> None:
 
 
 @given(st.floats(0.3, 10.0), st.floats(0.3, 10.0))
-def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
-    before: float, g: float
-) -> None:
-    """Also where the prior widens, and after other states were corrected with it."""
+def test_new_prior_of_an_offset_acts_as_if_set_at_the_start(before: float, g: float) -> None:
+    """Also where the prior widens, and after other states are corrected with it."""
 
     def informed(variance: float) -> FloatArray:
         P = np.eye(SIZE)
@@ -159,8 +157,8 @@ def test_another_prior_of_an_offset_is_as_if_it_had_been_there_from_the_start(
 
 
 @pytest.mark.parametrize(("stddev", "variance"), [(0.02, 0.0), (0.4, 4.0 * 0.4**2), (3.0, 36.0)])
-def test_another_quality_has_another_error(stddev: float, variance: float) -> None:
-    """What is known of the error of one solution tells nothing of that of another; a precise one has none."""
+def test_change_of_fix_quality_resets_the_offset(stddev: float, variance: float) -> None:
+    """The offset of one solution is independent of that of another; a precise one has none."""
     state = given_offset(made_up(), 4.0)
     update, prior, requested = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
     prepare_offset(state, update, prior, SOURCE, stddev**2 * np.eye(2), False, C)
@@ -185,11 +183,8 @@ def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> Non
 
 @pytest.mark.parametrize("size", [1.0, 2.0])
 @pytest.mark.parametrize("rate", [1, 5, 10])  # Hz
-def test_precise_fixes_whose_errors_last_leave_the_estimate_consistent(rate: int, size: float) -> None:
-    """For ten seconds, of what they state and of twice that: NEES was 19 at 1 Hz, and 46 at 5 Hz.
-
-    Taken for white, many fixes seemed to tell more than one.
-    """
+def test_time_correlated_errors_of_precise_fixes_keep_the_estimate_consistent(rate: int, size: float) -> None:
+    """A correlation time of ten seconds, with once and twice the stated standard deviation."""
     nees = []
     for seed in range(3):
         recorded, noise = drive(Machine(duration=120.0, seed=seed)), np.random.default_rng(seed)
@@ -235,7 +230,7 @@ def test_white_errors_are_found_to_be_white(factor: float, seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("stddev", "time"), [(2.0, 30.0), (5.0, 10.0)])
-def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: float, seed: int) -> None:
+def test_large_time_correlated_errors_are_estimated(stddev: float, time: float, seed: int) -> None:
     t = np.arange(0.0, 900.0, 1.0)
     errors = found(gauss_markov(t, stddev, time, np.random.default_rng(seed)), 0.9, 1.0)
     assert errors["white"] < 0.01
@@ -246,7 +241,7 @@ def test_errors_larger_than_stated_that_last_are_found(stddev: float, time: floa
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("period", [0.1, 1.0])
-def test_errors_of_precise_fixes_are_white_until_they_show_otherwise(period: float, seed: int) -> None:
+def test_errors_of_precise_fixes_count_as_white_until_shown_correlated(period: float, seed: int) -> None:
     noise, t = np.random.default_rng(seed), np.arange(0.0, 120.0, period)
     white = found(0.02 * noise.normal(size=(t.size, 2)), 0.02, period)
     assert white["white"] > 0.9
@@ -257,8 +252,8 @@ def test_errors_of_precise_fixes_are_white_until_they_show_otherwise(period: flo
 
 
 @pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])
-def test_a_jump_is_no_error_that_lasts(jump: float) -> None:
-    """It was the whole evidence, and fixes of a machine that was moved then had less weight."""
+def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
+    """Fixes of a moved machine must keep their weight."""
     fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
     fixes[100:] += jump
     assert found(fixes, 0.02, 0.1)["white"] > 0.9
@@ -266,8 +261,8 @@ def test_a_jump_is_no_error_that_lasts(jump: float) -> None:
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
 @pytest.mark.parametrize("off", [1.0, math.pi])
-def test_a_start_heading_that_was_wrong_shows_no_error_of_the_receiver(off: float, seed: int) -> None:
-    """Its fixes had left the way that was predicted, and counted as ones that err to one side for minutes."""
+def test_wrong_start_heading_is_not_attributed_to_the_receiver(off: float, seed: int) -> None:
+    """Fixes that leave the predicted path must not count as time-correlated."""
     recording = drive(Machine(duration=60.0, seed=seed, fix_noise=0.05, fix_stated=0.05))
     given = {"initial_yaw": float(recording.poses[0, 2]) + off, "initial_yaw_stddev": 0.02}
     estimator = SlipEstimator(parameters(**given, **{"sources.box_pose.standing_share": 0.0}))
@@ -279,7 +274,7 @@ def test_a_start_heading_that_was_wrong_shows_no_error_of_the_receiver(off: floa
 
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 50), st.integers(0, 1000))
-def test_any_order_of_arrival_gives_the_same_estimate(seed: int, order: int) -> None:
+def test_receiver_errors_do_not_depend_on_the_order_of_arrival(seed: int, order: int) -> None:
     random = np.random.default_rng(order)
     recording = drive(Machine(duration=20.0, fix_noise=2.0, fix_stated=0.9, seed=seed))
     begin = next(k for k, m in enumerate(recording.measurements) if isinstance(m, PoseFix)) + 1
@@ -296,8 +291,8 @@ def test_any_order_of_arrival_gives_the_same_estimate(seed: int, order: int) -> 
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_receiver_that_wanders_does_not_turn_a_machine_whose_gyro_and_tracks_agree(seed: int) -> None:
-    """It states 0.9 m and wanders by 2.5 m within 20 s; the heading was off by 0.3 rad, with 0.03 claimed."""
+def test_wandering_receiver_does_not_turn_the_estimate_of_gyro_and_tracks(seed: int) -> None:
+    """The receiver states 0.9 m and wanders by 2.5 m within 20 s."""
     recording = drive(Machine(duration=240.0, track_error=0.02, seed=seed))
     measurements = with_coarse_fixes(recording, 2.5, 20.0, seed=seed)
     estimator = SlipEstimator(parameters())

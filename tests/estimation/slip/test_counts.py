@@ -39,7 +39,7 @@ def turned(speeds: FloatArray, dt: float, resolution: float) -> FloatArray:
     ),
     st.floats(1e-4, 0.5),
 )
-def test_the_way_is_never_off_by_more_than_half_a_count(
+def test_distance_error_is_at_most_half_a_count(
     steps: list[tuple[int, int, float]], resolution: float
 ) -> None:
     moved, periods = np.array([step[:2] for step in steps]), np.array([step[2] for step in steps])
@@ -51,7 +51,7 @@ def test_the_way_is_never_off_by_more_than_half_a_count(
 
 
 @given(st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(1e-3, 0.3)), min_size=1, max_size=30))
-def test_positions_without_counts_are_what_they_are(steps: list[tuple[float, float]]) -> None:
+def test_positions_without_counts_are_unchanged(steps: list[tuple[float, float]]) -> None:
     positions = np.repeat(np.cumsum([0.0] + [step[0] for step in steps])[:, None], 2, axis=1)
     periods = np.array([step[1] for step in steps])
     speeds, variances = speeds_of(positions, periods, 0.0)
@@ -61,7 +61,7 @@ def test_positions_without_counts_are_what_they_are(steps: list[tuple[float, flo
 
 @pytest.mark.parametrize("rate", [20, 100])
 @pytest.mark.parametrize("counts", [16, 100, 1000])
-def test_little_rounding_is_left_of_a_turn(counts: int, rate: int) -> None:
+def test_rounding_error_in_turns_is_reduced(counts: int, rate: int) -> None:
     """2.5 rad/s, in curves to both sides."""
     t, resolution = np.arange(60 * rate) / rate, math.tau / counts
     turn = 0.25 * np.sin(math.tau * t / 20.0)
@@ -74,7 +74,7 @@ def test_little_rounding_is_left_of_a_turn(counts: int, rate: int) -> None:
 
 
 @pytest.mark.parametrize("rate", [20, 100])
-def test_the_variance_is_what_fine_counts_leave_open(rate: int) -> None:
+def test_variance_is_that_of_the_remaining_rounding(rate: int) -> None:
     resolution, dt = math.tau / 4096, 1.0 / rate
     walk = np.random.default_rng(3).normal(0.0, 0.2 * math.sqrt(dt), (120 * rate, 2))
     true = np.array((20.0, -20.0)) + np.cumsum(walk, axis=0)
@@ -84,7 +84,7 @@ def test_the_variance_is_what_fine_counts_leave_open(rate: int) -> None:
 
 
 @pytest.mark.parametrize("counts", [16, 1000])
-def test_a_sprocket_that_stops_stands(counts: int) -> None:
+def test_speed_of_a_stopped_sprocket_is_zero(counts: int) -> None:
     true = np.vstack((np.full((100, 2), 2.5), np.zeros((200, 2))))
     resolution = math.tau / counts
     speeds, _ = speeds_of(turned(true, 0.05, resolution), np.full(300, 0.05), resolution)

@@ -33,7 +33,7 @@ def spiked(measurements: list[Measurement], which: range, jump: float = 5.0) -> 
     ]
 
 
-def test_a_spike_is_gated_and_leaves_no_trace(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_spike_is_gated_without_effect(drive: Callable[..., Any], thesis_run: Run) -> None:
     driven = drive([(8.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     steps = thesis_run(spiked(driven.measurements, range(20, 22)))
     gated = [r for r in steps.reports if r.outcome is Outcome.GATED]
@@ -44,10 +44,10 @@ def test_a_spike_is_gated_and_leaves_no_trace(drive: Callable[..., Any], thesis_
 
 @pytest.mark.parametrize("model", ["turning", "free_slips"])
 @pytest.mark.parametrize("jump", [1.0, -5.0, 50.0])
-def test_a_persistent_jump_of_the_box_is_a_moved_machine_after_some_seconds(
+def test_persistent_jump_of_fixes_moves_the_estimate_after_some_seconds(
     drive: Callable[..., Any], model: str, jump: float, thesis_run: Run
 ) -> None:
-    """Until then the source is off. The covariance spans both explanations; the learned slip stays."""
+    """Until then the source is rejected. The covariance spans both explanations; the learned slip stays."""
     driven = drive([(15.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     fixes = sum(isinstance(m, PoseFix) for m in driven.measurements)
     steps = thesis_run(spiked(driven.measurements, range(20, fixes), jump), model=model)
@@ -89,7 +89,7 @@ def test_one_wrong_reading_after_an_outage_is_refused(drive: Callable[..., Any],
         assert abs(e.pose[2] - driven.truth[e.stamp_ns][2]) < 0.06
 
 
-def test_a_gyro_rejected_for_long_has_another_bias(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_gyro_rejected_for_long_gets_a_new_bias(drive: Callable[..., Any], thesis_run: Run) -> None:
     """A step of 0.3 rad/s: refused for the timeout and a little more, then learned in one go."""
     driven = drive([(20.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     stepped = [
@@ -137,10 +137,10 @@ def kappas(found: list[Measurement], **changes: Any) -> tuple[FloatArray, list[O
 
 
 @pytest.mark.parametrize("spike", [0.10, -0.06])
-def test_one_plausible_gyro_spike_in_a_turn_leaves_what_was_learned(
+def test_one_plausible_gyro_spike_in_a_turn_keeps_the_turning_efficiency(
     drive: Callable[..., Any], spike: float
 ) -> None:
-    """+0.10 rad/s is 20 σ, and what other ground would show: κ went from 0.446 to 0.904 with one."""
+    """+0.10 rad/s is 20 σ and is also what other ground would cause."""
     clean, _ = kappas(on_one_ground(drive).measurements)
     assert clean == pytest.approx(KAPPA, abs=0.03)
     found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, [spike]))
@@ -156,7 +156,7 @@ def test_one_plausible_gyro_spike_in_a_turn_leaves_what_was_learned(
         [-0.30] * 6,  # against the tracks
     ],
 )
-def test_gyro_readings_that_show_no_one_ground_leave_what_was_learned(
+def test_inconsistent_gyro_readings_keep_the_turning_efficiency(
     drive: Callable[..., Any], added: list[float]
 ) -> None:
     clean, _ = kappas(on_one_ground(drive).measurements)
@@ -167,12 +167,12 @@ def test_gyro_readings_that_show_no_one_ground_leave_what_was_learned(
 
 
 @pytest.mark.parametrize("confirmations", [2, 3, 5])
-def test_as_many_gyro_readings_as_must_agree_show_other_ground(
+def test_confirmed_gyro_readings_change_the_turning_efficiency(
     drive: Callable[..., Any], confirmations: int
 ) -> None:
-    """Those before weigh little, the last is accepted, and κ is at once that of the new ground.
+    """The readings before the last confirmation have little weight; then κ is that of the new ground.
 
-    Fixes would show that it is the gyro.
+    There are no fixes, which would show that it is the gyro.
     """
     given = [
         m for m in on_one_ground(drive).measurements if not isinstance(m, PoseFix) or m.stamp_ns < 20 * S
@@ -184,7 +184,7 @@ def test_as_many_gyro_readings_as_must_agree_show_other_ground(
     assert found[last + 6] == pytest.approx(KAPPA * (RATE + 0.10) / RATE, abs=0.1)
 
 
-def test_by_default_one_gyro_reading_shows_no_other_ground() -> None:
+def test_default_requires_two_gyro_readings_to_change_the_ground() -> None:
     assert load_slip_parameters().gate_confirmations >= 2
 
 

@@ -32,7 +32,7 @@ def test_explanations_that_compete_are_listed_with_their_probabilities() -> None
     assert Explained(10 * S, (OFF, MOVED)).text == text
 
 
-def test_one_explanation_states_since_when() -> None:
+def test_single_explanation_states_its_duration() -> None:
     assert Explained(10 * S, (OFF,)).text == "gnss_pose is 1.0 m off, for 2.0 s"
     assert Explained(10 * S, (MOVED,)).text == "the machine was moved, 2.0 s ago"
 
@@ -50,7 +50,7 @@ def test_alternatives_of_a_few_percent_are_not_stated() -> None:
     assert Explained(10 * S, ()).text == ""
 
 
-def test_what_nothing_happened_means_does_not_shorten_the_time() -> None:
+def test_explanation_without_an_event_does_not_shorten_the_duration() -> None:
     assert Explained(10 * S, (OFF, CALM._replace(probability=0.1))).seconds == 2.0
 
 
@@ -64,7 +64,7 @@ def test_last_events_have_stamps_and_no_single_outliers() -> None:
     assert recent([]) == "none"
 
 
-def test_a_source_that_is_sound_again_explains_nothing_more() -> None:
+def test_source_sound_again_is_no_longer_an_explanation() -> None:
     """Multipath of 1 m from 20 to 30 s."""
     recording = drive(Machine(duration=45.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     gnss = {"sources.box_pose.fault_rate": 1 / 300, "sources.box_pose.jump_rate": 1 / 3000}
@@ -88,7 +88,7 @@ def test_a_source_that_is_sound_again_explains_nothing_more() -> None:
     assert f"{FIX} has recovered" in values["last events"]
 
 
-def test_an_unknown_heading_is_being_found_until_one_share_of_the_circle_is_left() -> None:
+def test_unknown_heading_is_reported_until_it_is_found() -> None:
     recording = drive(Machine(duration=40.0, fix_noise=0.03, fix_stated=0.03))
     estimator = SlipEstimator(parameters(initial_yaw_stddev=0.0))
     texts = []

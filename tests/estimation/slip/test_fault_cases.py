@@ -105,7 +105,7 @@ def test_gauss_markov_errors_have_their_deviation_and_correlation_time() -> None
 
 
 @pytest.mark.parametrize("kind", [name for name, kind in KINDS.items() if kind.group is Group.WHITE])
-def test_white_errors_are_as_large_as_stated(kind: str) -> None:
+def test_white_errors_have_the_stated_size(kind: str) -> None:
     errors, stated = KINDS[kind].draw(np.arange(0.0, 2000.0), np.random.default_rng(0))
     assert np.std(errors / stated[:, np.newaxis]) == pytest.approx(1.0, rel=0.05)
 

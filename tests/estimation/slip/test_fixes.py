@@ -33,8 +33,8 @@ def delays(machine: Machine) -> tuple[np.ndarray, np.ndarray, list[float]]:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
-def test_the_delay_of_fixes_shows_while_speeds_change(late: float) -> None:
-    """Of a machine that somebody drives by hand, which never goes steadily."""
+def test_delay_of_fixes_is_observable_while_speeds_change(late: float) -> None:
+    """Of a manually driven machine, whose speed is never steady."""
     machine = Machine(duration=90.0, surge=0.7, track_error=0.03, fix_rate=5, fix_late=late, seed=1)
     found, stddevs, nees = delays(machine)
     assert found[-1] == pytest.approx(late, abs=3.0 * stddevs[-1])
@@ -43,8 +43,8 @@ def test_the_delay_of_fixes_shows_while_speeds_change(late: float) -> None:
 
 
 @pytest.mark.parametrize("late", [0.2, 0.3])
-def test_fixes_that_are_far_later_than_their_stamps_may_be_move_no_machine(late: float) -> None:
-    """They were slips of the tracks, again at each change of speed: 0.06 m off at a NEES of 6, of 0.3 s."""
+def test_delay_of_fixes_beyond_its_prior_keeps_the_estimate_consistent(late: float) -> None:
+    """The delay must not be taken for slip at each change of speed."""
     squares = []
     for seed in range(3):
         machine = Machine(duration=120.0, surge=0.5, track_error=0.02, fix_late=late, seed=seed)
@@ -71,8 +71,8 @@ def test_odds_and_delay_follow_the_rule_of_bayes(v: float, share: float, z: floa
     assert log_odds_of_delay(state, 0, c) == -math.inf  # it is known already
 
 
-def test_a_start_does_not_correct_the_delay() -> None:
-    """The tracks run on the spot for a centimetre or two first: that looks like one."""
+def test_start_of_a_drive_does_not_correct_the_fix_delay() -> None:
+    """The tracks first spin for a centimetre or two, which resembles a delay."""
     found, stddevs, _ = delays(Machine(duration=1.2, fix_rate=RATE))
     assert found[-1] == pytest.approx(0.0, abs=1e-6)
     assert stddevs[-1] >= STAMP_ERROR

@@ -49,7 +49,7 @@ def probabilities(case: FaultCase, text: str) -> Iterator[float]:
 
 @pytest.mark.parametrize("rate", [1, 5])
 @pytest.mark.parametrize("difference", [0.0, 1e-5])
-def test_a_frozen_receiver_does_not_hold_the_machine(difference: float, rate: int) -> None:
+def test_frozen_receiver_does_not_stop_the_estimate(difference: float, rate: int) -> None:
     machine = Machine(duration=45.0, fix_noise=STATED, fix_stated=STATED, fix_rate=rate, track_error=0.03)
     found = score(of_receiver(machine, frozen=difference))
     assert found.nees <= 5.0
@@ -59,7 +59,7 @@ def test_a_frozen_receiver_does_not_hold_the_machine(difference: float, rate: in
 
 @pytest.mark.parametrize("rate", [1, 5])
 @pytest.mark.parametrize("jitter", [0.003, 0.01])
-def test_a_frozen_receiver_whose_fixes_jitter_on_is_not_ruled_out(jitter: float, rate: int) -> None:
+def test_jittering_frozen_receiver_keeps_a_probability_of_half_a_percent(jitter: float, rate: int) -> None:
     machine = Machine(duration=45.0, fix_noise=STATED, fix_stated=STATED, fix_rate=rate, track_error=0.03)
     assert min(probabilities(of_receiver(machine, frozen=jitter), STAYS)) >= 0.005
     assert score(of_receiver(machine, frozen=jitter)).live_equals_replay
@@ -67,7 +67,7 @@ def test_a_frozen_receiver_whose_fixes_jitter_on_is_not_ruled_out(jitter: float,
 
 @pytest.mark.parametrize("rate", [1, 5, 10])
 @pytest.mark.parametrize(("noise", "stated"), [(0.05, 0.05), (0.005, 0.05)])
-def test_a_stuck_machine_is_where_its_fixes_show_it(noise: float, stated: float, rate: int) -> None:
+def test_estimate_of_a_stuck_machine_follows_its_fixes(noise: float, stated: float, rate: int) -> None:
     machine = Machine(
         duration=45.0,
         fix_noise=noise,
@@ -82,8 +82,8 @@ def test_a_stuck_machine_is_where_its_fixes_show_it(noise: float, stated: float,
 
 
 @pytest.mark.parametrize("rate", [1, 5, 10])
-def test_a_fix_that_repeats_by_chance_does_not_free_a_stuck_machine(rate: int) -> None:
-    """Ten fixes a second that jitter by a centimetre repeat within minutes: the estimate left for good."""
+def test_chance_repetition_of_a_fix_does_not_move_a_stuck_machine(rate: int) -> None:
+    """Ten fixes a second with centimetre noise repeat within minutes."""
     noise = 0.02
     machine = Machine(
         duration=45.0, fix_noise=noise, fix_stated=noise, fix_rate=rate, track_error=0.03, stuck=(BEGIN, 40.0)

@@ -155,7 +155,7 @@ def test_order_of_arrival_does_not_matter(seed: int) -> None:
     np.testing.assert_array_equal(first.pose_covariance, second.pose_covariance)
 
 
-def test_frozen_estimate_takes_no_headings() -> None:
+def test_frozen_estimate_ignores_headings() -> None:
     _, measurements = seen(Machine(duration=5.0))
     estimator = SlipEstimator(with_headings())
     estimator.process_all(measurements[:-20])
@@ -168,7 +168,7 @@ def test_frozen_estimate_takes_no_headings() -> None:
 @pytest.mark.parametrize(
     "bad", [(math.nan, 1e-4), (math.inf, 1e-4), (0.1, 0.0), (0.1, -1.0), (0.1, math.nan)]
 )
-def test_what_is_no_heading_is_invalid(bad: tuple[float, float]) -> None:
+def test_malformed_heading_is_invalid(bad: tuple[float, float]) -> None:
     _, measurements = seen(Machine(duration=3.0))
     estimator = SlipEstimator(with_headings())
     estimator.process_all(measurements)
@@ -236,8 +236,8 @@ def test_time_correlated_errors_count_as_their_mean_varies(elapsed: float, time:
 
 
 @pytest.mark.parametrize("turned", [-0.035, 0.035])
-def test_a_source_of_poses_that_is_turned_on_the_machine_is_found_by_the_way_driven(turned: float) -> None:
-    """By two degrees: its headings were believed, and the heading's NEES was above 5."""
+def test_mounting_angle_of_a_pose_source_is_estimated_from_the_path(turned: float) -> None:
+    """With a prior for the mounting angle the heading is consistent; without one it is not."""
     recorded = drive(Machine(duration=120.0, heading_noise=0.01))
     given_ = [
         replace(m, pose=m.pose + np.array((0.0, 0.0, turned))) if isinstance(m, PoseFix) else m

@@ -65,7 +65,7 @@ def known(seed: int, n: int = len(OF.places)) -> Learned:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_what_was_learned_survives_the_text_bit_for_bit(seed: int) -> None:
+def test_learned_states_survive_the_text_bit_for_bit(seed: int) -> None:
     one = known(seed)
     back = from_tree(json.loads(bits(one)), OF)
     assert bits(back) == bits(one)
@@ -86,7 +86,7 @@ def test_age_widens_towards_the_prior_and_never_beyond(seed: int, first: float, 
     np.testing.assert_allclose(twice.track_weights, older.track_weights, atol=1e-9)
 
 
-def test_the_ground_is_forgotten_within_hours_and_the_machine_within_months(learned: Learned) -> None:
+def test_soil_states_age_within_hours_and_machine_states_within_months(learned: Learned) -> None:
     deviations = {
         age: dict(zip(OF.places, aged(learned, age, OF).stddev, strict=True))
         for age in (0.0, 12 * HOUR, 12 * MONTH)
@@ -99,7 +99,7 @@ def test_the_ground_is_forgotten_within_hours_and_the_machine_within_months(lear
         assert deviations[12 * MONTH][name] > 0.9 * prior[name]
 
 
-def test_an_estimator_starts_from_what_was_learned(driven: list[Measurement], learned: Learned) -> None:
+def test_estimator_starts_from_learned_states(driven: list[Measurement], learned: Learned) -> None:
     estimator = SlipEstimator(P, learned=learned)
     assert bits(estimator.learned or known(0)) == bits(learned)
     first = next(k for k, m in enumerate(driven) if isinstance(m, PoseFix))
@@ -113,7 +113,7 @@ def test_an_estimator_starts_from_what_was_learned(driven: list[Measurement], le
     assert state["adaptation"]["fix_factors"][0] > 1.5  # 4 is true
 
 
-def test_a_second_run_begins_where_the_first_ended(learned: Learned) -> None:
+def test_learned_states_reduce_the_error_of_the_next_start(learned: Learned) -> None:
     """Within its first metres, what took the first one a minute."""
     again = drive(Machine(gyro_scale=0.97, fix_noise=0.04, duration=8.0, seed=1)).measurements
     errors = []
@@ -125,7 +125,7 @@ def test_a_second_run_begins_where_the_first_ended(learned: Learned) -> None:
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_a_reset_keeps_what_was_learned_and_forget_does_not(driven: list[Measurement]) -> None:
+def test_reset_keeps_learned_states_and_forget_drops_them(driven: list[Measurement]) -> None:
     estimator = SlipEstimator(P)
     estimator.process_all(driven)
     before = estimator.learned
@@ -168,12 +168,12 @@ def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -
         {"pose_sources": ("box_pose", "gnss_pose")},
     ],
 )
-def test_another_machine_is_noticed(learned: Learned, changes: dict[str, Any]) -> None:
+def test_parameters_of_another_machine_are_detected(learned: Learned, changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="another vehicle, or of other sources"):
         from_tree(to_tree(learned, OF), meaning(parameters(**changes)))
 
 
-def test_other_gates_are_the_same_machine(learned: Learned) -> None:
+def test_other_gates_keep_the_machine_identity(learned: Learned) -> None:
     of = meaning(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
     assert to_tree(from_tree(to_tree(learned, OF), of), of) == to_tree(learned, OF)
 
@@ -191,7 +191,7 @@ def test_other_gates_are_the_same_machine(learned: Learned) -> None:
         ("fix_noise_ln_weights", 3),
     ],
 )
-def test_what_is_no_estimate_is_refused(learned: Learned, name: str, value: object) -> None:
+def test_invalid_learned_states_are_refused(learned: Learned, name: str, value: object) -> None:
     with pytest.raises(InputError, match="do not fit"):
         from_tree({**to_tree(learned, OF), name: value}, OF)
 
@@ -205,8 +205,8 @@ def test_nothing_is_observed_before_the_first_metre() -> None:
     assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
 
 
-def test_what_moved_far_from_its_prior_was_observed_however_wide_it_is() -> None:
-    """The slip of tracks that spin is known to 0.1, and was thought to be 0 ± 0.02."""
+def test_state_far_from_its_prior_counts_as_observed() -> None:
+    """The slip of spinning tracks is known to ± 0.1; its prior is 0 ± 0.02."""
     start, k = OF.prior, list(OF.places).index("common_slip")
     mean, stddev = start.mean.copy(), start.stddev.copy()
     mean[k], stddev[k] = 1.0, 0.1
@@ -214,7 +214,7 @@ def test_what_moved_far_from_its_prior_was_observed_however_wide_it_is() -> None
     assert named(spinning)["common_slip"].observed
 
 
-def test_what_was_observed_is_stated_in_plain_words(learned: Learned) -> None:
+def test_observed_states_are_reported_in_sentences(learned: Learned) -> None:
     found = named(learned)
     gyro = found["gyro_scale"]
     assert gyro.observed
@@ -247,7 +247,7 @@ def test_a_sentence_has_the_digits_of_its_standard_deviation(
     assert Finding(name, value, stddev, observed=True).sentence == sentence
 
 
-def test_a_delay_is_that_of_each_source() -> None:
+def test_each_source_has_its_own_delay() -> None:
     changes = {"sources.box_pose.stamp_error": 0.0, "sources.gnss_pose.stamp_error": 0.03}
     found = named(None, meaning(parameters(pose_sources=("box_pose", "gnss_pose"), **changes)))
     assert "fix_delay.box_pose" not in found  # it is known to have none

@@ -30,7 +30,7 @@ def twists(*values: tuple[float, float, float], step_ns: int = STEP_NS) -> NDArr
     return records
 
 
-def test_a_circle_is_driven_all_the_way_round() -> None:
+def test_full_circle_ends_at_its_start_with_a_turn_of_2_pi() -> None:
     n = 1000
     found = LocalOdometry().advance(twists(*[(0.5, 0.0, 2.0 * np.pi / (n * 0.01))] * (n + 1)))
     np.testing.assert_allclose(found["pose"][-1], (0.0, 0.0, 2.0 * np.pi), atol=1e-4)
@@ -42,7 +42,7 @@ def test_a_circle_is_driven_all_the_way_round() -> None:
 
 
 @given(st.lists(st.integers(0, 40), max_size=4))
-def test_pieces_make_the_whole_to_the_last_bit(cuts: list[int]) -> None:
+def test_batches_give_the_same_bits_as_the_whole(cuts: list[int]) -> None:
     random = np.random.default_rng(0)
     records = twists(*map(tuple, random.normal(size=(40, 3)).tolist()))
     whole, pieces = LocalOdometry().advance(records), LocalOdometry()
@@ -51,7 +51,7 @@ def test_pieces_make_the_whole_to_the_last_bit(cuts: list[int]) -> None:
 
 
 @pytest.mark.parametrize("gap_ns", [-5_000_000_000, 0, 60_000_000_000])
-def test_lost_time_moves_nothing(gap_ns: int) -> None:
+def test_time_gap_does_not_move_the_local_pose(gap_ns: int) -> None:
     records = twists(*[(0.5, 0.0, 0.1)] * 20)
     records["stamp_ns"][10:] += gap_ns - STEP_NS
     pose = LocalOdometry().advance(records)["pose"]
@@ -59,7 +59,7 @@ def test_lost_time_moves_nothing(gap_ns: int) -> None:
     assert pose[19][0] > pose[10][0]
 
 
-def test_a_fix_far_off_moves_the_estimate_and_not_the_local_one(drive: Callable[..., Any]) -> None:
+def test_fix_far_off_moves_only_the_map_frame(drive: Callable[..., Any]) -> None:
     driven = drive([(10.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
     moved = [
         PoseFix(m.source, m.stamp_ns, m.pose + np.array((3.0, 1.0, 0.0)), m.covariance)

@@ -104,10 +104,10 @@ def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any
 @pytest.mark.parametrize(
     "changes", [{}, {"sources.box_pose.use_heading": False, "sources.box_pose.lever_arm_x": 0.4}]
 )
-def test_it_ends_as_the_estimator_does(
+def test_log_run_ends_in_the_state_of_the_estimator(
     drive: Callable[..., Any], model: str, filter_: str, changes: dict[str, Any]
 ) -> None:
-    """With gated measurements, gates that widen, silences and all that a log may hold."""
+    """With gated measurements, inflated gates, silences and all other cases of a log."""
     p = parameters(model=model, filter=filter_, **changes)
     found = with_faults(measurements(drive))
     state, outcomes = ended(found, p)
@@ -122,8 +122,8 @@ def test_it_ends_as_the_estimator_does(
     assert 5 < len(breaks) < 0.3 * len(run.states)
 
 
-def test_an_outage_leaves_the_gate_as_it_does_live(drive: Callable[..., Any]) -> None:
-    """Fixes far off, after none for 3 s, are refused until several agree."""
+def test_outage_gates_the_same_fixes_as_live(drive: Callable[..., Any]) -> None:
+    """Fixes far off after an outage of 3 s are rejected until several agree."""
     found = in_order(
         [
             replace(m, pose=m.pose + np.array((2.0, 2.0, 0.0)))
@@ -142,7 +142,7 @@ def test_an_outage_leaves_the_gate_as_it_does_live(drive: Callable[..., Any]) ->
 
 
 @pytest.mark.parametrize("size", [16, 100, 10_000])
-def test_blocks_of_any_size_give_the_same_bits(
+def test_block_size_does_not_change_the_bits(
     drive: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
     """Each block ends at a sprocket sample, or no interval would be closed as it is in the whole log."""
@@ -172,8 +172,8 @@ def test_a_sprocket_sample_only_propagates(drive: Callable[..., Any]) -> None:
     assert (run.updates["dof"][samples] == 0).all()
 
 
-def test_what_is_rejected_leaves_mean_and_covariance_untouched(drive: Callable[..., Any]) -> None:
-    """Whatever was tried with it on the way: bit for bit the prior."""
+def test_rejected_measurement_keeps_mean_and_covariance(drive: Callable[..., Any]) -> None:
+    """Bit for bit the prior."""
     for filter_ in ("ekf", "daf"):
         p = parameters(filter=filter_, **{"sources.box_pose.lever_arm_x": 0.4})
         log = log_of(with_faults(measurements(drive)), p)
@@ -198,7 +198,7 @@ def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[...
 
 
 @pytest.mark.slow
-def test_many_runs_are_each_that_one_run(drive: Callable[..., Any]) -> None:
+def test_parallel_runs_equal_single_runs(drive: Callable[..., Any]) -> None:
     """Sets of parameters over one log, and noise seeds under one set, on threads."""
     sets = [parameters(model=m, gate_probability=g) for m in ("turning", "icr") for g in (0.5, 0.9999)]
     jobs = [(log_of(measurements(drive, seed), p), p) for p in sets for seed in range(3)]
@@ -219,7 +219,7 @@ def test_order_and_repeats_do_not_matter(drive: Callable[..., Any]) -> None:
         assert_same_bits(mine, its)
 
 
-def test_everything_is_taken_where_nothing_is_gated(drive: Callable[..., Any]) -> None:
+def test_infinite_gates_accept_every_measurement(drive: Callable[..., Any]) -> None:
     p = parameters()
     log = log_of(measurements(drive), p)
     estimator = SlipEstimator(p)
@@ -238,7 +238,7 @@ def test_a_log_without_a_start_is_refused(drive: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
-def test_nothing_is_compiled_while_driving(drive: Callable[..., Any], model: str) -> None:
+def test_no_kernel_is_compiled_while_driving(drive: Callable[..., Any], model: str) -> None:
     """Arrays of another layout would stop the estimator for seconds."""
     p = parameters(
         model=model, **{"sources.box_pose.use_heading": False}, **{"sources.box_pose.lever_arm_x": 0.3}

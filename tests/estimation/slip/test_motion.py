@@ -105,14 +105,14 @@ def test_a_change_is_measured_against_the_speed_on_the_spot_too(sign: float) -> 
 
 
 @pytest.mark.parametrize("before", [held(2.0, 2.0), held(1.0, 2.0)])
-def test_between_the_limits_the_state_stays_as_it_was(before: list[tuple[float, float]]) -> None:
+def test_motion_state_is_kept_between_the_limits(before: list[tuple[float, float]]) -> None:
     """|ω_R − ω_L| is 0.08 of the mean: less than 0.10, more than 0.06."""
     states = drive(before)
     assert drive(held(2.0, 2.167), states[-1])[-1].motion is states[-1].motion
 
 
 @pytest.mark.parametrize("before", [held(0.0, 0.0), held(0.2, 0.2)])
-def test_slow_creep_between_the_limits_stays_as_it_was(before: list[tuple[float, float]]) -> None:
+def test_motion_state_is_kept_at_slow_creep_between_the_limits(before: list[tuple[float, float]]) -> None:
     states = drive(before)
     assert drive(held(0.04, 0.04, 6.0), states[-1])[-1].motion is states[-1].motion
 
@@ -134,13 +134,13 @@ def counted(left: float, right: float, seconds: float) -> list[tuple[float, floa
         (1.0, 0.7, Motion.TURNING),
     ],
 )
-def test_counts_do_not_make_it_flicker(left: float, right: float, expected: Motion) -> None:
+def test_counts_do_not_toggle_the_motion_state(left: float, right: float, expected: Motion) -> None:
     states = drive(counted(left, right, 20.0))[100:]
     assert {s.motion for s in states} == {expected}
     assert not any(s.changing for s in states)
 
 
-def test_speeds_are_shown_low_passed_where_rounding_explains_their_changes() -> None:
+def test_speeds_are_low_passed_where_rounding_explains_their_changes() -> None:
     state, found = MotionState(), []
     for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
         speeds = Speeds(left, right, COUNTED, COUNT**2 / 12.0)
@@ -153,7 +153,7 @@ def test_speeds_are_shown_low_passed_where_rounding_explains_their_changes() -> 
 
 
 @pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
-def test_no_difference_that_rounding_explains_is_shown(difference: float) -> None:
+def test_speed_difference_within_rounding_is_not_published(difference: float) -> None:
     """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
     now = Speeds(1.5, 1.5 + difference, COUNTED, COUNT**2 / 12.0)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
@@ -165,7 +165,7 @@ def test_no_difference_that_rounding_explains_is_shown(difference: float) -> Non
     assert smoothed(measured_, changing, LIMITS) == measured_
 
 
-def test_shaking_on_the_spot_is_standing() -> None:
+def test_shaking_on_the_spot_is_standstill() -> None:
     rng = np.random.default_rng(1)
     jitter = [(float(a), float(b)) for a, b in rng.integers(-1, 2, (2000, 2)) * COUNT / DT / 2.0]
     assert {s.motion for s in drive(jitter)[100:]} == {Motion.STANDING}

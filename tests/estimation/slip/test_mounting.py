@@ -90,7 +90,7 @@ def test_a_message_is_turned_as_its_unit_is_mounted() -> None:
     assert found.acceleration_variance == pytest.approx(0.03)
 
 
-def test_what_is_not_stated_is_the_parameters() -> None:
+def test_missing_variances_are_those_of_the_parameters() -> None:
     imu = source(stddev=0.01, acceleration_stddev=0.2)
     found = yaw_rate(imu_message((0.0, 0.0, 0.3), (0.0, 0.0, 9.8)), "imu/data_raw", imu)
     assert isinstance(found, YawRate)
@@ -98,12 +98,12 @@ def test_what_is_not_stated_is_the_parameters() -> None:
     assert found.acceleration_variance == pytest.approx(0.04)
 
 
-def test_an_imu_that_states_that_it_has_no_gyro_is_refused() -> None:
+def test_imu_marked_without_gyro_is_refused() -> None:
     message = imu_message((0.0, 0.0, 0.0), (0.0, 0.0, 9.8), of_rates=(-1.0, 0.0, 0.0))
     assert yaw_rate(message, "imu/data_raw", source()) is Refusal.NO_RATE
 
 
-def test_accelerations_that_are_stated_to_be_none_are_none() -> None:
+def test_accelerations_marked_absent_are_unknown() -> None:
     message = imu_message((0.0, 0.0, 0.1), (0.0, 0.0, 0.0), of_forces=(-1.0, 0.0, 0.0))
     found = yaw_rate(message, "imu/data_raw", source())
     assert isinstance(found, YawRate)
@@ -117,8 +117,8 @@ def test_degrees_are_refused(angle: str) -> None:
         source(**{angle: 180.0})
 
 
-def test_a_turned_imu_gives_the_estimate_of_one_that_is_not(drive: Callable[..., Any]) -> None:
-    """As a message carries it, with all three axes."""
+def test_rotated_imu_gives_the_same_estimate(drive: Callable[..., Any]) -> None:
+    """As a message with all three axes."""
     driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)]).measurements
     back = Rotation.from_euler("ZYX", (-0.7, 0.2, math.pi)).inv()
     imu = source(mounting_roll=math.pi, mounting_pitch=0.2, mounting_yaw=-0.7)

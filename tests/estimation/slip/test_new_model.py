@@ -38,7 +38,7 @@ def test_models_have_codes_and_names_of_their_own() -> None:
     assert all(name == model.NAME for name, model in dispatch.MODELS.items())
 
 
-def test_a_new_model_is_one_file() -> None:
+def test_new_model_needs_one_file() -> None:
     """It takes the place of another in the dispatch, and all else follows from what it says of itself."""
     path = os.pathsep.join((str(Path(toy_model.__file__).parents[1]), *filter(None, sys.path)))
     done = subprocess.run(

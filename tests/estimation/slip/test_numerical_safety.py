@@ -104,8 +104,8 @@ def test_ill_conditioned_fix_is_refused_with_its_reason_and_the_next_one_is_used
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0])
-def test_fix_that_knows_one_direction_alone_is_used(degrees: float) -> None:
-    """1e6 stands for a direction that nobody observes, as a laser's along a corridor."""
+def test_fix_with_one_observed_direction_is_used(degrees: float) -> None:
+    """A variance of 1e6 m² marks an unobserved direction, as a laser's along a corridor."""
     estimator = standing(S)
     report, _ = estimator.process(fix(S + MS, turned((1e6, 1e-4), degrees)))
     assert report.outcome is Outcome.ACCEPTED
@@ -121,7 +121,7 @@ def test_fix_that_knows_one_direction_alone_is_used(degrees: float) -> None:
         (fix(S + MS, x=1e9), Fault.OUT_OF_RANGE),
     ],
 )
-def test_what_no_ground_vehicle_does_is_refused(given: Measurement, fault: Fault) -> None:
+def test_motion_impossible_for_a_ground_vehicle_is_refused(given: Measurement, fault: Fault) -> None:
     report, _ = standing(S).process(given)
     assert (report.outcome, report.fault) == (Outcome.INVALID, fault)
 
@@ -160,7 +160,7 @@ def test_estimate_that_is_not_finite_restarts_and_reports_it(field: str, start: 
     assert estimator.divergences == 1
 
 
-def test_reset_keeps_nothing_that_is_not_finite() -> None:
+def test_reset_drops_all_states_that_are_not_finite() -> None:
     estimator = standing(S)
     estimator.window.best["mean"][: estimator.window.count] = np.nan
     assert estimator.learned is None  # the state file then keeps what it has

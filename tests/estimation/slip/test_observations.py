@@ -114,8 +114,8 @@ def test_h_is_the_derivative_of_what_is_measured(
 
 
 @pytest.mark.parametrize("source", ["gnss", "mast"])
-def test_a_machine_that_is_corrected_turns_about_its_sensor(source: str) -> None:
-    """As an update in the coordinates of the sensor would have it, however far the heading is corrected."""
+def test_position_correction_rotates_the_machine_about_its_sensor(source: str) -> None:
+    """Equal to an update in sensor coordinates, however large the heading correction is."""
     state, c, numbers = machine(4, False)
     number, n, level = numbers[source], int(c["size"]), state["attitude"]["level"][0]
     measurement = np.zeros(1, MEASUREMENT)[0]
@@ -139,8 +139,8 @@ def test_a_machine_that_is_corrected_turns_about_its_sensor(source: str) -> None
     np.testing.assert_allclose(P, Q, atol=1e-8)
 
 
-def test_only_observations_and_the_weighing_correct_a_state() -> None:
-    """One update, and few who may make it; nobody but the step propagates."""
+def test_only_observations_and_weighing_update_a_state() -> None:
+    """Only ``step.py`` and the attitude filter propagate."""
     users: dict[str, set[str]] = {}
     for file in ESTIMATION.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

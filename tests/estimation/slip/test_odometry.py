@@ -107,7 +107,7 @@ def end_and_nees(estimates: list, recorded: Recording) -> tuple[float, float]:
 
 @pytest.mark.parametrize("slip", [0.1, 0.3])
 @pytest.mark.parametrize("track_error", [0.0, 0.05])
-def test_new_ground_without_fixes_is_survived(slip: float, track_error: float) -> None:
+def test_odometry_bridges_new_ground_without_fixes(slip: float, track_error: float) -> None:
     """Sprockets alone drive on by the slip; a camera of 1 % sees that it does not."""
     recorded = drive(Machine(duration=70.0, seed=1, track_error=track_error))
     alone = slipping(recorded, slip)
@@ -120,7 +120,7 @@ def test_new_ground_without_fixes_is_survived(slip: float, track_error: float) -
     assert {r.outcome for r in reports[1:]} == {Outcome.ACCEPTED}
 
 
-def test_scale_is_found_from_fixes_and_kept() -> None:
+def test_odometry_scale_is_estimated_from_fixes_and_kept() -> None:
     """Of the 12 m that follow, 3 % would be 0.36 m."""
     recorded = drive(Machine(duration=70.0, seed=2))
     p = with_odometry(**{f"sources.{SOURCE}.drift": 0.03})
@@ -131,8 +131,8 @@ def test_scale_is_found_from_fixes_and_kept() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.8, 1.3])
-def test_an_odometry_that_does_not_show_the_motion_takes_nothing_from_what_fixes_show(scale: float) -> None:
-    """A fifth too short for 20 s the machine was 0.4 m off, beside fixes of 5 cm, at NEES 19."""
+def test_wrong_odometry_does_not_degrade_fixes(scale: float) -> None:
+    """The odometry is wrong by a scale for 15 s; fixes have 5 cm."""
     nees = []
     for seed in range(3):
         recorded = drive(Machine(duration=80.0, seed=seed, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
@@ -148,7 +148,7 @@ def test_an_odometry_that_does_not_show_the_motion_takes_nothing_from_what_fixes
     assert np.mean(nees) < 5.0  # 2 if consistent
 
 
-def test_an_odometry_that_shows_the_motion_is_no_event() -> None:
+def test_correct_odometry_causes_no_event() -> None:
     recorded = drive(Machine(duration=60.0, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
     running = SlipEstimator(with_odometry(**GNSS))
     running.process_all(sorted([*recorded.measurements, *seen(recorded)], key=lambda m: m.stamp_ns))
@@ -194,7 +194,7 @@ def test_gap_and_other_frame_restart_and_a_jump_is_rejected_once() -> None:
         {"variances": np.full((2, 3), np.nan)},
     ],
 )
-def test_what_is_no_pose_is_invalid(bad: dict[str, np.ndarray]) -> None:
+def test_malformed_odometry_pose_is_invalid(bad: dict[str, np.ndarray]) -> None:
     recorded = drive(Machine(duration=3.0))
     estimator = SlipEstimator(with_odometry())
     estimator.process_all(recorded.measurements)

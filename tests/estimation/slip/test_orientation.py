@@ -107,7 +107,7 @@ def refused(reports: list[Report]) -> list[AttitudeRefusal]:
     return [report.attitude for report in reports if report.attitude is not None]
 
 
-def test_a_good_orientation_holds_against_biased_accelerometers() -> None:
+def test_orientation_corrects_the_tilt_beside_biased_accelerometers() -> None:
     measurements = drive()
     with_it, _, reports = run(measurements, **REQUESTED)
     without, _, _ = run(measurements)
@@ -124,7 +124,7 @@ def test_orientation_alone_gives_the_attitude() -> None:
     assert "roll -6." in own.attitude
 
 
-def test_its_errors_do_not_average_away_within_their_time() -> None:
+def test_time_correlated_orientation_errors_do_not_average_out() -> None:
     """As many samples in less time say no more."""
     brief, _, _ = run(drive(seconds=3.0), **REQUESTED)
     assert brief.outputs.tilt.covariance[1, 1] > 0.5 * STDDEV**2
@@ -140,10 +140,10 @@ def test_its_errors_do_not_average_away_within_their_time() -> None:
         (np.eye(3).ravel() * 1e-5, math.nan, AttitudeRefusal.NO_ROTATION),
     ],
 )
-def test_what_is_no_orientation_is_refused_by_name(
+def test_malformed_orientation_is_refused_by_name(
     covariance: FloatArray, size: float, refusal: AttitudeRefusal
 ) -> None:
-    """And the rest of the message counts as if none were wanted, to the last bit."""
+    """The rest of the message counts as if no orientation were requested, bit for bit."""
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
     found, own, reports = run(measurements, **REQUESTED)
     expected, _, plain = run(measurements)
@@ -156,7 +156,7 @@ def test_what_is_no_orientation_is_refused_by_name(
     assert f"is rejected: {refusal.name.lower().replace('_', ' ')}" in own.attitude
 
 
-def test_one_that_contradicts_gyro_and_gravity_is_gated() -> None:
+def test_orientation_that_contradicts_gyro_and_gravity_is_gated() -> None:
     """The mounting is off by 0.4 rad from the tenth second on."""
     measurements = drive(seconds=20.0)
     for k, m in enumerate(measurements):
@@ -184,7 +184,7 @@ def test_the_order_of_arrival_does_not_matter() -> None:
 
 @pytest.mark.slow
 @given(ANGLES, st.floats(-1.5, 1.5), ANGLES)
-def test_the_mounting_is_taken_off(roll: float, pitch: float, yaw: float) -> None:
+def test_mounting_rotation_is_removed(roll: float, pitch: float, yaw: float) -> None:
     mounting = Rotation.from_euler("ZYX", (yaw, pitch, roll))
     imu = imu_of(mounting_roll=roll, mounting_pitch=pitch, mounting_yaw=yaw)
     own = np.diag(mounting.as_matrix().T @ np.diag((1e-6, 4e-6, 9e-6)) @ mounting.as_matrix())
@@ -195,8 +195,8 @@ def test_the_mounting_is_taken_off(roll: float, pitch: float, yaw: float) -> Non
     np.testing.assert_allclose(found.up_variances, expected[:2], atol=1e-12)
 
 
-def test_a_cab_that_looks_aside_turns_it_back() -> None:
-    """σ is 1.2 rad, as the encoder shows; the ground has the slope of ``drive``."""
+def test_orientation_of_a_swung_cab_is_rotated_to_the_undercarriage() -> None:
+    """The swing angle is 1.2 rad, from the encoder; the ground has the slope of ``drive``."""
     recording = record([Part(3.0), Part(4.0, swing_to=1.2), Part(4.0)], Cab())
     on_cab = Rotation.from_matrix(machine().as_matrix())
     measurements: list[Measurement] = []
@@ -214,20 +214,20 @@ def test_a_cab_that_looks_aside_turns_it_back() -> None:
     assert off(found) < 0.3
 
 
-def test_it_is_off_until_somebody_wants_it() -> None:
+def test_orientation_is_off_by_default() -> None:
     assert not load_slip_parameters().gyros()[IMU].use_orientation
     found = yaw_rate(message(machine(), np.eye(3).ravel()), IMU, load_slip_parameters().gyros()[IMU])
     assert isinstance(found, YawRate)
     assert np.isnan((*found.up, *found.up_variances)).all()
 
 
-def test_an_imu_with_an_orientation_goes_before_one_with_accelerations() -> None:
+def test_imu_with_orientation_is_preferred_to_one_with_accelerations() -> None:
     both = {"yaw_rate_sources": ["one", "two"], "sources.two.use_orientation": True}
     assert load_slip_parameters(both).tilt_source == "two"
     assert load_slip_parameters({**both, "sources.one.use_orientation": True}).tilt_source == "one"
 
 
-def test_a_replay_counts_what_it_refuses(emulated_bag: Path, tmp_path: Path) -> None:
+def test_replay_counts_refused_orientations(emulated_bag: Path, tmp_path: Path) -> None:
     with open_bag(emulated_bag) as bag, BagWriter(tmp_path / "bag") as writer:
         covariances = (ABSENT, ZERO, np.eye(3).ravel() * 1e-4)
         count = 0

@@ -55,7 +55,7 @@ def test_pose_and_twist_follow_the_truth(drive: Callable[..., Any], thesis_run: 
     assert e.outputs.twist[2] == pytest.approx(0.159 * (1.6 - 1.0) / 0.73, abs=0.01)
 
 
-def test_the_claimed_pose_covariance_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_pose_covariance_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
     """Slips that walk as the filter supposes. 40 seeds at three times 5 s apart: 120 × χ²(3), nearly
     independent; the mean must lie within the 10⁻⁴ tails of 40 × χ²(3) on either side, 1.98 to 4.32.
     """
@@ -105,8 +105,8 @@ def turning_drive(drive: Callable[..., Any], **options: Any) -> Any:
     return drive([(t, a, b, *turning_slips(a, b, 0.45, 0.4, 0.01), 0.0) for t, a, b in legs], **options)
 
 
-def test_what_a_turn_corrected_holds_in_the_next_one(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """Sub-model 1b: fixes and gyro are lost before the last turn, and its slips are right all the same."""
+def test_slips_of_one_turn_are_used_in_the_next(drive: Callable[..., Any], thesis_run: Run) -> None:
+    """Sub-model 1b: fixes and gyro end before the last turn, and its slips are right."""
     driven = turning_drive(drive)
     found = [m for m in driven.measurements if isinstance(m, Sprockets) or m.stamp_ns < 26 * S]
     by_stamp = {e.stamp_ns: e for e in thesis_run(found, model="turning").estimates}
@@ -115,10 +115,10 @@ def test_what_a_turn_corrected_holds_in_the_next_one(drive: Callable[..., Any], 
     assert np.hypot(*(by_stamp[33 * S].pose - driven.truth[33 * S][:3])[:2]) < 0.15
 
 
-def test_sub_model_1b_claims_no_more_than_it_knows(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """The truth has none of the allowed velocity errors: NEES stays below its mean of 3, and a
-    filter that is not absurdly humble stays above a sixth of it.
-    """
+def test_sub_model_1b_is_consistent_without_velocity_errors(
+    drive: Callable[..., Any], thesis_run: Run
+) -> None:
+    """The truth has none of the modelled velocity errors: the mean NEES is between 0.5 and 4.5."""
     values = []
     for seed in range(10):
         driven = turning_drive(drive, seed=seed, step_ms=50, gyro_every=2, fix_every=10, encoder=0.001)
@@ -148,9 +148,7 @@ def test_covariances_stay_symmetric_and_positive(
         assert np.linalg.eigvalsh(e.pose_covariance)[0] > 0.0
 
 
-def test_it_waits_for_the_first_fix_and_starts_there(
-    drive: Callable[..., Any], thesis_parameters: Make
-) -> None:
+def test_estimator_starts_at_the_first_fix(drive: Callable[..., Any], thesis_parameters: Make) -> None:
     driven = drive([(4.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     late = [m for m in driven.measurements if not isinstance(m, PoseFix) or m.stamp_ns >= 2 * S]
     estimator = SlipEstimator(thesis_parameters(start="first_fix"))
@@ -170,7 +168,7 @@ def test_it_waits_for_the_first_fix_and_starts_there(
     np.testing.assert_allclose(first.pose, start.pose, atol=0.02)
 
 
-def test_a_given_start_is_the_first_estimate(thesis_parameters: Make) -> None:
+def test_configured_start_is_the_first_estimate(thesis_parameters: Make) -> None:
     estimator = SlipEstimator(
         thesis_parameters(initial_x=1.0, initial_y=-2.0, initial_yaw=0.5, initial_yaw_stddev=0.1)
     )
@@ -191,7 +189,7 @@ def test_positions_alone_drive_it_whatever_the_speeds_are(drive: Callable[..., A
     assert last.outputs.twist[0] == pytest.approx(0.318, abs=1e-3)
 
 
-def test_an_outage_of_fixes_widens_the_covariance_and_a_fix_heals_it(
+def test_covariance_grows_in_an_outage_and_shrinks_at_the_next_fix(
     drive: Callable[..., Any], thesis_run: Run
 ) -> None:
     driven = drive([(30.0, 2.0, 1.8, 0.1, 0.1, 0.0)])

@@ -124,7 +124,9 @@ def test_h_is_the_derivative_of_the_measurement(
 
 
 @given(states, speeds, speeds)
-def test_what_is_measured(x: FloatArray, left: float, right: float) -> None:
+def test_expected_measurements_are_the_yaw_rate_and_the_pose(
+    x: FloatArray, left: float, right: float
+) -> None:
     rate = twist(x, left, right)[2] + x[GYRO_BIAS]
     np.testing.assert_allclose(expected(YAW_RATE, x, 1, (left, right), C), (rate,), atol=1e-15)
     for rows in (2, 3):
@@ -144,8 +146,8 @@ def test_rounding_of_positions_is_no_noise_of_the_gyro() -> None:
 
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
-def test_heading_innovation_takes_the_short_way_round(filter_: str) -> None:
-    """From 3.1 a fix at −3.1 is 0.083 rad on; halfway lies at 3.1416."""
+def test_heading_innovation_is_the_shorter_angle(filter_: str) -> None:
+    """From 3.1 rad a fix at −3.1 rad is 0.083 rad ahead; the middle is at 3.1416 rad."""
     at = Gaussian(state(yaw=3.1), np.eye(SIZE) * 1e-4)
     fix = pose_measured(np.array((0.0, 0.0, -3.1)), np.eye(3) * 1e-4, True)
     found = filter_step(config_of(GIVEN, filter=filter_), at, measured(0.0, 0.0), 0.0, STRAIGHT, fix)
@@ -189,7 +191,7 @@ def test_slip_angle_moves_to_the_left_of_the_heading(yaw: float) -> None:
     assert math.hypot(x[X], x[Y]) == pytest.approx(0.159 / math.cos(0.2))
 
 
-def test_spot_turn_and_reverse() -> None:
+def test_spot_turn_and_reverse_move_the_pose_as_computed_by_hand() -> None:
     x = move(state(), -1.0, 1.0, 1.0)
     np.testing.assert_allclose(x[POSE_SLICE], (0.0, 0.0, 2 * 0.159 / 0.73), atol=1e-15)
     x = move(state(), -1.0, -1.0, 1.0)
@@ -216,7 +218,7 @@ def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, righ
 
 
 @given(states, speeds, speeds)
-def test_nothing_happens_in_no_time(x: FloatArray, left: float, right: float) -> None:
+def test_step_of_zero_duration_changes_nothing(x: FloatArray, left: float, right: float) -> None:
     np.testing.assert_allclose(move(x, left, right, 0.0)[POSE_SLICE][:2], x[POSE_SLICE][:2])
     still = Drive(left, right)
     np.testing.assert_array_equal(filter_steps.transition(x, still, 0.0, CONFIG), np.eye(SIZE))
@@ -272,7 +274,7 @@ def test_encoder_noise_does_not_depend_on_the_steps(left: float, right: float) -
     assert single[:2].sum() == pytest.approx(fine[:2].sum(), rel=0.002)
 
 
-def test_encoder_noise_grows_with_the_way_and_the_root_of_time() -> None:
+def test_encoder_noise_grows_with_distance_and_the_root_of_time() -> None:
     """(3.21): one second at equal speeds gives encoder·v/√2 along x, four seconds twice that."""
     for seconds, factor in ((1.0, 1.0), (4.0, 2.0)):
         P = grown(Drive(2.0, 2.0), seconds, 400, ENCODER_ONLY)

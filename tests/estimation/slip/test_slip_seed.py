@@ -45,9 +45,7 @@ def seed_at(stamp_ns: int, slip: float, deviation: float = 0.003, source: str = 
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(("left", "right"), [(2.0, 2.1), (-1.5, -1.4), (0.0, 1.0), (1.0, 2.2)])
-def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
-    model: str, left: float, right: float
-) -> None:
+def test_expected_seed_is_the_slips_and_its_jacobian_is_theirs(model: str, left: float, right: float) -> None:
     config, speeds = config_of(model=model), (left, right)
     x, c = start_of(config, np.zeros(3), np.eye(3)).mean, config[0]
     x[4 : c["active"]] += np.linspace(0.01, 0.05, c["active"] - 4)
@@ -58,7 +56,7 @@ def test_what_is_expected_are_the_slips_and_its_derivative_is_theirs(
     np.testing.assert_allclose(jacobian(SLIPS, x, 2, speeds, c), by_differences, atol=1e-7)
 
 
-def test_slips_know_of_the_rounding_of_the_counts() -> None:
+def test_slip_variance_includes_the_rounding_of_counts() -> None:
     config, x = config_of(), np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = 0.5, 0.4, 0.02
     known, changing = Gaussian(x, np.zeros((SIZE, SIZE))), MotionState(Motion.STRAIGHT, departure=1.0)
@@ -73,7 +71,9 @@ def test_slips_know_of_the_rounding_of_the_counts() -> None:
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("model", MODELS)
-def test_both_slips_move_together_where_the_gyro_holds_their_difference(model: str, filter_: str) -> None:
+def test_seed_corrects_both_slips_equally_where_the_gyro_fixes_their_difference(
+    model: str, filter_: str
+) -> None:
     config = config_of(model=model, filter=filter_)
     state = start_of(config, np.zeros(3), 1e-4 * np.eye(3))
     measured = slips_measured(np.full(2, 0.03), 1e-6 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
@@ -88,7 +88,7 @@ def test_both_slips_move_together_where_the_gyro_holds_their_difference(model: s
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_seed_mends_what_the_gyro_cannot_see(drive: Callable[..., Any], model: str) -> None:
+def test_seed_corrects_the_slip_unobservable_by_the_gyro(drive: Callable[..., Any], model: str) -> None:
     """No fixes after the start: equal slips of 4 % show in nothing but the seed, which comes 0.5 s late."""
     driven = drive([(12.0, 2.0, 2.0, 0.04, 0.04, 0.0)])
     given = [m for m in driven.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > 0)]
@@ -110,9 +110,7 @@ def test_a_seed_mends_what_the_gyro_cannot_see(drive: Callable[..., Any], model:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_seed_far_off_is_gated_until_it_has_not_agreed_for_long(
-    drive: Callable[..., Any], model: str
-) -> None:
+def test_seed_far_off_is_gated_until_its_timeout(drive: Callable[..., Any], model: str) -> None:
     given = drive([(8.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements
     for timeout, outcome in ((3600.0, Outcome.GATED), (0.1, Outcome.ACCEPTED)):
         p = load_slip_parameters(SOURCE | {"model": model, "sources.slip_seed.timeout": timeout})
@@ -155,7 +153,7 @@ BAD: tuple[tuple[tuple[float, float], Any], ...] = (
 
 
 @pytest.mark.parametrize(("slips", "covariance"), BAD)
-def test_nonsense_is_invalid(
+def test_malformed_seed_is_invalid(
     drive: Callable[..., Any], slips: tuple[float, float], covariance: FloatArray
 ) -> None:
     given = drive([(1.0, 2.0, 2.0, 0.0, 0.0, 0.0)]).measurements

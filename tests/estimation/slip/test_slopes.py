@@ -77,7 +77,7 @@ def end_of(measurements: list[Measurement], **changed: Any) -> tuple[Any, list[O
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi / 2.0, -math.pi / 2.0, 0.8])
-def test_up_down_and_across_a_slope_the_way_is_the_horizontal_one(heading: float) -> None:
+def test_position_on_a_slope_is_horizontal_in_every_direction(heading: float) -> None:
     slope = math.radians(15.0)
     roll, pitch = across(heading, slope)
     end, outcomes = end_of(drive(heading, slope))
@@ -103,8 +103,8 @@ def test_the_order_of_arrival_does_not_matter() -> None:
     np.testing.assert_array_equal(other.outputs.tilt.covariance, in_order.outputs.tilt.covariance)
 
 
-def test_what_tracks_slip_was_climbed() -> None:
-    """The height was the integral of the speeds, whatever fixes said: 0.23 m of 3 m off on clayey soil."""
+def test_slip_on_a_slope_does_not_add_height() -> None:
+    """The height follows fixes, not the integral of the track speeds."""
     slope, slip = math.radians(15.0), 0.3
     measurements = drive(math.pi / 2.0, slope)
     for k, m in enumerate(measurements):
@@ -118,8 +118,8 @@ def test_what_tracks_slip_was_climbed() -> None:
     assert abs(tilt.tilt[2] - climbed) < 3.0 * math.sqrt(tilt.covariance[2, 2])
 
 
-def test_what_a_turn_on_the_spot_slid_was_not_followed() -> None:
-    """The height followed fixes only where the mean of both tracks had left the start."""
+def test_height_follows_a_slide_during_a_turn_on_the_spot() -> None:
+    """The mean of both tracks stays at the start."""
     slope, rate, down = math.radians(10.0), 0.2, 0.04  # rad, rad/s, m/s
     measurements = drive(0.0, slope)
     for k, m in enumerate(measurements):
@@ -142,7 +142,7 @@ def test_what_a_turn_on_the_spot_slid_was_not_followed() -> None:
     assert abs(end.outputs.tilt.tilt[2] - slid) < 0.03  # not followed: 0.085
 
 
-def test_what_tracks_slipped_uphill_was_expected_downhill() -> None:
+def test_slip_variance_is_inflated_when_the_slope_reverses() -> None:
     """A machine that spun up 15° of clayey soil was 0.37 m off as it rolled down."""
     k = 2.3
     state = np.zeros(1, STATE)[0]
@@ -173,7 +173,7 @@ def without_force(measurements: list[Measurement]) -> list[Measurement]:
     return [replace(m, acceleration=nothing) if isinstance(m, YawRate) else m for m in measurements]
 
 
-def test_without_accelerations_all_is_as_on_flat_ground() -> None:
+def test_estimate_without_accelerations_is_that_of_flat_ground() -> None:
     """To the last bit: with nothing from accelerometers, and with ``use_attitude: false``."""
     measurements = drive(0.8, math.radians(10.0))
     flat, _ = end_of(without_force(measurements))
@@ -185,7 +185,7 @@ def test_without_accelerations_all_is_as_on_flat_ground() -> None:
     np.testing.assert_array_equal(flat.outputs.twist, off.outputs.horizontal)
 
 
-def test_the_first_imu_that_may_gives_the_tilt() -> None:
+def test_first_enabled_imu_gives_the_tilt() -> None:
     both = {"yaw_rate_sources": ["one", "two"], "sources.one.use_acceleration": False}
     assert load_slip_parameters(both).tilt_source == "two"
     assert load_slip_parameters({**both, "sources.two.use_acceleration": False}).tilt_source is None

@@ -58,7 +58,7 @@ def test_the_derivative_of_the_lever_arm_is_that_of_its_formula() -> None:
     np.testing.assert_allclose(moved.covariance, T @ start.covariance @ T.T, atol=1e-8)
 
 
-def test_there_and_back_is_where_it_was() -> None:
+def test_lever_arm_transformation_is_invertible() -> None:
     start = state(1)
     back = at_sensor(at_sensor(start), -1.0)
     np.testing.assert_allclose(back.mean, start.mean, atol=1e-12)
@@ -93,7 +93,7 @@ ANTENNA = {"sources.box_pose.lever_arm_x": LEVER[0], "sources.box_pose.lever_arm
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
-def test_an_antenna_off_centre_gives_the_pose_of_base_link(
+def test_antenna_off_centre_gives_the_pose_of_base_link(
     drive: Callable[..., Any], model: str, filter_: str
 ) -> None:
     driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (9.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
@@ -109,7 +109,7 @@ def test_an_antenna_off_centre_gives_the_pose_of_base_link(
     assert np.hypot(*(ignored.pose - truth[:3])[:2]) > 0.3
 
 
-def test_position_and_motion_give_the_heading_that_no_fix_has(drive: Callable[..., Any]) -> None:
+def test_positions_with_a_lever_arm_give_the_heading(drive: Callable[..., Any]) -> None:
     driven = drive([(15.0, 2.0, 2.0, 0.05, 0.05, 0.0)])
     found = displaced(driven.measurements, driven.truth)
     changes = {"sources.box_pose.use_heading": False, "initial_yaw": 0.3, "initial_yaw_stddev": 0.5}
@@ -140,7 +140,7 @@ def test_a_heading_that_is_not_used_may_have_any_variance(drive: Callable[..., A
     assert first is (Outcome.ACCEPTED if variance > 0.0 else Outcome.INVALID)
 
 
-def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> None:
+def test_each_source_has_its_own_settings(drive: Callable[..., Any]) -> None:
     """The laser's box with heading, and an antenna off centre without, which alone would be refused."""
     driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (9.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     gnss = [
@@ -164,7 +164,7 @@ def test_sources_side_by_side_each_have_their_own(drive: Callable[..., Any]) -> 
     assert sum(r.outcome is Outcome.GATED for r in reports) < 3
 
 
-def test_a_gyro_upside_down_is_turned_over(drive: Callable[..., Any]) -> None:
+def test_sign_of_a_gyro_upside_down_is_inverted(drive: Callable[..., Any]) -> None:
     driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in driven.measurements]
     right, outcomes = end_of(flipped, **{"sources.imu_data_raw.sign": -1})
@@ -222,7 +222,7 @@ def test_no_variance_is_below_the_floors() -> None:
         ({"sources.box_pose.position_floor": 0.0}, "sources.box_pose.position_floor: 0.0 is out of range"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
+def test_inconsistent_source_settings_are_refused_in_one_line(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError) as refused:
         load_slip_parameters(changes)
     assert words in str(refused.value)
@@ -267,7 +267,7 @@ def test_settings_of_a_source_that_another_layer_removes_are_accepted() -> None:
     assert list(p.changed({"pose_sources": ["box_pose"]}).sources) == ["box_pose", "imu_data_raw"]
 
 
-def test_the_box_is_stamped_better_than_an_unknown_source() -> None:
+def test_stamp_error_of_the_box_is_below_that_of_an_unknown_source() -> None:
     assert load_slip_parameters().poses()["box_pose"].stamp_error == 0.003
     assert load_slip_parameters({"pose_sources": ["fix"]}).poses()["fix"].stamp_error == 0.03
 

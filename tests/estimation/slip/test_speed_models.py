@@ -118,7 +118,7 @@ def test_outputs_come_with_their_derivatives(model: str, x: FloatArray, left: fl
 
 
 @both
-def test_slips_of_a_track_that_stands_are_the_common_slip(model: str) -> None:
+def test_slip_of_a_track_at_standstill_is_the_common_slip(model: str) -> None:
     x = np.zeros(SIZE)
     x[COMMON_SLIP] = 0.07
     found = outputs_of(CONFIGS[model], Gaussian(x, np.eye(SIZE)), Speeds(0.0, 0.0))
@@ -127,8 +127,8 @@ def test_slips_of_a_track_that_stands_are_the_common_slip(model: str) -> None:
 
 
 @both
-def test_a_standing_track_does_not_roll_with_the_machine(model: str) -> None:
-    """Its slip was the common one whatever dragged it: to the soil estimator that is a track that drives."""
+def test_track_at_standstill_that_is_dragged_has_a_large_slip(model: str) -> None:
+    """The soil estimator must not take it for a track that drives."""
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     x = np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
@@ -144,8 +144,8 @@ def test_a_standing_track_does_not_roll_with_the_machine(model: str) -> None:
 
 @pytest.mark.slow
 @both
-def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
-    """Against many drives whose speeds are rounded; nothing else is unknown."""
+def test_output_covariance_includes_the_rounding_of_counts(model: str) -> None:
+    """Against many drives with rounded speeds and no other error."""
     config, rng = CONFIGS[model], np.random.default_rng(3)
     x = np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[ROTATION_OFFSET] = 0.7, -0.2, 0.05, 0.02
@@ -161,7 +161,7 @@ def test_outputs_know_of_the_rounding_of_the_counts(model: str) -> None:
 
 
 @given(speeds, speeds, st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.floats(-0.1, 0.1))
-def test_the_turning_equations_hold_where_stated(
+def test_twist_of_the_turning_model_equals_its_equations(
     left: float, right: float, kappa: float, eta: float, common: float
 ) -> None:
     """v = (1 − i₀) V − η s, ω = κ D/B; the mirrored turn mirrored, the one in reverse reversed."""
@@ -179,7 +179,7 @@ def test_the_turning_equations_hold_where_stated(
 
 
 @given(speeds, speeds, st.floats(0.2, 2.0), st.floats(-2.0, -0.2), st.floats(-0.1, 0.1))
-def test_the_icr_equations_hold_where_stated(
+def test_twist_of_the_icr_model_equals_its_equations(
     left: float, right: float, y_left: float, y_right: float, common: float
 ) -> None:
     """r ω_j (1 − i₀) = v − ω y_j solved for v and ω."""
@@ -270,7 +270,7 @@ def test_process_noise_does_not_depend_on_the_steps(model: str, motion: Motion) 
         (Motion.TURNING, [TURN_STATE_1, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET, DOWNHILL]),
     ],
 )
-def test_what_shows_in_turns_only_changes_in_turns_only(
+def test_states_observable_only_in_turns_have_noise_only_in_turns(
     model: str, motion: Motion, moving: list[int]
 ) -> None:
     steady, walk = RECORDS[model]["process_noise"][motion]
@@ -309,8 +309,7 @@ def test_a_step_repeats_every_bit(model: str, filter_: str) -> None:
 
 
 @pytest.mark.parametrize("model", ["turning", "icr"])
-def test_track_speed_that_counts_as_none_is_one_of_a_machine(model: str) -> None:
-    """1e30 m/s made the covariance of the position singular: replay and report ended in a traceback."""
+def test_standing_velocity_error_above_1_m_per_s_is_refused(model: str) -> None:
     name = f"{model}.standing_velocity_error"
     assert load_slip_parameters({name: 1.0}) is not None
     with pytest.raises(InputError, match=f"{name}: 1e\\+30 is out of range; accepted: > 0 and <= 1 m/s"):

@@ -59,7 +59,7 @@ STANDING = (0.0, 0.0, False)
 HALF_A_COUNT = load_slip_parameters().encoder_resolution / 2.0 / 0.05  # rad/s, over 50 ms
 
 
-def test_a_long_interval_is_known_only_in_its_first_part() -> None:
+def test_speed_is_known_only_in_the_first_part_of_a_long_gap() -> None:
     samples = ((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
     for known in states_at(samples, (51, 100, 149)):  # as in the interval before
         assert known == (
@@ -73,7 +73,7 @@ def test_a_long_interval_is_known_only_in_its_first_part() -> None:
     assert states_at(samples, (401,)) == [(STANDING, True)]
 
 
-def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
+def test_measured_speed_replaces_a_position_jump() -> None:
     samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 3.0), (150, 77.1, 4.0))
     jumped, sound = states_at(samples, (70, 120))
     assert jumped.speeds == pytest.approx((3.0, 3.0, True), abs=2.0 * HALF_A_COUNT)
@@ -85,16 +85,16 @@ def test_positions_that_jump_give_way_to_the_measured_speed() -> None:
     assert outcomes == [Outcome.ACCEPTED, Outcome.ACCEPTED, Outcome.JUMPED, Outcome.ACCEPTED]
 
 
-def test_where_neither_shows_the_speed_it_is_silence() -> None:
+def test_sample_without_a_valid_speed_counts_as_silence() -> None:
     samples = ((0, 0.0, 1.0), (50, 0.1, 2.0), (100, 77.0, 99.0), (150, 99.0, 99.0))
     assert states_at(samples, (70, 100, 200)) == [(STANDING, True)] * 3
     assert not states_at(samples, (49,))[0].coasting
 
 
-def test_a_machine_whose_samples_are_refused_may_be_anywhere_that_a_silent_one_may_be(
+def test_variance_with_refused_samples_grows_as_in_silence(
     drive: Callable[..., Any],
 ) -> None:
-    """Each of them began the silence again: its speed was another one every 50 ms, so no way grew long."""
+    """A refused sample must not restart the silence."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (PoseFix,), 6.0, 10.0)
     refused = [
@@ -123,10 +123,10 @@ def without(
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_in_silence_the_pose_is_held_and_its_uncertainty_covers_what_was_driven(
+def test_pose_in_silence_is_held_and_its_covariance_covers_the_distance(
     drive: Callable[..., Any], model: str
 ) -> None:
-    """4 s without sprockets and fixes, the machine driving on, turning: held where the timeout left it."""
+    """4 s without sprockets and fixes while the machine drives and turns."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 10.0)
     estimator = SlipEstimator(load_slip_parameters({"start": "initial_pose", "model": model}))
@@ -146,7 +146,7 @@ def test_in_silence_the_pose_is_held_and_its_uncertainty_covers_what_was_driven(
 
 
 @pytest.mark.parametrize("model", ["turning", "icr"])
-def test_a_gyro_carries_the_heading_through_silence(drive: Callable[..., Any], model: str) -> None:
+def test_gyro_propagates_the_heading_through_silence(drive: Callable[..., Any], model: str) -> None:
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (Sprockets, PoseFix), 6.0, 9.0)
     found = {e.stamp_ns: e for e in run(kept, model=model)[1]}[9 * S]
@@ -166,7 +166,7 @@ def test_the_bias_is_not_learned_from_a_turn_in_silence(drive: Callable[..., Any
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_after_silence_the_next_fixes_give_the_pose_back(drive: Callable[..., Any], model: str) -> None:
+def test_next_fixes_after_silence_restore_the_pose(drive: Callable[..., Any], model: str) -> None:
     driven = drive([(20.0, 2.0, 1.8, 0.05, 0.05, 0.0)])
     for seconds in (2.0, 4.0, 8.0):
         kept = without(driven.measurements, (Sprockets, PoseFix, YawRate), 6.0, 6.0 + seconds)
@@ -177,13 +177,12 @@ def test_after_silence_the_next_fixes_give_the_pose_back(drive: Callable[..., An
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("turn", [-3.0, 0.0, 2.0])
-def test_a_heading_lost_in_silence_was_corrected_the_wrong_way(
+def test_heading_lost_in_silence_is_corrected_to_the_right_side(
     drive: Callable[..., Any], model: str, turn: float
 ) -> None:
-    """Found by holding nodes of a driving graph: 3 s without sprockets and gyro leave the heading open to any
-    side, which fixes of the place cannot show as long as it stands. As it drove off they turned it the wrong
-    way by a tangent, to 170 standard deviations, for good. And a machine that stopped as its sprockets fell
-    silent seemed to slip, for their last speeds were taken to go on without a doubt.
+    """3 s without sprockets and gyro leave the heading unknown, and fixes cannot show it at standstill.
+
+    It stays within four standard deviations as the machine drives off.
     """
     kinematics = load_slip_parameters().vehicle.kinematics
     speed = turn / 3.0 * kinematics.tread / kinematics.rolling_radius / 2.0  # of each sprocket, 3 s long
@@ -212,11 +211,13 @@ def test_a_heading_lost_in_silence_was_corrected_the_wrong_way(
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("with_gyro", [True, False])
-def test_sprockets_dead_for_long_the_others_go_on_and_the_pose_is_published(
+def test_pose_is_published_through_20_s_without_sprockets(
     drive: Callable[..., Any], model: str, with_gyro: bool
 ) -> None:
-    """20 s of it, and 5 s were once the end: fixes, and a gyro if there is one, are never AHEAD. The pose
-    coasts from fix to fix, wide, and is as good as before soon after the sprockets are back.
+    """Fixes, and a gyro if there is one, are never AHEAD.
+
+    The pose is propagated from fix to fix with a large covariance, and is as good as before soon after the
+    sprockets are back.
     """
     driven = drive([(10.0, 2.0, 2.0, 0.05, 0.05, 0.0), (30.0, 1.5, 2.0, 0.05, 0.2, 0.0)])
     found = without(driven.measurements, (Sprockets,), 15.0, 35.0)
@@ -249,7 +250,7 @@ def test_sprockets_dead_for_long_the_others_go_on_and_the_pose_is_published(
     assert max(back) < 0.1
 
 
-def test_an_encoder_that_starts_from_elsewhere_is_counted_and_costs_nothing(
+def test_encoder_restart_at_another_position_is_counted_without_effect(
     drive: Callable[..., Any],
 ) -> None:
     driven = drive([(10.0, 2.0, 1.5, 0.05, 0.05, 0.0)])
@@ -284,7 +285,7 @@ def test_standstill_corrects_the_bias(drive: Callable[..., Any], model: str) -> 
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_at_a_standstill_slips_are_frozen_and_no_direction_is_claimed(
+def test_slips_are_frozen_and_direction_is_uncertain_at_standstill(
     drive: Callable[..., Any], model: str
 ) -> None:
     driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (8.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
@@ -304,11 +305,11 @@ def test_at_a_standstill_slips_are_frozen_and_no_direction_is_claimed(
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("received_from", [3.06, 3.2, 3.8])
-def test_what_was_driven_between_the_first_fix_and_the_first_sample_is_unknown(
+def test_covariance_covers_the_distance_between_first_fix_and_first_sample(
     drive: Callable[..., Any], model: str, received_from: float
 ) -> None:
-    """An estimator that is started again while driving: its first fix is older than the first sample that
-    it hears, and the machine has stopped since. It claimed 7 mm and was 198 mm off.
+    """An estimator restarted while driving: its first fix is older than its first sample, and the machine
+    has stopped in between.
     """
     driven = drive(
         [(3.0, 2.0, 2.0, 0.05, 0.05, 0.0), (5.0, 0.0, 0.0, 0.0, 0.0, 0.0)], fix_sigma=(0.005, 0.005, 0.002)
@@ -330,7 +331,7 @@ def test_what_was_driven_between_the_first_fix_and_the_first_sample_is_unknown(
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_first_sample_soon_after_the_first_fix_widens_nothing(
+def test_first_sample_soon_after_the_first_fix_keeps_the_covariance(
     drive: Callable[..., Any], model: str
 ) -> None:
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0)], fix_sigma=(0.005, 0.005, 0.002))

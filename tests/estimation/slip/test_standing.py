@@ -15,7 +15,7 @@ S = 1_000_000_000
 Run = Callable[..., Any]
 
 
-def test_gyro_bias_is_learned_while_standing(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_gyro_bias_is_estimated_at_standstill(drive: Callable[..., Any], thesis_run: Run) -> None:
     """Unlearned, 0.02 rad/s for 10 s of driving would turn the heading by 0.2 rad."""
     go = (10.0, 2.0, 2.0, 0.1, 0.1, 0.0)
     options: dict[str, Any] = {"gyro_bias": 0.02, "fix_every": 10**9}
@@ -30,7 +30,7 @@ def test_gyro_bias_is_learned_while_standing(drive: Callable[..., Any], thesis_r
     assert errors[0.0] > 2.0 * errors[20.0]
 
 
-def test_slips_are_frozen_while_standing(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_slips_are_frozen_at_standstill(drive: Callable[..., Any], thesis_run: Run) -> None:
     segments = [(5.0, 2.0, 2.0, 0.1, 0.1, 0.0), (6.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
     driven = drive(segments)
     found = [m for m in driven.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > 5 * S)]
@@ -43,7 +43,7 @@ def test_slips_are_frozen_while_standing(drive: Callable[..., Any], thesis_run: 
     assert (np.diag(last.pose_covariance) <= np.diag(first.pose_covariance) + 1e-6).all()
 
 
-def test_nothing_is_learned_of_slips_by_standing_from_the_start(
+def test_slips_keep_their_prior_at_standstill_from_the_start(
     drive: Callable[..., Any], thesis_run: Run
 ) -> None:
     last = thesis_run(drive([(5.0, 0.0, 0.0, 0.0, 0.0, 0.0)]).measurements).estimates[-1]
@@ -52,7 +52,7 @@ def test_nothing_is_learned_of_slips_by_standing_from_the_start(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
-def test_standing_fixes_pin_the_pose_down_to_what_they_share(
+def test_fixes_at_standstill_leave_the_variance_of_their_common_part(
     drive: Callable[..., Any], thesis_run: Run, share: float
 ) -> None:
     found = drive([(10.0, 0.0, 0.0, 0.0, 0.0, 0.0)]).measurements

@@ -63,7 +63,7 @@ def put(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def test_what_was_written_is_read_with_its_age(path: Path, at: Callable[[float], None]) -> None:
+def test_written_states_are_read_with_their_age(path: Path, at: Callable[[float], None]) -> None:
     at(NOW_S)
     assert written(path).failures == 0
     assert [p.name for p in path.parent.iterdir()] == [path.name]
@@ -84,7 +84,7 @@ def test_the_file_can_be_read_by_people(path: Path) -> None:
     assert max(map(len, text.splitlines())) <= 120
 
 
-def test_without_a_path_nothing_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_file_is_written_without_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     kept = StateFile("")
     assert not kept
@@ -133,7 +133,7 @@ def test_a_file_cut_anywhere_is_noticed(length: int) -> None:
 
 
 @given(st.text())
-def test_a_file_of_anything_is_refused(text: str) -> None:
+def test_malformed_file_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="edited or truncated"):
         parse_state(text, OF)
 
@@ -165,8 +165,8 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
     assert StateFile(str(path)).read(OF) is not None
 
 
-def test_a_second_file_that_does_not_fit_replaced_the_first_one_aside(path: Path) -> None:
-    """Nine are kept; then nothing is written, and /diagnostics say why."""
+def test_up_to_nine_unusable_files_are_kept_aside(path: Path) -> None:
+    """With nine of them nothing more is written, and /diagnostics states why."""
     for n in range(MOST_ASIDE + 1):
         put(path, f"years of work, {n}")
         kept = StateFile(str(path))
@@ -203,7 +203,9 @@ def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> N
     assert StateFile(str(path)).read(meaning(other)) is not None
 
 
-def test_a_vehicle_whose_place_was_taken_began_with_nothing(path: Path, at: Callable[[float], None]) -> None:
+def test_vehicle_finds_its_file_after_another_one_used_the_path(
+    path: Path, at: Callable[[float], None]
+) -> None:
     at(NOW_S)
     written(path)
     first = path.read_bytes()
@@ -230,7 +232,7 @@ def test_a_vehicle_whose_place_was_taken_began_with_nothing(path: Path, at: Call
     assert StateFile(str(path)).read(other) is not None  # from where it was moved
 
 
-def test_a_damaged_file_of_this_machine_was_lost_without_a_word(path: Path) -> None:
+def test_damaged_file_kept_aside_is_reported_and_kept(path: Path) -> None:
     """It was kept aside while another machine's was in its place, and was replaced in turn."""
     p = parameters(**{"vehicle.kinematics.tread": 0.8})
     written(path)
@@ -252,7 +254,7 @@ def test_a_damaged_file_of_this_machine_was_lost_without_a_word(path: Path) -> N
 
 
 @pytest.mark.parametrize("now_s", [NOW_S - HOUR, 0.0, NOW_S + 1e9])
-def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
+def test_implausible_clock_ages_learned_states_by_a_week(
     path: Path, at: Callable[[float], None], now_s: float
 ) -> None:
     at(NOW_S)
@@ -265,14 +267,14 @@ def test_a_clock_that_cannot_be_right_forgets_the_ground_only(
     assert to_tree(found, OF) == to_tree(aged(LEARNED, 7 * 86400.0, OF), OF)
 
 
-def test_of_another_version_it_is_not_used() -> None:
+def test_file_of_another_version_is_not_used() -> None:
     body = TEXT.replace("version: 2\n", "version: 99\n").rpartition("\nchecksum: ")[0]
     with pytest.raises(InputError, match="of another version"):
         parse_state(f"{body}\nchecksum: {state_file.digest(body)}\n", OF)
 
 
 @pytest.mark.parametrize("when", ["", "yesterday", "2026-99-99", "9" * 30])
-def test_without_a_date_it_is_not_used(when: str) -> None:
+def test_file_without_a_date_is_not_used(when: str) -> None:
     date = datetime.fromtimestamp(NOW_S, timezone.utc).isoformat()
     body = TEXT.replace(date, when).rpartition("\nchecksum: ")[0]
     assert body != TEXT
@@ -302,7 +304,7 @@ def test_a_full_disk_is_counted_and_leaves_the_old_file(path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("name", ["a file/kept.yaml", "/proc/kept.yaml", "bad\0name", "folder"])
-def test_where_nothing_can_be_written_the_estimator_goes_on(tmp_path: Path, name: str) -> None:
+def test_estimator_continues_where_its_file_cannot_be_written(tmp_path: Path, name: str) -> None:
     (tmp_path / "a file").write_text("", encoding="utf-8")
     (tmp_path / "folder").mkdir()
     kept = StateFile(str(tmp_path / name))
@@ -316,14 +318,14 @@ def test_where_nothing_can_be_written_the_estimator_goes_on(tmp_path: Path, name
     assert kept.failure
 
 
-def test_nothing_learned_is_not_written(path: Path) -> None:
+def test_no_file_is_written_before_anything_is_learned(path: Path) -> None:
     kept = StateFile(str(path))
     kept.write(None, OF)
     kept.finish()
     assert not path.exists()
 
 
-def test_forgotten_it_is_gone_and_comes_again(path: Path, at: Callable[[float], None]) -> None:
+def test_forget_removes_the_file_until_the_next_write(path: Path, at: Callable[[float], None]) -> None:
     at(NOW_S)
     kept = written(path)
     kept.forget(OF)
@@ -337,7 +339,7 @@ def test_forgotten_it_is_gone_and_comes_again(path: Path, at: Callable[[float], 
     assert to_tree(found, OF) == to_tree(aged(LEARNED, 0.0, OF), OF)
 
 
-def test_to_forget_loses_nothing_of_another_vehicle(path: Path) -> None:
+def test_forget_keeps_the_file_of_another_vehicle(path: Path) -> None:
     written(path)
     first = path.read_bytes()
     kept = StateFile(str(path))

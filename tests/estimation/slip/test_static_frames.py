@@ -30,7 +30,7 @@ IMU = "imu/data_raw"
 
 
 @given(angles, angles, angles)
-def test_angles_over_links_up_and_down(mast: Any, plate: Any, imu: Any) -> None:
+def test_angles_are_composed_over_links_in_both_directions(mast: Any, plate: Any, imu: Any) -> None:
     """base_link ← chassis → … : the base hangs below a frame that carries the IMU too."""
     frames = StaticFrames()
     frames.add("chassis", "base_link", quaternion_of(*mast))
@@ -43,7 +43,7 @@ def test_angles_over_links_up_and_down(mast: Any, plate: Any, imu: Any) -> None:
     assert abs(np.dot(quaternion_of(*found), whole)) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_what_nothing_joins_has_no_angles() -> None:
+def test_frames_without_a_connection_have_no_angles() -> None:
     frames = StaticFrames()
     frames.add("a", "b", (0.0, 0.0, 0.0, 0.0))
     frames.add("c", "d", (math.nan, 0.0, 0.0, 1.0))
@@ -65,7 +65,7 @@ def tf(parent: str, child: str, roll: float, pitch: float, yaw: float) -> Any:
     return SimpleNamespace(transforms=[link])
 
 
-def test_an_imu_waits_for_its_mounting_and_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_imu_is_used_once_its_mounting_arrives_and_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("trackslip_estimation.nodes.measurement_sources.topic_class", lambda _: object)
     p = load_slip_parameters({"sources.imu_data_raw.mounting_from_tf": True})
     asked = []
@@ -88,8 +88,8 @@ def test_an_imu_whose_parameters_state_how_it_is_mounted_needs_no_tf() -> None:
     assert mountings.imu(IMU, "anything") == (p.gyros()[IMU], {})
 
 
-def test_a_bag_has_the_mounting_that_was_found(tmp_path: Path) -> None:
-    """It came after the parameters of the start; what was learned counts all the same."""
+def test_mounting_of_a_bag_is_that_of_its_later_parameters(tmp_path: Path) -> None:
+    """It arrives after the parameters of the start; the learned states stay valid."""
     asked = load_slip_parameters({"sources.imu_data_raw.mounting_from_tf": True})
     found = asked.changed({"sources.imu_data_raw.mounting_yaw": 0.2})
     later = found.changed({"gate_probability": 0.99})

@@ -60,8 +60,8 @@ def errors(found: list[Estimate], truth: Recording) -> FloatArray:
     return np.array(rows)
 
 
-def test_nothing_above_costs_nothing() -> None:
-    """The same bits as the machine without a cab; the two states are not looked at."""
+def test_sensors_below_the_cab_give_the_same_bits() -> None:
+    """The same bits as the machine without a cab; the two states of the swing are unused."""
     below = dict.fromkeys(
         (f"vehicle.sensors.mounts.{name}" for name in ("box", "antenna", "imu")), "undercarriage"
     )
@@ -86,7 +86,7 @@ def test_nothing_above_costs_nothing() -> None:
 @pytest.mark.parametrize("model", ["turning", "icr"])
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("encoder", [True, False])
-def test_a_slew_is_no_turn(model: str, filter_: str, encoder: bool) -> None:
+def test_slewing_does_not_turn_the_undercarriage(model: str, filter_: str, encoder: bool) -> None:
     truth = record(dig(), Cab(encoder=encoder))
     p = load_slip_parameters(WITH if encoder else WITHOUT, {"model": model, "filter": filter_})
     found = errors(estimates(truth.measurements, p), truth)
@@ -98,7 +98,7 @@ def test_a_slew_is_no_turn(model: str, filter_: str, encoder: bool) -> None:
     assert np.mean(np.abs(late[:, 1:3]).max(axis=1) < late[:, 5]) > 0.9
 
 
-def test_fixes_above_count_less_only_where_they_follow_each_other_within_the_time_of_their_errors() -> None:
+def test_fixes_on_the_cab_are_down_weighted_only_within_their_correlation_time() -> None:
     parts = [Part(2.0), Part(20.0, 2.0, 2.0)]
     far = record(parts, Cab(fix_hertz=1.0)).measurements
     close = record(parts, Cab(fix_hertz=20.0)).measurements
@@ -114,10 +114,8 @@ def _last_place(given: list[Measurement], repeat_time: float) -> float:
 
 @pytest.mark.parametrize("minutes", [6, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("encoder", [True, False])
-def test_standing_and_slewing_turns_the_undercarriage_by_no_more_than_is_stated(
-    minutes: int, encoder: bool
-) -> None:
-    """To and fro by nearly a turn; then it drives off, and heading and swing are found again."""
+def test_heading_error_of_slewing_at_standstill_is_within_its_covariance(minutes: int, encoder: bool) -> None:
+    """To and fro by nearly a turn; then the machine drives off, and heading and swing converge."""
     swings = [Part(8.0, swing_to=target) for _ in range(2 * minutes) for target in (3.0, -3.0, 2.0, 0.0)]
     path = [Part(6.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(6.0, 2.0, 2.0)]
     truth = record([Part(2.0), *path[:1], Part(2.0), *swings, *path], Cab(encoder=encoder, fix_hertz=1.0))
@@ -130,8 +128,8 @@ def test_standing_and_slewing_turns_the_undercarriage_by_no_more_than_is_stated(
     assert (np.abs(found[-40:, 3]) < found[-40:, 6]).all()
 
 
-def test_no_bias_is_learned_of_a_slew() -> None:
-    """Gyro alone: what it shows at a stand may all be swing."""
+def test_gyro_bias_is_not_estimated_from_a_slew() -> None:
+    """Gyro alone: its reading at standstill may all be swing."""
     truth = record([Part(30.0), Part(30.0, swing_to=6.0)], Cab(encoder=False, bias=0.0))
     first = next(m for m in truth.measurements if isinstance(m, PoseFix))
     given = [m for m in truth.measurements if not isinstance(m, PoseFix) or m is first]
@@ -149,8 +147,8 @@ def test_no_bias_is_learned_of_a_slew() -> None:
 
 
 @pytest.mark.parametrize("start", [-3.0, 2.0])
-def test_a_cab_that_looks_aside_at_the_start(start: float) -> None:
-    """With an encoder the heading is known from its first reading."""
+def test_heading_is_known_from_the_start_with_a_swung_cab(start: float) -> None:
+    """With an encoder, from its first reading."""
     truth = record([Part(3.0), Part(6.0, 2.0, 2.0)], Cab(start=start))
     found = errors(estimates(truth.measurements, of_cab()), truth)
     assert np.abs(found[found[:, 0] > 0.2, 3]).max() < 0.06
@@ -179,7 +177,7 @@ def test_an_unknown_swing_is_estimated_from_the_path() -> None:
     assert np.abs(found[-60:, 1:3]).max() < 0.06
 
 
-def test_a_swing_while_it_drives_is_seen_by_the_encoder() -> None:
+def test_swing_while_it_drives_is_measured_by_the_encoder() -> None:
     parts = [Part(2.0), Part(6.0, 2.0, 2.0), Part(6.0, 2.0, 2.0, 1.5), Part(6.0, 2.0, 2.0)]
     truth = record(parts, Cab())
     found = errors(estimates(truth.measurements, of_cab()), truth)
@@ -187,8 +185,8 @@ def test_a_swing_while_it_drives_is_seen_by_the_encoder() -> None:
     assert np.abs(found[-60:, 3]).max() < 0.02
 
 
-def test_fixes_that_freeze_while_the_cab_swings_at_a_stand_do_not_stop_it() -> None:
-    """No encoder shows the angle; the tracks stand, so that fixes may repeat themselves."""
+def test_frozen_fixes_do_not_stop_a_swing_at_standstill() -> None:
+    """There is no encoder, and at standstill fixes may repeat."""
     recording = record(
         [*dig(), Part(4.0), Part(6.0, swing_to=1.5), Part(6.0, swing_to=0.0)], Cab(encoder=False)
     )
@@ -233,7 +231,7 @@ def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement
     return found
 
 
-def test_an_imu_above_gives_the_tilt_of_the_undercarriage() -> None:
+def test_imu_on_the_cab_gives_the_tilt_of_the_undercarriage() -> None:
     truth = record([Part(5.0), Part(8.0, swing_to=2.5), Part(2.0)], Cab())
     for e in estimates(leaning(truth, 0.1, -0.15), of_cab())[40:]:
         assert e.outputs.tilt is not None
@@ -241,7 +239,7 @@ def test_an_imu_above_gives_the_tilt_of_the_undercarriage() -> None:
         np.testing.assert_allclose(e.outputs.tilt.force[:2], (1.4655, 0.968), atol=0.1)
 
 
-def test_an_imu_above_gives_no_tilt_while_the_swing_is_unknown() -> None:
+def test_imu_on_the_cab_gives_no_tilt_while_the_swing_is_unknown() -> None:
     truth = record([Part(5.0)], Cab(encoder=False))
     own = SlipEstimator(load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 2.0}))
     own.process_all(truth.measurements)
@@ -249,7 +247,7 @@ def test_an_imu_above_gives_no_tilt_while_the_swing_is_unknown() -> None:
     assert "imu/data_raw is on the upper structure, whose swing angle is unknown" in own.attitude
 
 
-def test_the_vehicle_states_what_sits_above() -> None:
+def test_mounts_of_sensors_are_those_of_the_vehicle() -> None:
     p = load_slip_parameters(ANTENNA, {"heading_sources": ["heading"]})
     assert {name: source.above for name, source in p.mounted().items()} == {
         "gnss_pose": True,
@@ -271,12 +269,12 @@ def test_the_vehicle_states_what_sits_above() -> None:
         ({"swing.acceleration": 0.0}, "swing.acceleration: 0.0 is out of range"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(changed: dict[str, Any], message: str) -> None:
+def test_inconsistent_swing_settings_are_refused_in_one_line(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         load_slip_parameters(WITH, changed)
 
 
-def test_messages_carry_the_swing() -> None:
+def test_swing_messages_have_angle_rate_and_standard_deviations() -> None:
     end = estimates(record([Part(3.0), Part(4.0, swing_to=1.0)], Cab()).measurements, of_cab())[-1]
     message, swing = swing_message(make, end, "base_link"), end.outputs.swing
     assert swing is not None

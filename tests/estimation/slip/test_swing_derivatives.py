@@ -30,8 +30,8 @@ def random_state(seed: int = 1) -> Gaussian:
 
 
 @pytest.mark.parametrize("tilted", [False, True])
-def test_a_lever_above_turns_with_the_cab_and_back(tilted: bool) -> None:
-    """The pose of the antenna on the cab, its derivative, and the way back from another state."""
+def test_lever_arm_on_the_cab_is_transformed_and_inverted(tilted: bool) -> None:
+    """Pose of the antenna on the cab, its derivative, and the inverse."""
     c, known = config_of(ANTENNA)[0], random_state()
     state = state_of(known)[0]
     level = state["attitude"]["level"]
@@ -61,7 +61,7 @@ def test_a_lever_above_turns_with_the_cab_and_back(tilted: bool) -> None:
         np.testing.assert_allclose(sensor_place(level, swing, 0, c)[:2], turned, atol=1e-12)
 
 
-def test_a_box_above_is_where_the_cab_has_turned_it() -> None:
+def test_box_on_the_cab_turns_with_it() -> None:
     c, x = config_of(WITH)[0], np.zeros(SIZE)
     x[: YAW + 1], x[SWING] = (1.0, 2.0, 0.7), 2.5
     level = state_of(Gaussian(x, np.zeros((SIZE, SIZE))))[0]["attitude"]["level"]
@@ -70,8 +70,8 @@ def test_a_box_above_is_where_the_cab_has_turned_it() -> None:
     np.testing.assert_allclose(x[:3], expected_, atol=1e-12)
 
 
-def test_a_swing_moves_what_is_above_by_its_lever() -> None:
-    """Of a machine that stands."""
+def test_swing_moves_a_sensor_on_the_cab_by_its_lever_arm() -> None:
+    """At standstill."""
     c, known = config_of(ANTENNA)[0], Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
     known.mean[SWING], known.mean[SWING_RATE] = 1.0, 0.5
     state = state_of(known)[0]

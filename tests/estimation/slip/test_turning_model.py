@@ -34,7 +34,7 @@ def speed_loss(left: float, right: float) -> float:
     return RADIUS * (left + right) / 2.0 - float(twist[0])
 
 
-def test_a_gentle_turn_costs_half() -> None:
+def test_speed_loss_of_a_gentle_turn_is_half_of_the_full_one() -> None:
     half = 1.5 * GENTLE
     assert speed_loss(1.5 - half, 1.5 + half) == pytest.approx(RADIUS * half / 2.0)
 
@@ -50,8 +50,8 @@ def test_rounded_counts_hardly_slow_a_straight_drive() -> None:
     assert 0.0 < taken < 0.5 * rectified
 
 
-def test_a_gyro_that_shows_less_turn_shows_more_loss_of_speed() -> None:
-    """κ + η, 0.8 ± 0.2, stays what it was; η was 0.3 whatever the gyro said."""
+def test_lower_turning_efficiency_raises_the_speed_loss() -> None:
+    """The prior correlation keeps κ + η at 0.8 ± 0.2."""
     state = start_of(CONFIG, np.zeros(3), np.diag((0.01, 0.01, 0.01)) ** 2)
     turning, speeds = MotionState(Motion.TURNING, changing=False), Speeds(1.0, 2.0)
     shown = rate_measured(0.1 * RADIUS / P.vehicle.kinematics.tread, 1e-8)

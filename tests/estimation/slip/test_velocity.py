@@ -122,7 +122,7 @@ def heading_errors(found: FloatArray, truth: Drive) -> FloatArray:
 
 @pytest.mark.parametrize("heading", [-3.1, -1.2, 0.4, 2.0])
 @pytest.mark.parametrize("speed", [3.0, -3.0])
-def test_course_finds_an_unknown_heading_also_backward(heading: float, speed: float) -> None:
+def test_course_gives_an_unknown_heading_forward_and_backward(heading: float, speed: float) -> None:
     truth = drive(heading, speed=speed)
     found, reports = run(truth.measurements, with_velocities())
     errors, late = heading_errors(found, truth), found[:, 0] > 6.0
@@ -132,8 +132,8 @@ def test_course_finds_an_unknown_heading_also_backward(heading: float, speed: fl
 
 
 @pytest.mark.parametrize("slip", [-0.03, 0.0, 0.03])
-def test_velocity_shows_the_slip_without_any_position(slip: float) -> None:
-    """Slips of two standard deviations of what is known at the start, by 0.05 m/s five times a second."""
+def test_velocity_makes_the_slip_observable_without_positions(slip: float) -> None:
+    """Slips of two prior standard deviations, from 0.05 m/s five times a second."""
     truth = drive(slip=slip)
     found, _ = run(truth.measurements, with_velocities())
     late = found[:, 0] > 20.0
@@ -142,7 +142,7 @@ def test_velocity_shows_the_slip_without_any_position(slip: float) -> None:
     assert np.mean((found[late, 3] - slip) ** 2 / found[late, 4]) < 6.0
 
 
-def test_unknown_heading_does_not_pass_for_a_slip() -> None:
+def test_unknown_heading_is_not_taken_for_a_slip() -> None:
     squares = []
     for seed in range(12):
         truth = drive(0.55 * seed, slip=0.0, seed=seed, duration=6.0)
@@ -151,7 +151,7 @@ def test_unknown_heading_does_not_pass_for_a_slip() -> None:
     assert np.mean(squares) < 2.5
 
 
-def test_radar_that_looks_back_shows_the_slip() -> None:
+def test_radar_facing_backward_makes_the_slip_observable() -> None:
     radar = {f"sources.{SOURCE}.axes": "body", f"sources.{SOURCE}.mounting_yaw": math.pi}
     truth = drive(slip=0.03, body=True)
     found, reports = run(truth.measurements, with_velocities(initial_yaw_stddev=0.02, **radar))

@@ -47,7 +47,7 @@ def test_evidence_of_fixes_that_wander_is_their_common_density(steps: list[float
     assert evidence_of(residuals, t, most) == pytest.approx(density, rel=1e-6, abs=1e-6)
 
 
-def test_fixes_that_go_on_faster_than_any_receiver_wanders_are_none_of_it() -> None:
+def test_drift_faster_than_any_receiver_is_no_evidence_of_wandering() -> None:
     t = np.arange(1.0, 11.0)
     slow, fast = (np.column_stack((v * t, np.zeros_like(t))) for v in (0.15, 0.45))
     assert evidence_of(slow, t, 0.25) - evidence_of(fast, t, 0.25) > 100.0

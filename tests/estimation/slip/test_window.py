@@ -20,7 +20,7 @@ COUNT = load_slip_parameters().encoder_resolution  # rad
 
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 60), st.integers(0, 2)), max_size=40))
-def test_a_window_orders_what_comes(given_: list[tuple[int, int]]) -> None:
+def test_window_sorts_measurements_by_stamp(given_: list[tuple[int, int]]) -> None:
     """By stamp, then by source; what is there already is found."""
     window = make_window(64, 1)
     kept: list[tuple[int, int]] = []

@@ -97,7 +97,7 @@ def errors_of(drives: Sequence[tuple[Recording, list[Measurement]]], source: str
 
 @pytest.mark.parametrize("source", [ALONE, IN_POSES])
 @pytest.mark.parametrize("kind", ERRORS)
-def test_a_heading_that_errs_takes_nothing_from_what_fixes_show(kind: str, source: str) -> None:
+def test_wrong_headings_do_not_degrade_fixes(kind: str, source: str) -> None:
     found = errors_of([seen(ERRORS[kind], source, seed) for seed in range(2)], source)
     assert found.place < 0.06
     assert found.heading < 0.06
@@ -105,8 +105,8 @@ def test_a_heading_that_errs_takes_nothing_from_what_fixes_show(kind: str, sourc
 
 
 @pytest.mark.parametrize("kind", ["off by 6° for 40 s", "swings by 10°"])
-def test_readings_that_agree_with_each_other_are_no_proof_that_fixes_are_wrong(kind: str) -> None:
-    """Twenty a second of a compass that jitters by less than it errs."""
+def test_consistent_wrong_headings_do_not_outvote_fixes(kind: str) -> None:
+    """A compass at 20 Hz whose noise is below its error."""
     found = errors_of([seen(ERRORS[kind], ALONE, seed, every=1, stddev=0.005) for seed in range(2)], ALONE)
     assert found.place < 0.03
     assert found.heading < 0.015
@@ -114,8 +114,8 @@ def test_readings_that_agree_with_each_other_are_no_proof_that_fixes_are_wrong(k
 
 
 @pytest.mark.parametrize("turned", [0.1, 0.5])
-def test_places_are_weighed_on_while_the_headings_beside_them_are_off(turned: float) -> None:
-    """Multipath of a metre for 8 s, by a receiver whose pair of antennas is turned on the machine."""
+def test_multipath_is_rejected_while_headings_are_off(turned: float) -> None:
+    """Multipath of a metre for 8 s, from a receiver whose antenna pair is rotated on the machine."""
     squares, nees = [], []
     for seed in range(3):
         truth, measurements = seen(lambda t, heading: turned if t > 20.0 else 0.0, IN_POSES, seed)
@@ -144,12 +144,12 @@ def largest_error(truth: Recording, measurements: Sequence[Measurement], source:
     return float(found_of(truth, measurements, source).between(since).distances.max())
 
 
-def test_a_first_fix_that_is_an_outlier_is_left_though_headings_agree_meanwhile() -> None:
+def test_first_fix_that_is_an_outlier_is_dropped_while_headings_agree() -> None:
     truth, measurements = seen(lambda t, heading: 0.0, ALONE, 0)
     assert largest_error(truth, shifted(measurements, {0: (-5.0, 1.0)}), ALONE, 5.0) < 0.1
 
 
-def test_a_first_fix_that_is_wrong_in_place_and_heading_is_left_as_a_whole() -> None:
+def test_first_fix_wrong_in_position_and_heading_is_dropped_as_a_whole() -> None:
     truth, measurements = seen(lambda t, heading: 0.5 if t < 0.4 else 0.0, IN_POSES, 0)
     found = errors_of([(truth, shifted(measurements, {0: (-5.0, 1.0)}))], IN_POSES)
     assert found.place < 0.1
@@ -157,13 +157,13 @@ def test_a_first_fix_that_is_wrong_in_place_and_heading_is_left_as_a_whole() -> 
     assert found.nees < 6.0
 
 
-def test_outliers_in_a_row_whose_headings_are_right_do_not_move_the_machine() -> None:
+def test_consecutive_outliers_with_right_headings_do_not_move_the_estimate() -> None:
     truth, measurements = seen(lambda t, heading: 0.0, IN_POSES, 0)
     spoilt = shifted(measurements, {120: (1.0, 5.0), 121: (-2.0, -7.0), 122: (0.7, 0.3)})
     assert largest_error(truth, spoilt, IN_POSES, 20.0) < 0.2
 
 
-def test_most_places_of_two_antennas_may_be_wrong_for_a_while_if_their_headings_are_right() -> None:
+def test_mostly_wrong_positions_with_right_headings_do_not_move_the_estimate() -> None:
     random = np.random.default_rng(7)
     truth, measurements = seen(lambda t, heading: 0.0, IN_POSES, 0)
     wrong = {k: tuple(random.normal(0.0, 3.0, 2).tolist()) for k in range(100, 140) if random.random() < 0.6}
@@ -173,7 +173,7 @@ def test_most_places_of_two_antennas_may_be_wrong_for_a_while_if_their_headings_
 
 
 @pytest.mark.parametrize("source", [ALONE, IN_POSES])
-def test_a_heading_as_it_is_stated_is_no_event(source: str) -> None:
+def test_heading_as_stated_causes_no_event(source: str) -> None:
     _, measurements = seen(lambda t, heading: 0.0, source, 3)
     estimator = SlipEstimator(with_headings(source))
     estimator.process_all(measurements)

@@ -71,7 +71,7 @@ def errors_of(recording: Recording, measurements: Sequence[Measurement]) -> Erro
 
 @pytest.mark.parametrize("fix_hertz", [4.0, 1.0])
 @pytest.mark.parametrize("kind", FAULTS)
-def test_an_encoder_that_is_wrong_costs_neither_place_nor_heading(kind: str, fix_hertz: float) -> None:
+def test_wrong_swing_encoder_degrades_neither_position_nor_heading(kind: str, fix_hertz: float) -> None:
     parts = [part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)]
     recording = record(parts, Cab(fix_hertz=fix_hertz))
     found = errors_of(recording, spoilt(recording, FAULTS[kind]))
@@ -81,9 +81,7 @@ def test_an_encoder_that_is_wrong_costs_neither_place_nor_heading(kind: str, fix
     assert found.heading_nees < 3.0
 
 
-def test_an_encoder_that_counts_a_tenth_too_little_turns_the_heading_by_a_tenth_of_the_swing_at_most() -> (
-    None
-):
+def test_scale_error_of_a_tenth_turns_the_heading_by_at_most_a_tenth_of_the_swing() -> None:
     recording = record([part for angle in (math.pi, math.pi / 2.0, -1.0) for part in dig(angle)], Cab())
     found = errors_of(recording, spoilt(recording, lambda t, angle, _: 0.9 * angle))
     assert found.heading < math.pi / 10.0
@@ -103,7 +101,7 @@ def test_a_spike_of_the_encoder_is_rejected() -> None:
     assert outcomes.count(Outcome.GATED) == 1
 
 
-def test_an_angle_that_jumps_while_the_cab_does_not_turn_is_named_as_the_encoders() -> None:
+def test_angle_jump_at_a_still_cab_is_attributed_to_the_encoder() -> None:
     recording = record(DRIVES_ON, Cab())
     measurements = spoilt(recording, lambda t, angle, _: angle + (0.5 if t > JUMPS else 0.0))
     estimator = SlipEstimator(of_receiver())
@@ -114,7 +112,7 @@ def test_an_angle_that_jumps_while_the_cab_does_not_turn_is_named_as_the_encoder
     assert ENCODER in estimator.explained.text
 
 
-def test_an_encoder_that_slipped_stays_off_and_is_used_again() -> None:
+def test_encoder_with_a_lasting_offset_is_used_again() -> None:
     recording = record(dig(), Cab())
     jumps = 30.0
     measurements = spoilt(recording, lambda t, angle, _: angle + (0.5 if t > jumps else 0.0))

@@ -55,7 +55,7 @@ def estimator() -> SlipEstimator:
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_velocity_that_is_off_takes_nothing_from_what_fixes_show(kind: str) -> None:
+def test_wrong_velocities_do_not_degrade_fixes(kind: str) -> None:
     squares, nees = [], []
     for seed in range(3):
         truth, measurements = seen(FAULTS[kind], seed)
@@ -72,14 +72,14 @@ def test_a_velocity_that_is_off_takes_nothing_from_what_fixes_show(kind: str) ->
     assert np.mean(nees) < 5.0  # 2 if consistent
 
 
-def test_a_velocity_as_it_is_stated_is_no_event() -> None:
+def test_velocity_as_stated_causes_no_event() -> None:
     _, measurements = seen(lambda t, v: v, 1)
     running = estimator()
     running.process_all(measurements)
     assert not {e.event for e in running.read_events()} - {Event.OUTLIER}
 
 
-def test_a_velocity_that_is_off_is_named_and_sound_again_afterwards() -> None:
+def test_wrong_velocity_is_named_and_sound_again_afterwards() -> None:
     _, measurements = seen(FAULTS["off"], 1)
     running, texts = estimator(), []
     for m in measurements:
