@@ -5,7 +5,7 @@
 import fuzz_messages
 
 
-def test_messages_of_any_numbers_leave_the_slip_estimate_finite() -> None:
+def test_slip_estimate_stays_finite_for_any_messages() -> None:
     found = fuzz_messages.fuzz_slip(400)
     assert found.faults == []
     for name in fuzz_messages.slip_topics():
@@ -13,7 +13,7 @@ def test_messages_of_any_numbers_leave_the_slip_estimate_finite() -> None:
         assert sum(n for text, n in found.counts.items() if text.startswith(f"{name} ")) == 400
 
 
-def test_messages_of_any_numbers_leave_the_soil_estimate_finite() -> None:
+def test_soil_estimate_stays_finite_for_any_messages() -> None:
     found = fuzz_messages.fuzz_soil(2000)
     assert found.faults == []
     assert all(found.counts[f"{name} contains nan or infinity"] > 0 for name in fuzz_messages.soil_topics())

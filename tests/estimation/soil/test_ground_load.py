@@ -65,7 +65,7 @@ def test_level_ground_halves_the_weight() -> None:
 
 
 @given(roll=TILT, pitch=TILT)
-def test_loads_bear_the_weight_and_its_moments(roll: float, pitch: float) -> None:
+def test_track_loads_balance_the_weight_and_its_moment(roll: float, pitch: float) -> None:
     assert CENTRE is not None
     load, mass = load_at(roll, pitch), VEHICLE.mass
     down = mass * GRAVITY * math.cos(pitch) * math.cos(roll)
@@ -87,9 +87,11 @@ def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
     return math.sqrt(burden_variance(burden, 1.0, NUMBERS["load"]))
 
 
-def test_a_bucket_may_be_filled_where_the_tracks_stand() -> None:
-    """Not before the first drive, whose weight is the file's, nor at a halt, nor without a bucket."""
-    standstill, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
+def test_load_is_uncertain_after_a_long_standstill_with_a_bucket() -> None:
+    """Not before the first drive, whose weight is that of the file, nor after a short halt, nor without a
+    bucket.
+    """
+    stand, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
     assert VEHICLE.bucket is not None
     assert load_stddev(VEHICLE, [standstill, drive]) == 0.0
     assert load_stddev(VEHICLE, [standstill, drive, halt, drive, halt]) == 0.0
@@ -97,14 +99,14 @@ def test_a_bucket_may_be_filled_where_the_tracks_stand() -> None:
     assert load_stddev(replace(VEHICLE, bucket=None), [standstill, drive, standstill, drive]) == 0.0
 
 
-def test_a_downhill_nose_is_pulled_forward_and_presses_in_front() -> None:
+def test_downhill_pitch_pulls_forward_and_loads_the_front() -> None:
     load = load_at(0.0, 0.2)
     assert load["pull"] > 0.0
     assert load["lean"] > 0.0
     assert load["stretch"] == pytest.approx(1.0 / math.cos(0.2))
 
 
-def test_without_cohesion_the_strength_goes_with_the_load() -> None:
+def test_strength_without_cohesion_is_proportional_to_the_load() -> None:
     dry = load_soil_parameters({"load.friction_share": 1.0, "load.friction_share_stddev": 0.0})
     load = load_at(0.25, 0.0, p=make_config(dry)[0])
     assert load["strength"].tolist() == pytest.approx((2.0 * load["normal"] / VEHICLE.weight).tolist())
@@ -112,7 +114,7 @@ def test_without_cohesion_the_strength_goes_with_the_load() -> None:
     assert load_at(0.25, 0.0)["strength_variance"].min() > 0.0
 
 
-def test_an_unknown_height_widens_what_tracks_bear() -> None:
+def test_unknown_height_of_the_centre_of_mass_widens_the_track_loads() -> None:
     assert P.vehicle.mass is not None
     unknown = centre_of(replace(P.vehicle, mass=replace(P.vehicle.mass, centre_of_gravity=None)))
     blind, known = load_at(0.2, 0.0, centre=unknown), load_at(0.2, 0.0)
@@ -120,14 +122,14 @@ def test_an_unknown_height_widens_what_tracks_bear() -> None:
     assert blind["strength_variance"].min() > 4.0 * known["strength_variance"].max()
 
 
-def test_an_uncertain_pitch_is_an_uncertain_pull() -> None:
+def test_uncertain_pitch_widens_the_pull() -> None:
     assert load_at(0.0, 0.1, variance=1e-4)["pull_variance"] == pytest.approx(
         (VEHICLE.weight * math.cos(0.1) * 0.01) ** 2
     )
 
 
 @given(swing=st.floats(-7.0, 7.0))
-def test_a_cab_that_looks_aside_loads_the_tracks_as_the_truth_has_it(swing: float) -> None:
+def test_track_loads_with_a_swung_cab_equal_those_of_the_truth(swing: float) -> None:
     load, upper = load_swung(swing, 0.0), CAB.vehicle.upper_structure
     burden = Burden(load_scenario("field_trial"), CAB.vehicle.whole(), upper, load_settings())
     _, x_g, y_g, _ = burden.rows(np.array((swing,)), 0, 1)[0]
@@ -141,7 +143,7 @@ def test_a_cab_that_looks_aside_loads_the_tracks_as_the_truth_has_it(swing: floa
 
 @pytest.mark.parametrize("swing", [0.0, 0.7, math.pi / 2, 3.0])
 @pytest.mark.parametrize("stddev", [0.1, 0.8, math.inf])
-def test_a_swing_that_is_not_known_widens_by_what_it_could_be(swing: float, stddev: float) -> None:
+def test_uncertain_swing_widens_the_track_loads_as_by_sampling(swing: float, stddev: float) -> None:
     rng = np.random.default_rng(1)
     angles = swing + stddev * rng.standard_normal(4000) if stddev < 9.0 else rng.uniform(-np.pi, np.pi, 4000)
     loads = [load_swung(angle, 0.0) for angle in angles.tolist()]
@@ -155,13 +157,13 @@ def test_a_swing_that_is_not_known_widens_by_what_it_could_be(swing: float, stdd
     assert own["strength_variance"] - of_friction == pytest.approx(strengths.var(axis=0), rel=0.05)
 
 
-def test_where_nothing_swings_no_angle_moves_the_weight() -> None:
+def test_swing_angle_has_no_effect_without_an_upper_structure() -> None:
     for stddev in (0.0, 1.0, math.inf):
         assert load_swung(2.0, stddev, KNOWN) == load_swung(0.0, 0.0, KNOWN)
 
 
-def test_a_track_pressed_behind_pulls_more_at_the_same_small_slip() -> None:
-    """There the soil has sheared farthest: 1 - 2 x_N/l times as much."""
+def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
+    """The soil there is sheared farthest: 1 − 2 x_N/l times as much."""
     length, n = VEHICLE.contact_length, 200
     contact = Contact(element_places(length, n), 0.5 * VEHICLE.tread)
     speed, slip, centre = 0.35, 1e-4, -0.15

@@ -80,7 +80,7 @@ def stamps(found: list[np.void]) -> list[int]:
     return [int(sample["stamp_ns"]) // MS for sample in found]
 
 
-def test_pressures_are_those_at_the_stamp_of_the_state() -> None:
+def test_pressures_are_interpolated_to_the_stamp_of_the_state() -> None:
     found = run(hydraulics(100, 1e6), state(105), hydraulics(110, 2e6))
     assert stamps(found) == [105]
     assert found[0]["has_pressures"]
@@ -88,7 +88,7 @@ def test_pressures_are_those_at_the_stamp_of_the_state() -> None:
     np.testing.assert_allclose(found[0]["spools"], (0.1, 0.2))
 
 
-def test_sample_holds_all_of_its_state() -> None:
+def test_sample_has_every_field_of_its_state() -> None:
     values = np.random.default_rng(2).uniform(0.1, 0.2, (3, 3))
     given = MachineState(
         *(100 * MS, values[0], np.diag(values[1]), PoseWithCovariance(values[2], np.diag(values[0]))),
@@ -102,8 +102,8 @@ def test_sample_holds_all_of_its_state() -> None:
         assert np.any(record[name] != 0.0), name
 
 
-def test_every_order_of_arrival_gives_the_same_samples() -> None:
-    """Per topic in order, between topics in any."""
+def test_samples_do_not_depend_on_the_order_of_arrival() -> None:
+    """In order per topic, in any order between topics."""
     topics: tuple[list[Any], ...] = (
         [hydraulics(t, 1e4 * t) for t in (96, 106, 116)],
         [state(t) for t in (100, 110)],
@@ -118,7 +118,7 @@ def test_every_order_of_arrival_gives_the_same_samples() -> None:
     assert len(results.pop()) == 2
 
 
-def test_silent_pressures_delay_samples_by_no_more_than_the_patience() -> None:
+def test_silent_pressures_delay_samples_by_at_most_the_patience() -> None:
     found = run(hydraulics(-10), hydraulics(0), *(state(t) for t in range(0, 1000, 10)))
     assert stamps(found) == list(range(0, 1000 - round(P.patience * 1e3), 10))
     assert [bool(s["has_pressures"]) for s in found[:3]] == [True, False, False]

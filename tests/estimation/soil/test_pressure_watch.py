@@ -81,7 +81,7 @@ def test_true_pressures_are_trusted(bench: Bench) -> None:
     assert bench.faults == ()
 
 
-def test_pressures_that_stop_coming_are_named_until_they_have_come_back(bench: Bench) -> None:
+def test_missing_pressures_are_named_until_they_return(bench: Bench) -> None:
     bench.silence(0.5 * P.watch.report_time)
     assert bench.faults == ()
     bench.silence(P.watch.report_time)
@@ -112,7 +112,7 @@ def test_a_stuck_pressure_is_named_while_moving_and_cleared_by_its_first_change(
 
 
 @pytest.mark.parametrize("turn", [LEFT_TURN, RIGHT_IN_REVERSE], ids=("left", "right in reverse"))
-def test_swapped_pressures_show_in_the_first_turn(bench: Bench, turn: Phase) -> None:
+def test_swapped_pressures_are_detected_in_the_first_turn(bench: Bench, turn: Phase) -> None:
     def swapped(p: np.ndarray) -> np.ndarray:
         return p[::-1]
 

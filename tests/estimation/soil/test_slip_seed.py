@@ -38,7 +38,7 @@ def thrust_at(slips: tuple[float, float]) -> Thrust:
 
 
 @pytest.mark.slow
-def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() -> None:
+def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
     known = thrust_at((0.02, 0.03))
     found = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
@@ -56,7 +56,7 @@ def test_a_seed_is_the_slip_of_its_thrust_and_as_uncertain_as_soil_and_thrust() 
     np.testing.assert_allclose(found[1], np.cov(np.array(samples).T), rtol=0.2)
 
 
-def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
+def test_seed_has_the_sign_of_slip_in_reverse_and_when_braking() -> None:
     known = thrust_at((0.02, -0.01))
     forward = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
     reverse = slips_of(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
@@ -64,7 +64,7 @@ def test_in_reverse_and_where_a_track_brakes_slips_have_their_sign() -> None:
     np.testing.assert_array_equal(forward[0], reverse[0])
 
 
-def test_a_thrust_beyond_the_soils_gives_no_slip() -> None:
+def test_thrust_beyond_the_soil_limit_gives_no_seed() -> None:
     ride = Ride()
     ride.known = Thrust(np.array((3450.0, 1000.0)), np.full(2, 100.0))
     ride.seeds(Motion.TURNING, 1.0)
@@ -95,7 +95,7 @@ class Ride:
         return found
 
 
-def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:
+def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
     ride, enough = Ride(), P.seed.settling_lengths + 0.1
     assert ride.seeds(Motion.STRAIGHT, 20.0) == []  # there was no turn
     ride.seeds(Motion.TURNING, 1.0)
@@ -107,7 +107,7 @@ def test_one_seed_for_each_turn_once_the_way_after_it_is_long_enough() -> None:
     assert ride.seeds(Motion.STRAIGHT, 20.0) == []
 
 
-def test_no_seed_while_the_thrust_is_not_known() -> None:
+def test_unknown_thrust_gives_no_seed() -> None:
     ride = Ride()
     ride.seeds(Motion.TURNING, 1.0)
     known, ride.known = ride.known, None
@@ -117,7 +117,7 @@ def test_no_seed_while_the_thrust_is_not_known() -> None:
 
 
 @pytest.mark.parametrize("soil", [None, replace(SOIL, identifiable=False, reason="no")])
-def test_the_soil_counts_as_it_was_when_the_turn_ended(soil: StrengthSummary | None) -> None:
+def test_seed_uses_the_soil_at_the_end_of_the_turn(soil: StrengthSummary | None) -> None:
     ride = Ride()
     ride.soil = soil
     ride.seeds(Motion.TURNING, 1.0)
@@ -151,7 +151,7 @@ def seeds_on(soil: str, **changes: Any) -> tuple[list[SlipSeed], SoilEstimator]:
     return [output for output in outputs if isinstance(output, SlipSeed)], estimator
 
 
-def test_the_soil_estimator_gives_one_seed_after_each_turn() -> None:
+def test_soil_estimator_publishes_one_seed_after_each_turn() -> None:
     seeds, estimator = seeds_on("sandy_loam")
     assert estimator.strength.identifiable
     after = [(seed.stamp_ns - seeds[0].stamp_ns) * 1e-9 for seed in seeds]
@@ -161,13 +161,13 @@ def test_the_soil_estimator_gives_one_seed_after_each_turn() -> None:
         assert abs(seed.slips.mean() - 0.016) < 2.0 * sigma < 0.016
 
 
-def test_the_soil_estimator_gives_none_where_the_soil_is_not_identifiable() -> None:
+def test_soil_estimator_publishes_no_seed_for_unidentifiable_soil() -> None:
     seeds, estimator = seeds_on("sandy_loam", strength__widest_ratio=1.01)
     assert not estimator.strength.identifiable
     assert seeds == []
 
 
-def test_a_seed_passes_its_message() -> None:
+def test_seed_is_unchanged_by_its_message() -> None:
     covariance = np.array(((4e-6, 1e-6), (1e-6, 3e-6)))
     seed = SlipSeed(1_234_567_890, np.array((0.01, 0.02)), covariance)
     message = soil_conversions.message_of(make, seed, "base_link")

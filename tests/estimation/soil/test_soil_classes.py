@@ -41,30 +41,30 @@ def test_each_soil_is_found_at_its_own_strength(name: str) -> None:
 
 
 @pytest.mark.parametrize(("modulus", "limit"), [(0.06, 2000.0), (0.002, 8000.0), (0.05, 1500.0)])
-def test_a_foreign_soil_is_none_of_these(modulus: float, limit: float) -> None:
+def test_unknown_soil_is_classified_as_none_of_these(modulus: float, limit: float) -> None:
     assert CLASSES.probabilities(posterior_about(modulus, limit))[NONE] > 0.8
 
 
-def test_knowing_nothing_leaves_the_priors() -> None:
+def test_flat_posterior_gives_the_priors() -> None:
     flat = np.full((AXES[0].size, AXES[1].size), 1.0 / (AXES[0].size * AXES[1].size))
     found = CLASSES.probabilities(flat)
     assert found[NONE] == pytest.approx(P.classes.none_prior, abs=0.01)
     assert found["sand"] == pytest.approx((1.0 - P.classes.none_prior) / len(SOILS), rel=0.05)
 
 
-def test_a_soil_without_modulus_may_have_any() -> None:
+def test_soil_without_modulus_matches_any_modulus() -> None:
     snow = limit_of(SOILS["petawawa_snow"], VEHICLE)
     both = [CLASSES.probabilities(posterior_about(k, snow))["petawawa_snow"] for k in (0.002, 0.05)]
     assert min(both) > 0.2
 
 
-def test_without_known_soils_none_is_certain() -> None:
+def test_none_of_these_is_certain_without_known_soils() -> None:
     parameters = ClassesParameters(modulus_spread=0.3, limit_spread=0.05, none_prior=0.1)
     alone = SoilClasses(parameters, [], VEHICLE, GRID)
     assert alone.probabilities(posterior_about(0.01, 3000.0)) == {NONE: pytest.approx(1.0)}
 
 
-def test_every_soil_on_the_line_has_the_strength() -> None:
+def test_soils_of_equal_strength_line_have_the_same_limit() -> None:
     limit = limit_of(soil("sand"), VEHICLE)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     cohesion, angle = 2.0 * limit / area, math.atan(2.0 * limit / VEHICLE.weight)
@@ -75,7 +75,7 @@ def test_every_soil_on_the_line_has_the_strength() -> None:
     assert limit_of(between, VEHICLE) == pytest.approx(limit)
 
 
-def test_errors_that_never_average_come_in_as_if_the_cells_were_spread() -> None:
+def test_constant_errors_equal_a_spread_of_the_cells() -> None:
     grid = StrengthGrid(P.strength, VEHICLE)
     certain = posterior_about(0.01, 3600.0)
     spread = SoilClasses(P.classes, SOILS.values(), VEHICLE, grid).probabilities(certain)
@@ -96,6 +96,6 @@ def test_the_reserve_falls_to_nothing_at_the_limit() -> None:
     assert spent.exhausted > 0.95
 
 
-def test_the_warning_is_open_where_the_strength_is() -> None:
+def test_warning_probability_is_undecided_for_unknown_strength() -> None:
     flat = np.full(AXES[1].size, 1.0 / AXES[1].size)
     assert 0.2 < thrust_reserve(3000.0, 900.0, GRID.limits, flat, 0.9).exhausted < 0.8

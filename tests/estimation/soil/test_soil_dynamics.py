@@ -102,7 +102,7 @@ def steady(
     return dynamics
 
 
-def test_steady_motion_gives_the_closed_forms() -> None:
+def test_steady_motion_equals_the_closed_forms() -> None:
     """μ_r = (F_L + F_R)/W straight, μ_l = 3 B (F_R − F_L)/(2 W l) in a left turn; mirrored to the right."""
     weight = VEHICLE.weight
     straight = steady((1000.0, 1200.0), Motion.STRAIGHT, (0.3, 0.0, 0.0), 30.0)
@@ -118,8 +118,8 @@ def test_reverse_is_resisted_forwards() -> None:
     assert backwards.mu[0] == pytest.approx(2000.0 / VEHICLE.weight, rel=1e-3)
 
 
-def test_resistance_is_held_while_a_machine_on_a_slope_may_stand() -> None:
-    """Its tracks spin; a twist that says by two standard deviations that it slides is no proof."""
+def test_resistance_is_held_while_a_machine_on_a_slope_may_be_at_standstill() -> None:
+    """Its tracks spin; a twist two standard deviations from zero is no proof of sliding."""
     pull, mu_r = -0.2 * VEHICLE.weight, 0.3
     dynamics = Filter()
     dynamics.load["pull"] = pull
@@ -133,7 +133,7 @@ def test_resistance_is_held_while_a_machine_on_a_slope_may_stand() -> None:
     assert dynamics.mu[0] == pytest.approx(known, abs=0.01)
 
 
-def test_an_uncertain_inertia_shows_while_the_turn_begins() -> None:
+def test_uncertain_inertia_widens_the_resistance_while_a_turn_begins() -> None:
     """The same accelerated turn: with I_z less known μ_l comes out less certain."""
     deviations = []
     for inertia in (0.0, 0.5):

@@ -86,8 +86,8 @@ def accused(estimator: SoilEstimator) -> set[str]:
     return {reason for _, reason in estimator.tally.total} - before
 
 
-def test_oil_that_something_presses_on_at_rest_is_counted() -> None:
-    """The arm digs while the tracks stand: 3 bar, below the limit of an offset."""
+def test_pressure_from_digging_at_standstill_is_counted_as_unused() -> None:
+    """The arm digs at standstill: 3 bar, below the limit of an offset."""
     inputs = given(segments=((10.0, 0.0, 0.0),))
     digging = [
         replace(one, left_pressure=one.left_pressure + 3e5)
@@ -116,7 +116,7 @@ FAULTS: dict[PressureFault, Corrupt] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_a_fault_is_named_and_the_estimates_are_held_ever_less_certain(fault: PressureFault) -> None:
+def test_pressure_fault_is_named_and_holds_estimates_with_growing_variance(fault: PressureFault) -> None:
     estimator = SoilEstimator(P)
     inputs = corrupted(FAULTS[fault])
     half = [i for i in inputs if i.stamp_ns < START_NS + (FAULT_ENDS - 0.1) * 1e9]
@@ -138,7 +138,7 @@ def test_a_fault_is_named_and_the_estimates_are_held_ever_less_certain(fault: Pr
     assert all(b > 2.0 * a for a, b in zip(held[0].thrust_variance, held[1].thrust_variance, strict=True))
 
 
-def test_after_a_fault_the_estimates_come_back() -> None:
+def test_estimates_recover_after_a_fault() -> None:
     estimator = SoilEstimator(P)
     last = at(run(corrupted(FAULTS[PressureFault.IN_BAR]), estimator), SoilState, 18.0)
     assert estimator.faults == ()
@@ -178,8 +178,8 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
     [0.5 * math.pi, pytest.param(math.pi, marks=pytest.mark.slow)],
     ids=["across", "back"],
 )
-def test_a_cab_that_looks_aside_or_back_is_not_taken_for_another_soil(angle: float) -> None:
-    """F_max without it: 20 % too small across, 4 % too large looking back, and not inside the interval."""
+def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
+    """Without the swing F_max is 20 % too small across and 4 % too large backward."""
     true = limit_of(soil("sand"), CAB.vehicle.whole())
     known, unknown = (run(swung(angle, stddev), SoilEstimator(CAB)) for stddev in (0.01, None))
     found, wide = (at(outputs, SoilState, 99.0) for outputs in (known, unknown))
@@ -194,8 +194,8 @@ def test_a_cab_that_looks_aside_or_back_is_not_taken_for_another_soil(angle: flo
 
 
 @pytest.mark.parametrize("chunk", [7, 1000, 10**6])
-def test_many_inputs_at_once_give_what_they_give_one_by_one(chunk: int) -> None:
-    """A replay takes records by the thousand, live they come alone: the same bits."""
+def test_batches_of_inputs_give_the_same_bits_as_single_ones(chunk: int) -> None:
+    """A replay processes records by the thousand, the live node one by one."""
     inputs = corrupted(FAULTS[PressureFault.DROPPED])
     records = np.zeros(len(inputs), SOIL_INPUT)
     for record, one in zip(records, inputs, strict=True):
@@ -213,7 +213,7 @@ def test_many_inputs_at_once_give_what_they_give_one_by_one(chunk: int) -> None:
     assert replayed.is_stuck == live.is_stuck
 
 
-def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_is_not() -> None:
+def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None:
     ordinary, spinning = SoilEstimator(P), SoilEstimator(P)
     run(given(), ordinary)
     assert ordinary.is_stuck == (False, False)
@@ -229,8 +229,8 @@ def test_a_track_that_spins_at_the_limit_is_getting_stuck_and_an_ordinary_turn_i
     assert reloadable(SoilEstimatorParameters) == {"low_reserve"} | stuck
 
 
-def test_a_turn_that_the_soil_does_not_bear_is_no_getting_stuck() -> None:
-    """The outer track spins at its limit, and the machine drives straight on as fast as the inner one."""
+def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:
+    """The machine drives straight on, as fast as the inner track."""
     estimator = SoilEstimator(P)
     outputs = run(given("clayey_soil", ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.9, 2.28))), estimator)
     last = at(outputs, TrackForces, 16.0)
@@ -239,8 +239,8 @@ def test_a_turn_that_the_soil_does_not_bear_is_no_getting_stuck() -> None:
     assert estimator.is_stuck == (False, False)
 
 
-def test_a_track_that_is_dragged_faster_than_it_turns_does_not_spin() -> None:
-    """As on a slope that is too steep: held back by its motor, and sliding all the same."""
+def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
+    """On a slope that is too steep, the motor brakes and the machine slides."""
 
     def drag(one: SoilInput) -> SoilInput:
         if isinstance(one, MachineState):
@@ -255,7 +255,7 @@ def test_a_track_that_is_dragged_faster_than_it_turns_does_not_spin() -> None:
     assert estimator.is_stuck == (False, False)
 
 
-def test_tracks_that_are_commanded_and_do_not_turn_are_stalled_within_a_second() -> None:
+def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None:
     """The relief valve is set too low for a turn on the spot; straights, a turn and stops are no stall."""
     segments = (
         (1.0, 0, 0),
@@ -313,13 +313,13 @@ def test_a_clock_set_back_restarts_the_estimate() -> None:
     assert last.mu_r == pytest.approx(0.2, rel=0.05)
 
 
-def test_spools_and_speeds_show_the_volumetric_efficiency() -> None:
+def test_volumetric_efficiency_is_estimated_from_spools_and_speeds() -> None:
     estimator = SoilEstimator(P)
     run(given(), estimator)
     assert estimator.volumetric_efficiency == pytest.approx(P.vehicle.whole().volumetric_efficiency, rel=0.02)
 
 
-def test_offsets_of_the_transducers_do_not_reach_the_resistance() -> None:
+def test_transducer_offsets_do_not_change_the_resistance() -> None:
     truth = simulate(Scenario(name="test", soil="sand", segments=tuple(Segment(*row) for row in SEGMENTS)))
     off = Sensing(offsets=(2e5, 2e5))
     outputs = run(soil_inputs(truth, P.vehicle.whole(), load_slip_parameters().motion, off))

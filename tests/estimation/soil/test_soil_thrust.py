@@ -53,8 +53,8 @@ def learned(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 
     return sum(meter.learn(pressures + noise * rng.standard_normal(2)) for _ in range(round(seconds / STEP)))
 
 
-def test_what_digging_presses_on_is_no_offset() -> None:
-    """3 bar for 8 s, below the limit of an offset, after a stand that has shown it."""
+def test_digging_pressure_is_not_learned_as_an_offset() -> None:
+    """3 bar for 8 s, below the limit of an offset, after a standstill that has shown the offset."""
     meter, noise = Meter(), P.thrust.pressure_stddev
     own = np.array((0.2 * BAR, -0.4 * BAR))
     assert learned(meter, own, 10.0, noise) == 0
@@ -63,7 +63,7 @@ def test_what_digging_presses_on_is_no_offset() -> None:
     assert learned(meter, own, 10.0, noise) == 0
 
 
-def test_a_changed_offset_is_accepted_in_the_end() -> None:
+def test_changed_offset_is_learned_after_its_persist_time() -> None:
     meter, noise = Meter(), P.thrust.pressure_stddev
     learned(meter, np.zeros(2), 10.0, noise)
     learned(meter, np.full(2, 3.0 * BAR), 2.0 * P.thrust.persist_time, noise)
@@ -71,7 +71,7 @@ def test_a_changed_offset_is_accepted_in_the_end() -> None:
 
 
 @pytest.mark.parametrize("soil", ["sand", "sandy_loam", "clayey_soil", "dry_clay"])
-def test_thrust_is_the_soils_within_three_percent_driving_and_braking(soil: str) -> None:
+def test_thrust_is_right_within_three_percent_driving_and_braking(soil: str) -> None:
     segments = (Segment(4.0, 2.0, 2.0), Segment(4.0, 0.8, 2.2), Segment(4.0, -1.5, -1.5))
     truth = simulate(Scenario(name="test", soil=soil, segments=segments)).interpolate(np.arange(0, 12, STEP))
     meter, rng = Meter(), np.random.default_rng(2)
@@ -90,7 +90,7 @@ def test_thrust_is_the_soils_within_three_percent_driving_and_braking(soil: str)
     assert (steady[:, None] & (true * speeds < 0.0)).any() == (soil != "clayey_soil")
 
 
-def test_the_variance_is_consistent_where_it_is_open_who_drives() -> None:
+def test_thrust_variance_covers_driving_and_braking_near_zero_speed() -> None:
     meter = Meter()
     pressures, speed = np.full(2, 50 * BAR), P.thrust.speed_stddev
     for true_speed in (0.0, 0.5 * speed, 5.0 * speed, -5.0 * speed):
@@ -111,7 +111,7 @@ def test_thrust_passes_smoothly_from_driving_to_braking() -> None:
     assert np.abs(np.diff(forces)).max() < 0.03 * (forces[0] - forces[-1])
 
 
-def test_an_unknown_speed_is_as_open_as_none() -> None:
+def test_unknown_speed_gives_the_thrust_of_zero_speed() -> None:
     meter = Meter()
     unknown, none = (meter.measure(np.full(2, 50 * BAR), np.full(2, w)) for w in (np.nan, 0.0))
     np.testing.assert_array_equal(unknown["force"], none["force"])
@@ -140,7 +140,7 @@ def test_offsets_wait_until_the_pressure_has_settled() -> None:
     np.testing.assert_array_equal(meter.offsets["mean"], 0.0)
 
 
-def test_an_unseen_thrust_is_held_ever_less_certain_up_to_relief() -> None:
+def test_unobserved_thrust_is_held_with_variance_growing_to_relief() -> None:
     meter = Meter()
     held = meter.measure(np.full(2, 50 * BAR), np.ones(2))
     seen = held["force"].copy()

@@ -53,7 +53,7 @@ def track_distance(straight: StraightSegment, distance: float, sign: float = 1.0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_on_fresh_soil_a_straight_costs_as_in_3_3(sign: float) -> None:
+def test_slip_of_a_straight_on_fresh_soil_is_that_of_equation_3_3(sign: float) -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
     track_distance(straight, 2.0 * LENGTH, sign)
     slips = track_distance(straight, 7.0, sign) / 7.0
@@ -62,7 +62,7 @@ def test_on_fresh_soil_a_straight_costs_as_in_3_3(sign: float) -> None:
             assert slips[a, b] == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
 
 
-def test_soil_that_a_turn_has_sheared_pulls_without_slip() -> None:
+def test_soil_sheared_in_a_turn_gives_thrust_without_slip() -> None:
     sheared = FRESH.copy()
     sheared[:, :, 0] = -0.3  # as tracks leave it that slip while they drive forward
     straight = StraightSegment(SOILS, sheared, pose_at(0.0))
@@ -73,7 +73,7 @@ def test_soil_that_a_turn_has_sheared_pulls_without_slip() -> None:
     assert track_distance(straight, 3.5)[a, b] / 3.5 == pytest.approx(slip_of(MODULI[a], LIMITS[b]), rel=0.06)
 
 
-def test_a_soil_that_cannot_give_the_thrust_lets_the_tracks_spin() -> None:
+def test_tracks_spin_where_the_thrust_exceeds_the_soil_limit() -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
     expected = track_distance(straight, 3.5)
     weak, strong = np.searchsorted(LIMITS, (1.02 * FORCE, 4.0 * FORCE))
@@ -84,8 +84,8 @@ def test_a_soil_that_cannot_give_the_thrust_lets_the_tracks_spin() -> None:
     assert expected[8, strong] < 0.02 * 3.5
 
 
-def test_a_load_that_leans_costs_as_much_more_or_less_as_is_stated() -> None:
-    """By what a cab that looks to nobody knows where may lean it."""
+def test_uneven_load_changes_the_slip_distance_by_the_stated_amount() -> None:
+    """By the load of a cab with unknown swing."""
     lean = 0.2  # 1/m
     costs = []
     for sign in (0.0, 1.0):
@@ -101,8 +101,8 @@ def test_a_load_that_leans_costs_as_much_more_or_less_as_is_stated() -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.5, np.pi - 0.05])
-def test_the_distance_follows_the_heading(yaw: float) -> None:
-    """Around a gentle bend: as long as the arc; and no matter where the angle wraps."""
+def test_distance_follows_the_arc_at_any_heading(yaw: float) -> None:
+    """In a gentle bend, also where the angle wraps."""
     radius, bend = 20.0, np.linspace(0.0, 0.2, 21)
     straight = StraightSegment(SOILS, FRESH, _on_arc(radius, yaw, 0.0))
     for angle in bend[1:]:
@@ -169,7 +169,7 @@ def go_straight(
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_slip_distance_gives_the_modulus(sign: float) -> None:
+def test_slip_distance_gives_the_shear_modulus(sign: float) -> None:
     strength = new_strength(distance_stddev=0.0005)
     for _ in range(6):
         go_straight(strength, stddev=0.0005, sign=sign)
@@ -181,7 +181,7 @@ def test_the_slip_distance_gives_the_modulus(sign: float) -> None:
 
 
 @pytest.mark.slow
-def test_intervals_from_slip_distances_cover_as_often_as_stated() -> None:
+def test_intervals_from_slip_distances_have_their_stated_coverage() -> None:
     random = np.random.default_rng(7)
     runs, stddev, covered = 60, 0.006, 0
     for _ in range(runs):
@@ -194,7 +194,7 @@ def test_intervals_from_slip_distances_cover_as_often_as_stated() -> None:
     assert 0.8 * runs <= covered <= 0.99 * runs
 
 
-def test_a_straight_counts_once_it_is_over() -> None:
+def test_straight_is_used_once_it_has_ended() -> None:
     strength = new_strength()
     before = strength.posterior.effective_samples
     go_straight(strength)
@@ -203,8 +203,8 @@ def test_a_straight_counts_once_it_is_over() -> None:
     assert strength.posterior.effective_samples == pytest.approx(before + 1.0, abs=0.01)
 
 
-def test_a_machine_that_stands_is_seen_better() -> None:
-    """The straight ends where it is known to be by the end of the stop, not where it was thought to be."""
+def test_straight_ends_at_the_pose_of_the_stop() -> None:
+    """Its end is the pose at the end of the stop, which is more precise than the pose before."""
     strengths = [new_strength(distance_stddev=0.0005) for _ in range(2)]
     distance = 50 * STEP * SPEED * (1.0 - slip_of(MODULUS, LIMIT))
     for strength, off in zip(strengths, (0.0, 0.05), strict=True):
@@ -216,8 +216,8 @@ def test_a_machine_that_stands_is_seen_better() -> None:
 
 
 @pytest.mark.parametrize("spoil", ["thrust", "twist"])
-def test_a_straight_with_a_gap_gives_nothing_of_the_gap(spoil: str) -> None:
-    """Without the thrusts the distance so far counts; a sample that is not usable ends it uncounted."""
+def test_straight_with_a_gap_does_not_use_the_gap(spoil: str) -> None:
+    """Without thrusts the distance so far counts; an unusable sample ends it without use."""
     strength = new_strength()
     before = strength.posterior.effective_samples
     distance = STEP * SPEED * (1.0 - 0.0072)
@@ -231,8 +231,8 @@ def test_a_straight_with_a_gap_gives_nothing_of_the_gap(spoil: str) -> None:
     assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # less what 0.8 m forget
 
 
-def test_spinning_tracks_do_not_observe_k() -> None:
-    """At the limit of the soil a machine loses any distance: that is F_max's doing."""
+def test_shear_modulus_is_not_observable_from_spinning_tracks() -> None:
+    """At the limit of the soil the slip distance depends on F_max only."""
     strength = new_strength()
     before = strength.posterior.effective_samples
     outcomes = {
@@ -243,7 +243,7 @@ def test_spinning_tracks_do_not_observe_k() -> None:
     assert strength.posterior.effective_samples == pytest.approx(before, abs=0.01)
 
 
-def test_a_way_along_a_slope_is_longer_than_it_is_horizontally() -> None:
+def test_distance_along_a_slope_is_longer_than_its_horizontal_part() -> None:
     straight = StraightSegment(SOILS, FRESH, pose_at(0.0))
     track_distance(straight, 4.0)
     straight.set_end(pose_at(4.0 * math.cos(0.25)), 1.0 / math.cos(0.25), 0.001)

@@ -70,7 +70,7 @@ def new_strength(**changes: float) -> Strength:
 
 @pytest.mark.parametrize("slip", [0.002, 0.0072, 0.05, 0.3, -0.01])
 @pytest.mark.parametrize("speed", [SPEED, -SPEED])
-def test_steady_straight_motion_is_3_3(slip: float, speed: float) -> None:
+def test_steady_straight_motion_equals_equation_3_3(slip: float, speed: float) -> None:
     x_e = element_places(LENGTH, 64)
     rolling = Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed))
     contact = Contact(x_e, HALF_TREAD)
@@ -82,7 +82,7 @@ def test_steady_straight_motion_is_3_3(slip: float, speed: float) -> None:
     assert q[:, 0] == pytest.approx(np.sign(speed) * force_of(slip, limit=1.0), rel=2e-3)
 
 
-def test_an_error_of_the_twist_acts_as_if_it_had_been_so_all_along() -> None:
+def test_twist_error_acts_as_a_constant_one() -> None:
     contact, tracks = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((0.2, 0.35))
     twist, error = np.array((0.25, 0.01, 0.1)), np.array((0.01, -0.004, 0.02))
     q, other = np.empty((2, 3)), np.empty((2, 3))
@@ -96,8 +96,8 @@ def test_an_error_of_the_twist_acts_as_if_it_had_been_so_all_along() -> None:
     np.testing.assert_allclose(q, other, atol=1e-12)
 
 
-def test_a_lean_that_is_not_known_excuses_a_thrust_that_it_makes() -> None:
-    """To one standard deviation, as any error; without it the thrust would be another soil's."""
+def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
+    """The residual is one standard deviation with it and above five without."""
     contact, moduli = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((MODULUS,))
     rolling, lean = Rolling(np.array((0.25, -0.01, 0.12)), np.array((0.2, 0.35))), 0.3
     j, q = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0), np.empty((2, 1))
@@ -112,7 +112,7 @@ def test_a_lean_that_is_not_known_excuses_a_thrust_that_it_makes() -> None:
     assert squares[1] == pytest.approx(1.0, rel=0.15)
 
 
-def test_many_short_steps_carry_as_one_long_one() -> None:
+def test_many_short_steps_equal_one_long_step() -> None:
     contact = Contact(element_places(LENGTH, 16), HALF_TREAD)
     rolling = Rolling(np.array((0.28, 0.02, -0.1)), np.array((0.35, 0.2)))
     once = carry(np.zeros((2, 16, 2)), rolling, contact, 20.0)
@@ -123,7 +123,7 @@ def test_many_short_steps_carry_as_one_long_one() -> None:
     np.testing.assert_allclose(often[:, :, 1], once[:, :, 1], atol=0.015)  # bends between the centres
 
 
-def test_exact_data_give_both_parameters_back() -> None:
+def test_exact_data_recover_both_parameters() -> None:
     certain = replace(STRENGTH, slip_bias_stddev=0.0, thrust_share_stddev=0.002, thrust_scale_stddev=0.0)
     found = fed(Strength(certain, VEHICLE), np.array((0.003, 0.0072, 0.03, 0.2)), 15.0).summary()
     assert found.shear_modulus == pytest.approx(MODULUS, rel=0.05)
@@ -132,7 +132,7 @@ def test_exact_data_give_both_parameters_back() -> None:
     assert found.reason == ""
 
 
-def test_small_slips_alone_observe_only_the_ratio() -> None:
+def test_only_the_ratio_is_observable_from_small_slips() -> None:
     posterior = fed(new_strength(), np.array((0.004, 0.006)), 20.0, modulus=0.03)
     found = posterior.summary()
     assert not found.identifiable
@@ -150,7 +150,7 @@ def test_the_mobilised_share_is_exact_to_rounding(ratio: float) -> None:
     assert mobilised(ratio) == pytest.approx(-np.expm1(-ratio), rel=1e-14)
 
 
-def test_a_slip_within_its_error_leaves_the_modulus_open() -> None:
+def test_shear_modulus_is_unidentifiable_from_slips_below_their_error() -> None:
     strength = new_strength()
     for _ in range(100):
         strength.update(straight(0.25, force_of(0.25, 0.006, 4233.0)))
@@ -165,8 +165,8 @@ def test_a_slip_within_its_error_leaves_the_modulus_open() -> None:
 
 
 @pytest.mark.slow
-def test_intervals_cover_as_often_as_stated() -> None:
-    """Errors of slip and thrust that last for seconds, in 80 runs: nine of ten intervals hold the truth."""
+def test_intervals_have_their_stated_coverage() -> None:
+    """Time-correlated errors of slip and thrust in 80 runs: nine of ten intervals contain the truth."""
     random = np.random.default_rng(5)
     runs, stddev, scatter, covered = 80, 0.003, 0.01, np.zeros(2)
     correlated = dict.fromkeys(("slip_bias_stddev", "thrust_scale_stddev", "thrust_share_stddev"), 0.0)
@@ -193,7 +193,7 @@ def test_intervals_cover_as_often_as_stated() -> None:
     assert np.all(covered <= 0.99 * runs)
 
 
-def test_another_soil_shows_within_seconds() -> None:
+def test_new_soil_is_found_within_seconds() -> None:
     strength = new_strength()
     fed(strength, np.array((0.0072, 0.2, 0.01, 0.3)), 15.0)
     assert strength.posterior.summary().thrust_limit == pytest.approx(LIMIT, rel=0.05)
@@ -204,7 +204,7 @@ def test_another_soil_shows_within_seconds() -> None:
     assert found.effective_samples < 0.5 * before
 
 
-def test_one_wrong_sample_changes_nothing() -> None:
+def test_one_wrong_sample_has_no_effect() -> None:
     strength = new_strength()
     fed(strength, np.array((0.0072, 0.2)), 20.0)
     before = strength.posterior.summary()
@@ -214,7 +214,7 @@ def test_one_wrong_sample_changes_nothing() -> None:
     assert after.shear_modulus == pytest.approx(before.shear_modulus, rel=0.02)
 
 
-def test_more_samples_of_one_moment_add_no_information() -> None:
+def test_repeated_samples_of_one_moment_add_no_information() -> None:
     """At 100 Hz as at 5 Hz: what counts is how long, not how often."""
     often, seldom = new_strength(), new_strength()
     sample = straight(0.1, force_of(0.1))
@@ -226,7 +226,7 @@ def test_more_samples_of_one_moment_add_no_information() -> None:
     np.testing.assert_allclose(often.posterior.cells, seldom.posterior.cells, atol=1e-9)
 
 
-def test_an_error_that_lasts_bounds_what_is_learned() -> None:
+def test_constant_slip_error_bounds_the_interval_of_k() -> None:
     """With an uncertain rolling radius the interval of K stops shrinking."""
     widths = []
     for correlated in (0.0, 0.002):
@@ -240,7 +240,7 @@ def test_an_error_that_lasts_bounds_what_is_learned() -> None:
     assert after > 1.5 * certain_after
 
 
-def test_either_track_alone_will_do() -> None:
+def test_one_track_alone_gives_the_thrust_limit() -> None:
     strength = new_strength()
     for slip in (0.0072, 0.2):
         for _ in range(100):

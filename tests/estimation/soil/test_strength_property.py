@@ -41,7 +41,7 @@ def samples(draw: st.DrawFn) -> Sample:
 @pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(st.lists(samples(), min_size=1, max_size=4))
-def test_any_input_leaves_a_distribution(given_samples: list[Sample]) -> None:
+def test_posterior_stays_a_distribution_for_any_input(given_samples: list[Sample]) -> None:
     strength = Strength(SMALL, P.vehicle.whole())
     for sample in given_samples:
         strength.update(sample)
@@ -59,10 +59,10 @@ def test_any_input_leaves_a_distribution(given_samples: list[Sample]) -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.02, 0.3), st.floats(0.05, 0.5), st.floats(-0.02, 0.02), st.floats(0.0, 0.1), st.booleans())
-def test_left_and_right_turns_give_the_same(
+def test_mirrored_drives_give_the_same_posterior(
     slip: float, slower: float, v_y: float, rate: float, reverse: bool
 ) -> None:
-    """Mirrored left to right, and front to back, a drive says the same of the soil."""
+    """Mirrored left to right and front to back."""
     tracks = np.array((slower * 0.35, 0.35))
     twist = np.array((0.35 * (1.0 - slip) - 0.5 * P.vehicle.whole().tread * rate, v_y, rate))
     thrusts = np.array((-600.0, 3000.0))

@@ -164,7 +164,7 @@ CASES: dict[str, tuple[Callable, list[Argument]]] = {
 }
 
 
-def test_no_public_function_is_left_out():
+def test_every_public_function_has_a_case():
     public = {
         name
         for module in MODULES
@@ -201,7 +201,7 @@ def test_arguments_broadcast(name, data):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_outside_the_domain_is_refused(name):
+def test_arguments_outside_the_domain_are_refused(name):
     function, arguments = CASES[name]
     middle = [0.5 * (a.low + a.high) for a in arguments]
     for index, argument in enumerate(arguments):

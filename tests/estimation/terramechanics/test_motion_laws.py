@@ -38,7 +38,7 @@ speeds = either_sign(between(0.01, 4.0))
 
 
 @given(between(0.0, 2e4), lengths, mus, loads, between(0.0, 1.0))
-def test_lateral_force_is_a_line_that_holds_the_centrifugal_force(weight, length, mu, load, share):
+def test_lateral_force_is_linear_and_balances_the_centrifugal_force(weight, length, mu, load, share):
     a = 2.0 * GRAVITY * mu * load
     first, last = (turning.lateral_force(x, weight, length, mu, a) for x in (0.0, length))
     here = turning.lateral_force(share * length, weight, length, mu, a)
@@ -68,7 +68,7 @@ def test_centre_point_stays_behind_seven_tenths(length, mu, a1, a2):
 
 
 @given(lengths, mus, loads)
-def test_centre_and_zero_of_force_lie_evenly_about_the_middle(length, mu, load):
+def test_centre_and_zero_of_force_are_symmetric_about_the_middle(length, mu, load):
     a = 2.0 * GRAVITY * mu * load
     together = turning.centre_point_approximate(length, mu, a) + turning.zero_force_point(length, mu, a)
     assert together == pytest.approx(length)
@@ -117,8 +117,8 @@ def test_torque_thrust_and_their_inverses(dp, omega):
 
 
 @given(either_sign(between(0.0, 2e7)), speeds)
-def test_a_motor_gives_no_more_power_than_it_takes(dp, omega):
-    """T ω ≤ ΔP Q, driving and braking alike."""
+def test_motor_output_power_is_at_most_its_input(dp, omega):
+    """T ω ≤ ΔP Q, when driving and when braking."""
     oil = dp * hydraulics.flow_of_speed(omega, dp, PC05)
     assert hydraulics.torque(dp, omega, PC05) * omega <= oil + 1e-12 * abs(oil)
 

@@ -62,7 +62,7 @@ def test_sinkage_by_hand():
     assert sinkage.reece_pressure(0.125, 0.5, bracket, 0.5) == pytest.approx(15.5e3)
 
 
-def test_track_cannot_unload_beyond_where_it_began():
+def test_unloading_above_its_start_is_refused():
     with pytest.raises(InputError, match="accepted: <= unloading_sinkage"):
         sinkage.unloading_pressure(0.3, 0.2, 1000.0, 1e5)
 
@@ -111,7 +111,7 @@ def test_thrust_is_the_integral_of_shear_stress(pc05):
         assert traction.thrust(slip, 9e3 * width * length, modulus, length) == pytest.approx(area, rel=1e-8)
 
 
-def test_elements_take_any_pressure():
+def test_thrust_of_elements_accepts_any_pressure():
     tau = np.array([2e3, 8e3, 5e3])
     whole = traction.thrust_of_elements(0.05, tau, 0.23, 1.2, 0.01)
     ends = np.linspace(0.0, 1.2, 4)
@@ -123,7 +123,7 @@ def test_elements_take_any_pressure():
     assert traction.thrust_of_elements([0.05, -0.05], tau, 0.23, 1.2, 0.01) == pytest.approx([whole, -whole])
 
 
-def test_a_thrust_beyond_the_strength_has_no_slip():
+def test_thrust_beyond_the_strength_is_refused():
     for force in (100.0, -100.0, 250.0):
         with pytest.raises(InputError, match=r"force/limit = .*accepted: > -1 and < 1"):
             traction.slip_of_thrust(force, 100.0, 0.01, 1.2)
@@ -187,7 +187,7 @@ def test_centre_point_is_the_centroid(load):
 
 
 @pytest.mark.parametrize("load", [0.0, 0.05, 0.5, 1.0])
-def test_what_the_published_moment_integrates(load):
+def test_published_moment_is_four_times_that_of_the_tail(load):
     """(3.7) is four times the tail's moment; the moment about C of all of f is (3.8) at any λ.
 
     About the zero of f the elements' moments add up to (3.8) times 1 + 3 λ²: also not (3.7).
@@ -274,8 +274,8 @@ def test_top_speed_at_full_pump_flow(pc05):
     assert speed == pytest.approx(0.5, rel=0.01)
 
 
-def test_braking_costs_the_track(pc05):
-    """The same pressure goes with more torque when the track drives the motor."""
+def test_braking_torque_is_divided_by_the_efficiency_squared(pc05):
+    """The same pressure gives more torque when the track drives the motor."""
     driving = hydraulics.torque(4e6, 1.0, pc05)
     braking = hydraulics.torque(-4e6, 1.0, pc05)
     assert braking == pytest.approx(-driving / pc05.motor_efficiency**2)
@@ -290,7 +290,7 @@ def test_orifice_by_hand():
         hydraulics.orifice_pressure_drop(flow, 0.0, 850.0, 0.62)
 
 
-def test_relief_valve_cuts_both_ways(pc05):
+def test_relief_valve_limits_both_signs(pc05):
     limit = pc05.relief_pressure
     assert hydraulics.relieved_pressure([-2 * limit, 1e6, 2 * limit], pc05) == pytest.approx(
         [-limit, 1e6, limit]
