@@ -19,7 +19,7 @@ ENDS = {
 }
 
 
-def test_a_bare_node_paces_what_nothing_causes_and_answers_the_rest(programs, observer):
+def test_bare_node_publishes_sources_at_their_rate_and_answers_inputs(programs, observer):
     with BagWriter(programs.folder / "bag") as bag:
         for k in range(int(RATE) + 1):
             for topic, fields in (("sprockets", {"name": ["a"]}), ("odometry", {})):

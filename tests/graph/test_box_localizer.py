@@ -38,7 +38,7 @@ def stamps_s(messages):
 
 
 @pytest.mark.slow
-def test_bag_in_a_loop_gives_fixes_in_every_round(programs, observer, path):
+def test_bag_loop_gives_fixes_in_every_round(programs, observer, path):
     poses = observer.subscribe("box_pose")
     programs.node("box_localizer")
     observer.wait_until_active("box_localizer")
@@ -55,7 +55,7 @@ def test_bag_in_a_loop_gives_fixes_in_every_round(programs, observer, path):
     assert fixes > 12  # of some 20 scans a round
 
 
-def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, observer):
+def test_node_continues_after_a_scan_of_impossible_geometry(programs, observer):
     healths, scans = observer.healths(), observer.publisher("scan")
     program = programs.node("box_localizer")
     observer.wait_for_ends("scan", "observer", "box_localizer")
@@ -76,8 +76,8 @@ def test_scan_of_impossible_geometry_is_counted_and_the_node_goes_on(programs, o
 
 
 @pytest.mark.slow
-def test_what_may_be_another_thing_is_no_pose_until_the_odometry_is_there(programs, observer, tmp_path):
-    """Started with a track of half a minute ago and no background, as if the laser had been moved."""
+def test_ambiguous_object_gives_no_pose_before_odometry_arrives(programs, observer, tmp_path):
+    """Started with a track of half a minute ago and no background, as if the laser were moved."""
     healths, poses = observer.healths(), observer.subscribe("box_pose")
     scans, odometry = observer.publisher("scan"), observer.publisher("odometry")
     headings = Headings(CERTAIN, SideEvidence())

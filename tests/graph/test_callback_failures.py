@@ -52,7 +52,7 @@ class Machine:
         self._observer.wait(publish_and_look, what)
 
 
-def test_exceptions_in_callbacks_are_reported_and_the_node_goes_on(programs, observer):
+def test_node_continues_after_exceptions_in_callbacks_and_reports_them(programs, observer):
     machine = Machine(programs, observer)
     machine.set(fails=True)
     answer = observer.ask(Trigger, "fragile/reset", Trigger.Request())
@@ -78,7 +78,7 @@ def test_exceptions_in_callbacks_are_reported_and_the_node_goes_on(programs, obs
     assert "Traceback" not in machine.program.stderr
 
 
-def test_nothing_but_exceptions_end_the_node_with_one_line(programs, observer):
+def test_uninterrupted_exceptions_end_the_node_with_one_line(programs, observer):
     machine = Machine(programs, observer, duration=1.0, fails=True)
     assert machine.program.wait() == 1
     last = machine.program.stderr.splitlines()[-1]

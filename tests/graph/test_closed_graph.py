@@ -59,7 +59,7 @@ RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
     ],
     ids=["open", "closed", "peers"],
 )
-def test_a_stranger_on_the_network(programs: Any, node: str, stranger: str, expected: str) -> None:
+def test_graph_is_visible_only_to_named_peers(programs: Any, node: str, stranger: str, expected: str) -> None:
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces here")
     code = STRANGER.format(seconds=PATIENCE if expected.startswith("seen") else 8.0)

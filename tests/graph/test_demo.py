@@ -107,7 +107,7 @@ def test_the_program_itself_refuses_with_one_line(programs):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_demo_whose_output_cannot_be_written_ended_with_a_traceback(programs, tmp_path):
+def test_demo_with_unwritable_output_ends_with_one_line(programs, tmp_path):
     command = [sys.executable, "-m", "trackslip_sim.demo.main", "--output", str(tmp_path / "demo")]
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -125,8 +125,7 @@ def answers(address):
 
 
 @pytest.mark.slow
-def test_the_page_comes_at_another_port_and_may_end_alone_and_ctrl_c_comes_twice(programs, observer):
-    """Then Ctrl-C twice: an impatient user changes nothing."""
+def test_demo_survives_a_taken_port_a_killed_page_and_a_second_ctrl_c(programs, observer):
     with socket.socket() as taken:
         with suppress(OSError):  # somebody else has it: just as well
             taken.bind(("127.0.0.1", 5006))

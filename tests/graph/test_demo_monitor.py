@@ -89,8 +89,7 @@ class ForgetfulEmulator:
 
 
 @pytest.mark.parametrize("does_the_first", [True, False], ids=["done", "not done"])
-def test_the_demo_waited_in_vain_for_an_answer_that_was_lost(domain, monkeypatch, does_the_first):
-    """For 180 s, and said only that the emulator did not configure."""
+def test_lost_answer_of_a_lifecycle_node_is_requested_again(domain, monkeypatch, does_the_first):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setattr(remote_lifecycle, "_LOST", 0.5)
     join_graph()

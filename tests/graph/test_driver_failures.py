@@ -59,7 +59,7 @@ def driver(domain: int) -> Iterator[FragileDriver]:
         yield node
 
 
-def test_exception_while_data_are_decoded_is_reported_and_the_driver_goes_on(driver):
+def test_driver_continues_after_an_exception_in_decoding_and_reports_it(driver):
     for data in (b"1", b"bad", b"2"):
         driver.port.items.put(data)
     wait_for(lambda: len(driver.received) >= 2)
@@ -82,7 +82,7 @@ def messages(driver: FragileDriver, seconds: float) -> list[str]:
     return found[1:]
 
 
-def test_a_silent_port_is_reported_as_silent_after_it_was_reopened(domain, monkeypatch):
+def test_reopened_silent_port_is_reported_as_silent(domain, monkeypatch):
     monkeypatch.setattr("trackslip_drivers.nodes.driver._OPENING", 0.1)
     monkeypatch.setattr(FragileDriver, "period", 0.02)
     monkeypatch.setattr(FragileDriver, "silence", 0.4)
@@ -93,8 +93,8 @@ def test_a_silent_port_is_reported_as_silent_after_it_was_reopened(domain, monke
     assert sum("no data yet" in text for text in found) == 1
 
 
-def test_of_two_reasons_the_one_that_came_last_was_named(driver):
-    """A scanner's garbled bytes, and now and then that it answers at no rate."""
+def test_most_frequent_reason_is_reported_as_last_rejection(driver):
+    """A scanner sends garbled bytes; now and then it answers at no rate."""
     driver.port.items.put(b"1")
     reasons = Enum("reasons", {"GARBAGE": "garbage byte", "MUTE": "no answer at any rate"})
     for _ in range(3):

@@ -201,7 +201,7 @@ def is_given_back(path):
 
 
 @pytest.mark.slow
-def test_every_measurement_is_reported_on_and_given_back(programs, observer):
+def test_every_measurement_is_reported_and_replayed(programs, observer):
     line = Line(programs, observer)
     drive(line)
     ordinary_count = len(line.reports)

@@ -74,8 +74,8 @@ def drive(driver, udp_port):
     return cycles
 
 
-def test_frames_that_had_waited_for_over_a_second_were_stamped_when_they_were_read(driver, udp_port):
-    """The socket holds less than a second of them; what is lost then is a gap, over which nobody knows."""
+def test_frames_read_after_a_host_stall_keep_their_times(driver, udp_port):
+    """The socket holds less than a second of frames; what is lost then is a gap without positions."""
     cycles = drive(driver, udp_port)
     samples = driver.samples
     held_ns, free_ns = (cycles[number][0] for number in HELD_CYCLES)
@@ -87,8 +87,8 @@ def test_frames_that_had_waited_for_over_a_second_were_stamped_when_they_were_re
         assert cycles[number][0] - MS < sample.stamp_ns < cycles[number][1] + MS
 
 
-def test_frames_without_a_time_that_waited_are_not_stamped_as_new(driver, udp_port, monkeypatch):
-    """An adapter that gives none: nothing tells how long they waited."""
+def test_delayed_frames_without_a_time_are_not_stamped_as_new(driver, udp_port, monkeypatch):
+    """An adapter without timestamps: the delay is unknown."""
     monkeypatch.setattr("trackslip_drivers.transports.can_bus._stamp_ns", lambda _: time.time_ns())
     cycles = drive(driver, udp_port)
     assert driver.tally.total["can", StampEvent.WAITED.value] > 50

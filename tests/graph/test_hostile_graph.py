@@ -82,8 +82,7 @@ def test_a_flood_of_messages_is_dropped_and_its_publisher_named(
     other.destroy_publisher(publisher)
 
 
-def test_a_nodes_own_counters_do_not_hide_its_inputs(domain: int) -> None:
-    """The soil estimator had a counter of the name that the base has for the topics."""
+def test_inputs_of_the_soil_estimator_stay_observable_beside_its_counters(domain: int) -> None:
     with started(SoilEstimatorNode, domain) as node:
         node.publish_health()
         assert node.inputs.health() == []

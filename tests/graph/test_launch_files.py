@@ -110,7 +110,7 @@ def test_every_word_for_off_switches_every_node_off(word: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "text"), [("duration", "soon"), ("can_port", "4e3")])
-def test_number_of_the_demo_that_is_none_is_refused(name: str, text: str) -> None:
+def test_invalid_number_of_the_demo_is_refused(name: str, text: str) -> None:
     with pytest.raises(InputError, match=rf"^{name}: '{text}' is refused; accepted: "):
         launched(DEMO, **{name: text})
 
@@ -222,7 +222,7 @@ def test_each_node_is_an_executable_of_its_package_in_its_namespace(file: Path) 
     ],
 )
 @pytest.mark.xdist_group("graph")
-def test_real_nodes_take_what_the_launch_files_give_them(
+def test_nodes_start_with_the_parameters_of_the_launch_files(
     programs: Any, observer: Any, monkeypatch: pytest.MonkeyPatch, switches: dict[str, str]
 ) -> None:
     monkeypatch.setenv("ROS_HOME", str(programs.folder))

@@ -96,7 +96,7 @@ def later(measurements, by_ns):
 
 
 @pytest.mark.slow
-def test_a_restart_keeps_what_was_learned(programs, observer, capsys):
+def test_restart_keeps_learned_states(programs, observer, capsys):
     graph = Graph(programs, observer)
     machine = drive(Machine(gyro_scale=0.97, duration=20.0)).measurements
     graph.begin("first")

@@ -42,7 +42,7 @@ def subscribed(observer):
 
 
 @pytest.mark.parametrize("source", ["reference_pose", "rtk/pose"])
-def test_fixes_of_any_source_are_drawn_whatever_else_is_stated(programs, observer, source):
+def test_fixes_are_drawn_beside_invalid_source_names(programs, observer, source):
     port = address_of(programs.node("live", port=0))
     stated = observer.node.create_publisher(String, PARAMETERS, latched())
     names = ["no topic at all!", "rtk/pose"]
@@ -58,7 +58,7 @@ def test_fixes_of_any_source_are_drawn_whatever_else_is_stated(programs, observe
     observer.wait(drawn, "a fix on the page")
 
 
-def test_sources_that_are_stated_no_more_are_let_go(programs, observer):
+def test_subscriptions_of_removed_sources_are_dropped(programs, observer):
     address_of(programs.node("live", port=0))
     observer.wait(lambda: "/box_pose" in subscribed(observer), "the node's subscriptions")
     first = subscribed(observer)

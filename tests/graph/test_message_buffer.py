@@ -117,7 +117,7 @@ def test_transforms_filled_in_bytes_are_those_of_their_objects() -> None:
     assert bytes(buffer) == serialize(message)
 
 
-def test_a_filled_message_is_as_it_was_filled_last() -> None:
+def test_buffer_has_the_values_of_the_last_fill() -> None:
     blank = of_sensors.blank_joint_state(make_for_bags, "base_link")
     buffer = buffer_for_bags(blank)
     for sample in (SPROCKETS._replace(left_position=1.0), SPROCKETS):
@@ -127,7 +127,7 @@ def test_a_filled_message_is_as_it_was_filled_last() -> None:
 
 
 @pytest.mark.parametrize("field", ["name", "no_such_field", "header"])
-def test_what_is_no_number_cannot_be_set_in_bytes(field: str) -> None:
+def test_text_fields_cannot_be_set_in_bytes(field: str) -> None:
     buffer = buffer_for_bags(of_sensors.blank_joint_state(make_for_bags, "base_link"))
     with pytest.raises(AttributeError):
         setattr(buffer.message, field, "other")

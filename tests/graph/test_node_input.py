@@ -184,20 +184,19 @@ sys.exit(run(make_node, []))
 """
 
 
-def test_ctrl_c_that_a_compiler_lost_was_a_failure_of_its_own():
-    """The node printed that there was no compiled object, and what arguments it accepts."""
+def test_ctrl_c_lost_in_the_compiler_ends_the_node_quietly():
     done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_defaults_are_those_of_what_a_node_is_not_of_its_name(programs, observer):
+def test_renamed_node_keeps_the_defaults_of_its_kind(programs, observer):
     texts = observer.subscribe("slip_estimator/parameters")
     programs.node("slip_estimator", "-r", "__node:=second")
     observer.wait(lambda: texts, "its parameters")
     assert texts[0].data.startswith("slip_estimator:")
 
 
-def test_what_a_section_for_many_nodes_holds_for_others_is_no_error(programs, observer, tmp_path):
+def test_parameters_of_other_nodes_in_a_common_section_are_ignored(programs, observer, tmp_path):
     config = tmp_path / "all.yaml"
     values = f"vehicle: excavator_20t, serial_port: /dev/x, output: {tmp_path / 'bag'}"
     config.write_text(f"/**: {{ros__parameters: {{{values}}}}}", encoding="utf-8")

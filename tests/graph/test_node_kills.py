@@ -218,8 +218,8 @@ def _replayed(path):
         return replay(bag, parameters_of(bag, [], []), InputFilters(), None).live, estimates
 
 
-def test_who_sent_to_a_killed_node_waited_for_the_lock_of_a_killed_one(programs, observer):
-    """It is in the file by which a node hears others in shared memory; reached by UDP it has none."""
+def test_nodes_use_no_shared_memory_ports(programs, observer):
+    """A killed node leaves the lock of its shared-memory port, for which a sender waits; UDP has none."""
     adapter = programs.node("wheel_adapter")
     observer.wait_until_active("wheel_adapter")
     assert adapter.has_loaded("librmw_fastrtps")

@@ -38,7 +38,7 @@ def seconds(stamp):
     return stamp.sec + stamp.nanosec * 1e-9
 
 
-def test_a_live_estimator_ends_where_the_replay_does(programs, observer, path):
+def test_live_estimator_ends_in_the_state_of_the_replay(programs, observer, path):
     with open_bag(path) as bag:
         expected = replay(bag, load_slip_parameters(), InputFilters(), None).estimates[-1]
     odometry, clock = observer.subscribe("odometry"), []
@@ -101,8 +101,8 @@ def test_a_graph_with_drivers_that_still_run_is_warned_of(programs, observer, pa
 
 
 @pytest.mark.slow
-def test_lines_of_the_player_were_put_into_its_bar(path, domain):
-    """On a terminal, where nobody listens and the player says so."""
+def test_warnings_of_the_player_are_lines_of_their_own(path, domain):
+    """On a terminal, without a subscriber."""
     trackslip = [sys.executable, "-m", "trackslip_tools.cli.main"]
     command = [*trackslip, "replay", str(path), "--publish", "--rate", "2"]
     shown = on_terminal(command, {**os.environ, "ROS_DOMAIN_ID": str(domain)})

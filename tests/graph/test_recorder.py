@@ -179,8 +179,8 @@ def test_killed_at_any_moment(programs, observer, number, moment):
     assert lost <= LONGEST_LOSS
 
 
-def test_what_a_lost_message_held_back_ended_with_the_recorder(programs, observer):
-    """What comes after a lost one waits until it is sent again, and the end did not wait for that."""
+def test_recorder_writes_messages_that_wait_for_a_retransmission_at_its_end(programs, observer):
+    """Messages after a lost one wait until it is sent again."""
     recorder = Recorder(programs, observer)
     publisher = observer.publisher("sprockets")
     observer.wait_for_ends("sprockets", "record")
@@ -216,7 +216,7 @@ def reported_and_written(programs, observer, recorder, seconds):
 
 
 @pytest.mark.slow
-def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
+def test_every_loss_at_ten_times_the_rate_is_reported(programs, observer):
     recorder = Recorder(programs, observer)
     sent, lost, written = reported_and_written(programs, observer, recorder, 4.0)
     print(f"\n{sent.total()} sent, {lost.total()} lost")
@@ -224,7 +224,7 @@ def test_at_ten_times_the_rate_nothing_is_lost_untold(programs, observer):
 
 
 @pytest.mark.slow
-def test_what_a_stalled_recorder_loses_is_counted_and_shouted(programs, observer):
+def test_losses_of_a_stalled_recorder_are_counted_and_reported(programs, observer):
     program = programs.python("-c", STALLING, "--ros-args", "-p", "output:=bag")
     recorder = Recorder(programs, observer, program)
     sent, lost, written = reported_and_written(programs, observer, recorder, 5.0)
@@ -232,7 +232,7 @@ def test_what_a_stalled_recorder_loses_is_counted_and_shouted(programs, observer
     assert written + lost == sent
 
 
-def test_a_full_disk_is_shouted_and_what_it_holds_is_kept(programs, observer):
+def test_full_disk_is_reported_and_the_bag_stays_recoverable(programs, observer):
     limited = f"ulimit -f 4096; exec {programs.path('record')} --ros-args -p output:=bag"
     healths = observer.healths()
     program = programs.start("bash", "-c", limited)

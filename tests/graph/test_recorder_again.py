@@ -43,15 +43,15 @@ def test_activated_again_with_output_set_it_writes_to_a_new_directory(
             assert [message.log_time_ns for message in bag.messages(["/topic"])] == [number]
 
 
-def test_a_name_that_is_taken_is_passed_over(recorder: RecordNode, tmp_path: Path) -> None:
+def test_existing_bag_name_is_skipped(recorder: RecordNode, tmp_path: Path) -> None:
     (tmp_path / "bag_2").mkdir()
     again(recorder)
     assert recorder.active
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3"]
 
 
-def test_publishers_of_one_bag_are_none_of_the_next(recorder: RecordNode) -> None:
-    """A topic that had one publisher may have two now: their numbers are no gaps."""
+def test_publishers_are_counted_anew_for_each_bag(recorder: RecordNode) -> None:
+    """A topic with one publisher may get a second one in the next bag: their sequence numbers are no gaps."""
     recorder._taps.alone = {"/topic"}
     again(recorder)
     received(recorder, 1, publisher_gid=None)
@@ -59,10 +59,8 @@ def test_publishers_of_one_bag_are_none_of_the_next(recorder: RecordNode) -> Non
     assert recorder._recording.losses.total.total() == 0
 
 
-def test_a_recorder_that_is_started_again_goes_on_in_another_bag(
-    recorder: RecordNode, tmp_path: Path
-) -> None:
-    """Respawned with the same ``output``, and two machines that record into one directory at once."""
+def test_restarted_recorder_writes_another_bag(recorder: RecordNode, tmp_path: Path) -> None:
+    """Respawned with the same ``output``, or two machines that record into one directory."""
     other = RecordNode()
     other.start()
     other.end()

@@ -121,7 +121,7 @@ def rights_in_use(graph: Node, name: str) -> Rights:
     return Rights(*({topic for topic, _ in names(name, "/")} for names in lists))
 
 
-def test_the_policy_is_what_the_nodes_do(graph: Node) -> None:
+def test_policy_grants_exactly_the_rights_that_nodes_use(graph: Node) -> None:
     policy = read_policy()
     names = set(policy) - OF_PEOPLE
     wait_for(lambda: names <= set(graph.get_node_names()))
@@ -131,7 +131,7 @@ def test_the_policy_is_what_the_nodes_do(graph: Node) -> None:
             assert allowed - OPTIONAL == used - OPTIONAL, f"{name}: {what}"
 
 
-def test_what_somebody_steers_by_comes_from_one_node_alone() -> None:
+def test_each_output_topic_has_one_permitted_publisher() -> None:
     policy = read_policy()
     for topic in set(TOPICS) - {"diagnostics", *COMMANDS}:
         full = absolute("/tf" if topic == "tf" else topic, "")
@@ -173,8 +173,8 @@ def test_the_script_for_keys_refuses_what_it_cannot_use(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("namespace", ["", "digger1"])
-def test_the_script_for_keys_gives_sros2_the_policy_in_its_namespace(tmp_path: Path, namespace: str) -> None:
-    """Of sros2, which comes from apt alone, the words that it is called with."""
+def test_keystore_script_passes_the_policy_in_its_namespace_to_sros2(tmp_path: Path, namespace: str) -> None:
+    """sros2 is only in apt: the test checks the command line."""
     (tmp_path / "ros2").write_text(
         '#!/bin/sh\necho "$@"\nfor last; do :; done\n[ -f "$last" ] && cat "$last"\n:\n'
     )

@@ -17,7 +17,7 @@ def seed(at_ms, slip):
     return message
 
 
-def test_the_node_takes_seeds_and_reports_on_them(programs, observer):
+def test_node_accepts_seeds_and_reports_their_outcome(programs, observer):
     topics = {topic: observer.publisher(topic) for topic in ("sprockets", "box_pose", "slip_seed")}
     reports, slips = observer.subscribe("measurement_reports"), observer.subscribe("track_slip")
     programs.node("slip_estimator", slip_sources=["slip_seed"], model="free_slips")  # slips are its states

@@ -92,7 +92,7 @@ def inputs():
     return list(soil_inputs(truth, p.vehicle.whole(), load_slip_parameters().motion, Sensing()))
 
 
-def test_the_node_gives_what_the_estimator_gives(real_time, programs, observer, inputs):
+def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observer, inputs):
     machine = Machine(programs, observer)
     outputs = machine.feed(inputs, SoilEstimator(load_soil_parameters()))
     assert len(machine.forces) == len(outputs) > 90
@@ -106,8 +106,8 @@ def test_the_node_gives_what_the_estimator_gives(real_time, programs, observer, 
     machine.until_reported(DiagnosticStatus.OK, "running")
 
 
-def test_the_node_loads_the_tracks_by_where_the_cab_looks(real_time, programs, observer, inputs):
-    """The same resistances as those of the estimator, and others than without the swing."""
+def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, inputs):
+    """The same resistances as those of the estimator, which differ from those without a swing."""
     machine = Machine(programs, observer, vehicle="pc05_cab")
     swung = [
         replace(one, swing=1.5, swing_variance=1e-4) if isinstance(one, records.MachineState) else one

@@ -42,7 +42,7 @@ def driven(tmp_path: Path) -> tuple[Any, StateKeeper, Path]:
     return node, keeper, tmp_path / "state.yaml"
 
 
-def test_it_is_written_once_a_minute(driven: tuple[Any, StateKeeper, Path]) -> None:
+def test_state_file_is_written_once_a_minute(driven: tuple[Any, StateKeeper, Path]) -> None:
     node, _, file = driven
     ((period, save, clock),) = node.timers
     assert (period, clock.clock_type) == (60.0, ClockType.STEADY_TIME)
@@ -52,7 +52,7 @@ def test_it_is_written_once_a_minute(driven: tuple[Any, StateKeeper, Path]) -> N
     assert "checksum" in file.read_text(encoding="utf-8")
 
 
-def test_it_is_not_written_while_the_node_is_inactive(driven: tuple[Any, StateKeeper, Path]) -> None:
+def test_state_file_is_not_written_while_the_node_is_inactive(driven: tuple[Any, StateKeeper, Path]) -> None:
     node, keeper, file = driven
     node.active = False
     node.timers[0][1]()

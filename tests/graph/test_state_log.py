@@ -23,7 +23,7 @@ class Console:
         self._states.see(entries)
 
 
-def test_each_change_is_one_line_and_running_numbers_are_none() -> None:
+def test_each_change_of_state_is_one_line_and_counting_is_no_change() -> None:
     console = Console()
     console.see(Health(OK, "running"))
     for k in range(5):
@@ -33,7 +33,7 @@ def test_each_change_is_one_line_and_running_numbers_are_none() -> None:
     assert console.lines == [(OK, "running"), (ERROR, "sprockets silent for 0.5 s"), (OK, "running")]
 
 
-def test_a_part_that_is_reported_no_more_is_over() -> None:
+def test_part_no_longer_reported_is_logged_as_over() -> None:
     console = Console()
     running = Health(OK, "running")
     console.see(running)
@@ -44,7 +44,7 @@ def test_a_part_that_is_reported_no_more_is_over() -> None:
     assert console.lines[1:] == [(WARN, "pollution: front window is dirty"), (OK, "pollution: is over")]
 
 
-def test_what_comes_and_goes_is_logged_once_in_a_while_and_its_end_is_not_lost() -> None:
+def test_alternating_state_is_logged_rarely_and_its_last_value_is_kept() -> None:
     console = Console()
     console.see(Health(OK, "running"))
     for k in range(20):
@@ -55,7 +55,7 @@ def test_what_comes_and_goes_is_logged_once_in_a_while_and_its_end_is_not_lost()
 
 
 @pytest.mark.parametrize(("terminal", "before"), [(True, "\r\x1b[K"), (False, "")])
-def test_a_line_of_the_log_went_behind_the_bar_on_the_same_line(
+def test_log_line_clears_the_progress_bar_on_a_terminal(
     terminal: bool, before: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stderr = StringIO()

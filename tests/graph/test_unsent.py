@@ -53,7 +53,7 @@ def speaker(domain: int, stalled: set[str]) -> Iterator[Speaker]:
         yield node
 
 
-def test_what_is_not_sent_is_counted_and_reported_and_the_node_lives_on(speaker, stalled, observer):
+def test_unsent_messages_are_counted_and_the_node_continues(speaker, stalled, observer):
     healths, scans = observer.healths(), observer.subscribe("scan")
     observer.wait_for_ends("scan", "speaker", "observer")
     message = topic_class("scan")()
@@ -101,7 +101,7 @@ def test_rclpy_still_reports_dropped_answers_in_these_words():
     assert DROPPED.partition(":")[0].encode() in Path(rclpy_implementation.__file__).read_bytes()
 
 
-def test_an_answer_that_the_middleware_dropped_was_kept_silent(speaker):
+def test_answers_dropped_by_the_middleware_are_counted(speaker):
     with warnings.catch_warnings(record=True) as shown:
         warnings.simplefilter("ignore", RuntimeWarning)  # as for all else that rcl warns of
         speaker.send_failures.watch_answers()

@@ -43,7 +43,7 @@ def test_message_survives_serialization(name: str) -> None:
     assert deserialize_message(serialize_message(message), kind) == message
 
 
-def test_slip_message_holds_its_covariance() -> None:
+def test_slip_message_keeps_its_covariance() -> None:
     from rclpy.serialization import deserialize_message, serialize_message
     from trackslip_msgs.msg import TrackSlip
 
@@ -65,7 +65,7 @@ def test_package_is_described_and_indexed(package: Path) -> None:
 
 
 @pytest.mark.parametrize("package", EXECUTABLES)
-def test_executables_are_where_ros2_run_looks(package: str) -> None:
+def test_executables_are_installed_where_ros2_run_finds_them(package: str) -> None:
     folder = INSTALL / package / "lib" / package
     runnable = {path.name for path in folder.iterdir() if os.access(path, os.X_OK)}
     assert runnable == EXECUTABLES[package]
