@@ -13,7 +13,7 @@ def line() -> BaudLine:
     return BaudLine(11_000, 11)
 
 
-def test_a_character_arrives_when_its_last_bit_has() -> None:
+def test_character_arrives_with_its_last_bit() -> None:
     wire = line()
     wire.send(b"ab", 5_000_000)
     assert wire.read(5_000_000 + CHAR_NS - 1) == b""
@@ -31,7 +31,7 @@ def test_bytes_wait_for_those_before_them() -> None:
     assert wire.read(4 * CHAR_NS) == b"d"
 
 
-def test_an_idle_line_does_not_save_up() -> None:
+def test_idle_line_does_not_accumulate_capacity() -> None:
     wire = line()
     wire.send(b"a", 0)
     wire.send(b"b", 10 * CHAR_NS)
@@ -39,7 +39,7 @@ def test_an_idle_line_does_not_save_up() -> None:
     assert wire.read(11 * CHAR_NS) == b"b"
 
 
-def test_a_new_rate_holds_for_what_is_sent_from_then_on() -> None:
+def test_new_rate_applies_to_bytes_sent_after_it() -> None:
     wire = line()
     wire.send(b"a", 0)
     wire.baud = 22_000
@@ -49,7 +49,7 @@ def test_a_new_rate_holds_for_what_is_sent_from_then_on() -> None:
     assert wire.busy_until_ns == 2 * CHAR_NS
 
 
-def test_nothing_sent_leaves_the_line_free() -> None:
+def test_empty_send_keeps_the_line_free() -> None:
     wire = line()
     wire.send(b"", 7)
     assert wire.busy_until_ns == 0

@@ -17,7 +17,7 @@ from trackslip_sim.demo.run import claimed_domain
 from trackslip_sim.demo.show import status
 
 
-def test_demo_removed_any_directory_it_was_given(tmp_path):
+def test_directory_with_files_of_the_user_is_refused(tmp_path):
     mine = tmp_path / "results"
     mine.mkdir()
     (mine / "thesis.tex").write_text("years of work")
@@ -28,7 +28,7 @@ def test_demo_removed_any_directory_it_was_given(tmp_path):
 
 
 @pytest.mark.parametrize("before", ["absent", "empty", "nested"])
-def test_new_and_empty_directories_are_taken(tmp_path, before):
+def test_new_and_empty_directories_are_accepted(tmp_path, before):
     output = tmp_path / ("a/b/demo" if before == "nested" else "demo")
     if before == "empty":
         output.mkdir()
@@ -36,7 +36,7 @@ def test_new_and_empty_directories_are_taken(tmp_path, before):
         assert (output / DEMO.marker).is_file()
 
 
-def test_an_earlier_demos_results_are_replaced_and_other_files_stay(tmp_path):
+def test_results_of_an_earlier_demo_are_replaced_and_other_files_kept(tmp_path):
     output = tmp_path / "demo"
     with claim(output):
         (output / "bag").mkdir()
@@ -50,14 +50,14 @@ def test_an_earlier_demos_results_are_replaced_and_other_files_stay(tmp_path):
 
 
 @pytest.mark.parametrize("gnss", [False, True])
-def test_each_log_of_a_demo_is_replaced_by_the_next(gnss):
+def test_every_log_of_a_demo_is_among_its_results(gnss):
     here = Path()
     options = DemoOptions(here, here, 1, 1.0, "sand", "thesis", "pc05", autostart=True, gnss=gnss)
     assert {f"{node.executable}.log" for node in (*demo_nodes(options), LIVE)} <= set(LOGS)
 
 
-def test_two_demos_took_the_same_domain(monkeypatch):
-    """Their process ids were a hundred apart, and each drove the other's machine."""
+def test_two_demos_use_different_domains(monkeypatch):
+    """Also where their process ids lead to the same one."""
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     with claimed_domain() as first:
         monkeypatch.setattr(os, "getpid", lambda: first - 1)
@@ -95,7 +95,7 @@ def test_a_second_demo_in_one_directory_is_refused(tmp_path):
         pass
 
 
-def test_a_soak_removed_whatever_lay_in_its_directory(tmp_path):
+def test_soak_refuses_a_directory_with_other_files(tmp_path):
     soak, output = Results("soak", ("soak.md",)), tmp_path / "soak"
     with claim(output):
         (output / "summary.json").write_text("{}")
@@ -105,7 +105,7 @@ def test_a_soak_removed_whatever_lay_in_its_directory(tmp_path):
 
 
 @pytest.mark.parametrize("made", ["a file", "below a file"])
-def test_what_cannot_be_a_directory_is_refused_in_one_line(tmp_path, made):
+def test_path_that_cannot_be_a_directory_is_refused_in_one_line(tmp_path, made):
     (tmp_path / "demo").write_text("a file")
     with pytest.raises(InputError, match="demo"):
         claim(tmp_path / "demo" / "below" if made == "below a file" else tmp_path / "demo")
@@ -113,7 +113,7 @@ def test_what_cannot_be_a_directory_is_refused_in_one_line(tmp_path, made):
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_lines_of_the_drive_were_cut_off_at_80_columns(known):
+def test_status_lines_fit_80_columns(known):
     pose = (-123.4, -99.99, -math.pi) if known else (math.nan,) * 3
     rates = {"sprockets": 100.4, "imu/data_raw": 11.9, "scan": 4.2, "odometry": 100.4}
     text = status(3599.9, pose, (-1.0, 1.0, -math.pi / 2.0), rates)
@@ -139,14 +139,14 @@ def started(tmp_path, monkeypatch):
     return start
 
 
-def test_a_node_that_had_to_be_killed_is_reported(started, monkeypatch, capsys):
+def test_killed_node_is_reported(started, monkeypatch, capsys):
     monkeypatch.setattr("trackslip_sim.demo.processes._GRACE", 0.1)
     started("deaf", "trap '' INT\necho up\nsleep 600 & wait\n").stop()
     assert capsys.readouterr().err == "deaf did not end within 0.1 s of being asked, and was killed\n"
 
 
-def test_a_node_that_lost_the_first_ctrl_c_while_python_started_was_killed(started, monkeypatch, capsys):
-    """In a hook of the installation, whose failures Python ignores: the node ran on."""
+def test_second_ctrl_c_ends_a_node_that_lost_the_first(started, monkeypatch, capsys):
+    """Python ignores exceptions in start-up hooks of the installation."""
     monkeypatch.setattr("trackslip_sim.demo.processes._AGAIN", 0.1)
     lose = """trap 'trap "exit 0" INT; echo lost' INT"""
     processes = started("late", f"{lose}\necho up\nwhile :; do sleep 0.05; done\n")

@@ -31,7 +31,7 @@ def test_tables_fit_a_terminal() -> None:
     assert max(map(len, lines)) <= 80
 
 
-def test_a_seed_gives_one_drive() -> None:
+def test_seed_reproduces_a_drive() -> None:
     p = parameters()
     one, same, other = (random_drive(seed, p, 20.0) for seed in (5, 5, 6))
     assert one.measurements.tobytes() == same.measurements.tobytes()
@@ -40,7 +40,7 @@ def test_a_seed_gives_one_drive() -> None:
     assert one.t[-1] == pytest.approx(20.0)
 
 
-def test_a_machine_as_stated_moves_as_its_nominal_truth() -> None:
+def test_machine_without_drawn_errors_moves_as_its_nominal_truth() -> None:
     errors = MotionErrors(DrawnMachine(), 0.73, 0.005, np.random.default_rng(0))
     twists = np.tile((0.4, -0.01, 0.1), (200, 1))
     assert np.array_equal(errors.apply(np.tile((0.4, 0.5), (200, 1)), twists), twists)

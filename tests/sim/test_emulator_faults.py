@@ -119,8 +119,8 @@ def test_frames_and_bytes_go_missing_at_the_rate_asked_for():
     assert bytes_of[0] == pytest.approx(0.9 * bytes_of[1], rel=0.03)
 
 
-def test_nothing_passes_an_unplugged_line(monkeypatch):
-    """A recorded drive has no ports that could disappear: in bags/outage_sandy_loam the laser went on."""
+def test_unplugged_line_transmits_nothing(monkeypatch):
+    """Also in a recorded drive, which has no ports to remove."""
     sent = run(Fault("watson", "unplug", 6.0, 2.0))
     assert [bool(between(sent, at, at + 1.0, 2)) for at in (5.0, 6.0, 7.0, 8.0)] == [True, False, False, True]
     received = []
@@ -146,7 +146,7 @@ def test_bytes_change(kind, value):
     assert changed == pytest.approx(value or 255 / 256, rel=0.15)
 
 
-def test_bursts_lose_nothing():
+def test_bursts_lose_no_data():
     held = run(Fault("can", "bursts", 2.0, 3.0, 0.5), Fault("watson", "bursts", 6.0, 2.0, 0.5))
     good = run()
     assert len(between(held, 2.0, 5.0, 1)) == 5  # at 2.5, 3.0 … 4.5 s
@@ -162,7 +162,7 @@ def readings(*faults):
     return excavator._readings
 
 
-def test_stuck_holds_what_was_measured_and_lets_go():
+def test_stuck_fault_holds_the_reading_for_its_duration():
     held = readings(Fault("can", "stuck", 5.0, 2.0))
     positions = [held.sprockets(round(t * S)).left_position for t in (4.9, 5.0, 6.9, 7.1)]
     assert positions[1] == positions[2]
@@ -212,8 +212,8 @@ def test_port_comes_back_under_its_name(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["a file", "a link to a file", "a directory"])
-def test_a_port_took_the_place_of_a_file_of_the_users(tmp_path, kind):
-    """The emulator's ``device_directory`` was one with a file ``watson`` in it, which was deleted."""
+def test_file_of_the_user_is_not_replaced_by_a_port(tmp_path, kind):
+    """``device_directory`` has a file named as a port."""
     mine, named = tmp_path / "mine", tmp_path / "watson"
     mine.write_text("years of work", encoding="utf-8")
     {

@@ -163,10 +163,8 @@ def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kin
 
 
 @pytest.mark.parametrize("kind", ["imu", "quaternion"])
-def test_calibration_takes_its_headings_from_the_source_of_them(
-    fixed: Path, tmp_path: Path, kind: str
-) -> None:
-    """Fixes of one antenna have none; without them no scale of the gyro was found."""
+def test_calibration_uses_the_heading_source(fixed: Path, tmp_path: Path, kind: str) -> None:
+    """Fixes of one antenna have no heading, and without headings there is no scale of the gyro."""
     path = fixed if kind == "imu" else _with_quaternions(fixed, tmp_path / "bag")
     findings = json_of(tmp_path, "calibrate", path, "--params", config_file("gnss.yaml"))["findings"]
     assert findings["gyro_scale"]["value"] == pytest.approx(1.0, abs=0.02)
@@ -175,7 +173,7 @@ def test_calibration_takes_its_headings_from_the_source_of_them(
 
 
 @pytest.mark.slow
-def test_a_vehicle_named_moves_the_antenna_of_a_bag_that_states_one(
+def test_vehicle_option_overrides_the_antenna_of_the_bag(
     fixed: Path, tmp_path: Path, printed: Callable[[], str]
 ) -> None:
     path, moved = tmp_path / "bag", tmp_path / "moved.yaml"

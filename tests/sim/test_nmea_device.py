@@ -145,7 +145,7 @@ def test_multipath_is_an_unreported_step():
     assert set(np.round(places[1:, 3], 6)) == {0.01}
 
 
-def test_receiver_that_lost_power_comes_back_in_steps():
+def test_receiver_recovers_in_steps_after_a_power_cycle():
     chain = Chain(Fault("gnss", "power_cycle", 3.0, 1.0))
     places, _ = chain.run(25.0)
     after = places[places[:, 0] > 4.0]
@@ -154,7 +154,7 @@ def test_receiver_that_lost_power_comes_back_in_steps():
     assert chain.tally.by_source()["fix"]["no fix"] == pytest.approx(30, abs=1)
 
 
-def test_one_antenna_gives_no_heading():
+def test_one_antenna_has_no_heading():
     chain = Chain(gnss=replace(GNSS, heading_stddev=0.0))
     places, headings = chain.run(3.0)
     assert len(places) == pytest.approx(30, abs=1)

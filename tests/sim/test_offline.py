@@ -74,7 +74,7 @@ def test_frame_of_the_machine_has_its_prefix_on_every_topic(tmp_path: Path) -> N
     assert "base_link" not in stated.values()
 
 
-def test_a_truth_in_pieces_gives_the_same_bag(
+def test_simulation_in_pieces_writes_the_same_bag(
     recorded: list[tuple[str, int, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("trackslip_sim.truth.simulate.PIECE", 0.7)
@@ -86,7 +86,7 @@ def test_a_truth_in_pieces_gives_the_same_bag(
     assert window.truth.t[0] > 1.0  # what is past has been forgotten
 
 
-def test_a_window_keeps_what_was_just_passed() -> None:
+def test_window_keeps_the_recent_past() -> None:
     pieces = list(simulate_in_pieces(load_scenario("straight").stretched(130.0), mode="thesis"))
     window = TruthWindow(iter(pieces), 130.0)
     assert not window.advance(59.0)
@@ -101,7 +101,7 @@ def test_a_window_keeps_what_was_just_passed() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 45, 730])
 @pytest.mark.parametrize("baud", [9600, 38400])
-def test_two_reads_bound_the_start_as_well_as_all(count: int, baud: int) -> None:
+def test_two_reads_bound_the_start_as_well_as_all_reads(count: int, baud: int) -> None:
     for start_ns in (0, 300_000, 1_999_999):
         all_reads, few = BaudLine(baud, 10), BaudLine(baud, 10)
         for line in (all_reads, few):

@@ -54,7 +54,7 @@ class Terminal:
         return self.wait(wait_ns)
 
 
-def test_it_ignores_all_while_it_boots_and_then_reports_itself() -> None:
+def test_scanner_ignores_commands_while_booting_and_then_announces_itself() -> None:
     device = SickDevice(PLS, START, stairs, 0)
     device.receive(frame(commands.STOP, TO_SENSOR), BOOT_NS - 1, None)
     assert device.bytes_ignored == 8
@@ -88,7 +88,7 @@ def test_a_corrupt_command_is_not_acknowledged() -> None:
     assert terminal.wait(60 * MS) == [Control.NAK]
 
 
-def test_the_rate_changes_once_the_reply_has_left() -> None:
+def test_baud_rate_changes_once_the_reply_is_sent() -> None:
     terminal = Terminal()
     terminal.send(INSTALL)
     terminal.device.receive(frame(commands.set_baud(38400), TO_SENSOR), terminal.now_ns, 9600)
@@ -98,7 +98,7 @@ def test_the_rate_changes_once_the_reply_has_left() -> None:
     assert terminal.device.baud == 38400
 
 
-def test_it_understands_its_own_rate_only() -> None:
+def test_scanner_ignores_commands_at_another_baud_rate() -> None:
     device = Terminal().device
     device.receive(frame(commands.STOP, TO_SENSOR), BOOT_NS + 60 * MS, 38400)
     assert device.bytes_ignored == 8
@@ -143,7 +143,7 @@ def test_minima_of_each_degree() -> None:
     np.testing.assert_allclose(decoded.sample.ranges, stairs(0)[:-1:2])
 
 
-def test_scans_count_when_their_last_byte_has_left() -> None:
+def test_scan_is_counted_when_its_last_byte_is_sent() -> None:
     terminal = Terminal()
     terminal.send(commands.STREAM_ALL)
     terminal.wait(839 * MS - 60 * MS)

@@ -38,7 +38,7 @@ def test_json_has_the_promised_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "{" not in shown
 
 
-def test_the_bag_holds_what_the_sensors_see(tmp_path: Path) -> None:
+def test_bag_has_the_messages_of_all_sensors(tmp_path: Path) -> None:
     scenario = tmp_path / "short.yaml"
     scenario.write_text("name: short\nsoil: sand\nsegments: [{duration: 3.0, left: 2.0, right: 1.6}]\n")
     bag = tmp_path / "bag"
@@ -58,7 +58,7 @@ def test_the_bag_holds_what_the_sensors_see(tmp_path: Path) -> None:
     assert score.position < 0.05
 
 
-def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_unwritable_output_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"exists already"):
         run(parse("--scenario", "straight", "--output", str(tmp_path)))
     missing = tmp_path / "no" / "out.json"

@@ -27,16 +27,15 @@ def test_soil_is_the_same_on_a_slope(terrain: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_track_that_hardly_turned_threw_the_strength_away() -> None:
-    """The last turn downhill drags one track: F_max was 32 % off, and no longer identifiable."""
+def test_dragged_track_keeps_the_strength() -> None:
+    """The last turn downhill drags one track."""
     result = run(Trial("sand", 0.01, 1, scenario="field_trial", terrain="slope_down_15"))
     assert result.limit == pytest.approx(1.0, abs=0.05)
     low, high = result.limit_interval
     assert low < 1.0 < high < 1.3
 
 
-def test_ignored_the_slope_is_taken_for_resistance() -> None:
-    """What the estimator does without an attitude."""
+def test_slope_without_attitude_is_taken_for_resistance() -> None:
     result = run(trial("slope_15"), load_setting(slip={"use_attitude": False}))
     assert result.mu_r > 1.8
 

@@ -69,7 +69,7 @@ def test_a_drawn_machine_is_another_one_at_each_seed() -> None:
     assert drawn.x[-1] == pytest.approx(nominal.x[-1], rel=0.05)
 
 
-def test_a_drive_begins_at_standstill_and_lasts_as_long_as_requested() -> None:
+def test_drive_begins_at_standstill_and_has_the_requested_duration() -> None:
     truth = drive(TRIAL)
     assert truth.duration == pytest.approx(14.0, abs=0.01)
     moved = np.hypot(truth.x, truth.y)

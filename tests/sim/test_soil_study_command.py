@@ -57,7 +57,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
     return found
 
 
-def test_it_writes_rows_and_tables(
+def test_command_writes_rows_and_tables(
     command: list[str], counted: Counted, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--drawn", "--json", str(tmp_path / "rows.json"), "--output", str(tmp_path)]
@@ -98,7 +98,7 @@ def trials_of(
     return counted.trials
 
 
-def test_an_interrupted_study_goes_on_run_by_run(
+def test_interrupted_study_resumes_run_by_run(
     command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first = trials_of(command, monkeypatch, code=130, stop_at=3)
@@ -121,7 +121,7 @@ def test_an_interrupted_study_goes_on_run_by_run(
         ["--duration", "20"],
     ],
 )
-def test_a_run_is_remembered_with_all_that_it_rests_on(
+def test_cache_key_includes_every_setting_of_a_run(
     changed: list[str], command: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert len(trials_of(command, monkeypatch)) == 6
@@ -137,7 +137,7 @@ def test_both_studies_may_share_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_processes_give_what_one_process_gives(
+def test_several_processes_give_the_rows_of_one(
     command: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(

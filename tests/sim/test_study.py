@@ -81,7 +81,7 @@ def scored(setting: Setting, trial: Trial) -> Sums:
 # What the filters are fed
 
 
-def test_the_filters_get_counted_sprockets_and_the_truth_has_its_own(bench: Bench) -> None:
+def test_filters_get_rounded_sprockets_and_the_truth_exact_ones(bench: Bench) -> None:
     p, estimator, drive = bench
     samples, step = drive.samples, estimator.encoder_resolution / PERIOD
     truth, true = drive.truth, speeds_of(drive.true_drives)
@@ -141,7 +141,7 @@ def test_states_on_the_shear_truth_move_as_the_machine_does(bench: Bench) -> Non
         np.testing.assert_array_equal(states[k, OF_POSE], (at.x[k], at.y[k], at.yaw[k]))
 
 
-def test_nothing_to_score_is_refused(estimator: SlipEstimatorParameters) -> None:
+def test_drive_without_motion_is_refused(estimator: SlipEstimatorParameters) -> None:
     p = load_study_parameters({"scenario": "start_stop", "duration": 2.0, "settling": 1.0})
     with pytest.raises(InputError, match="nothing moves in 'start_stop' on sand"):
         make_drive(p, estimator, "sand")
@@ -168,8 +168,8 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
 
 
 @pytest.mark.slow
-def test_where_all_is_linear_the_kalman_filter_attains_the_bound(bench: Bench) -> None:
-    """With a heading as good as known, the matched truth is linear and Gaussian: RMSE, bound and P agree."""
+def test_kalman_filter_attains_the_bound_of_a_linear_problem(bench: Bench) -> None:
+    """With a precise heading the matched truth is linear and Gaussian: RMSE, bound and P agree."""
     setting = bench._replace(p=replace(bench.p, sigma_heading=1e-6)).setting(cell(MATCHED))
     sums = total(scored(setting, make_trial(setting, seed)) for seed in range(30))
     for columns in (slice(0, 2), slice(3, 5)):
@@ -210,8 +210,8 @@ def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyPa
 
 
 @pytest.mark.parametrize(("factor", "outside"), [(1e-3, "above"), (10.0, "below")])
-def test_a_filter_with_false_noise_is_found_out(factor: float, outside: str, bench: Bench) -> None:
-    """Its R says that fixes are better, by more than it can find out itself, or worse than they are."""
+def test_wrong_measurement_noise_shows_in_the_nees(factor: float, outside: str, bench: Bench) -> None:
+    """The filter's R is too small, by more than it can adapt, or too large."""
     setting = bench.setting(cell(MATCHED))
 
     def misinformed(seed: int) -> Sums:
@@ -254,7 +254,7 @@ def assert_near_bound_on_slope(row: Row) -> None:
     assert 1.5 < row.nees_pose < 4.5
 
 
-def test_on_a_slope_the_filter_nears_the_bound_there_and_one_that_ignores_it_does_not(
+def test_filter_on_a_slope_is_near_its_bound_unless_it_ignores_the_slope(
     estimator: SlipEstimatorParameters,
 ) -> None:
     given = {"scenario": "slalom", "duration": 24.0, "settling": 12.0, "seeds": 3}
@@ -280,8 +280,8 @@ def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrai
     assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # this drive is on level ground
 
 
-def test_the_bound_of_drawn_machines_knows_how_they_are_drawn(bench: Bench) -> None:
-    """Delays of ± 0.1 s were held against a bound that expected ± 0.03."""
+def test_bound_of_drawn_machines_uses_their_distribution(bench: Bench) -> None:
+    """Delays, gyro scale and asymmetry are drawn with the variances of the bound."""
     setting = bench.setting(cell(DRAWN))
     trials = [make_trial(setting, seed) for seed in range(60)]
     drawn = [FIX_DELAY, GYRO_SCALE, ASYMMETRY]

@@ -54,7 +54,7 @@ class Counted:
 
 
 @pytest.mark.slow
-def test_it_writes_rows_table_and_figures(
+def test_command_writes_rows_table_and_figures(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--sigma-xy", "0.01", "0.05", "--json", str(tmp_path / "rows.json"), "--output", str(tmp_path)]
@@ -77,8 +77,8 @@ def test_it_writes_rows_table_and_figures(
     assert main([*command, *options]) == 0  # over what it wrote
 
 
-def test_a_drawn_cell_was_remembered_with_another_default_of_sources(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What an unknown source's stamps may err by is no parameter of the estimator as it is."""
+def test_cache_key_of_a_drawn_cell_includes_the_source_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stamp error of an unknown source is no parameter of the estimator itself."""
     (cell,) = {cell for cell in _drawn().cells if cell.soil == "sand"}
     before = _drawn().depends_on(cell)
     assert before == _drawn().depends_on(cell)
@@ -107,8 +107,8 @@ def test_cells_on_terrain_have_a_table_and_a_figure_of_their_own(tmp_path: Path)
     np.testing.assert_equal(drawn, [[1.0, 6.0]] * 2 + [[1.0, 2.0], [math.nan] * 2] + [[1.0 / 3.0, 10.0]] * 2)
 
 
-def test_an_interrupted_study_goes_on(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each cell is computed once, whatever happens in between."""
+def test_interrupted_study_resumes(command: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each cell is computed once."""
     first, second, third = Counted(stop_at=2), Counted(), Counted()
     for counted, code in ((first, 130), (second, 0), (third, 0)):
         monkeypatch.setattr(slip_study, "evaluate", counted)
@@ -117,7 +117,7 @@ def test_an_interrupted_study_goes_on(command: list[str], monkeypatch: pytest.Mo
     assert len({*first.cells, *second.cells}) == 4
 
 
-def test_what_is_remembered_is_what_was_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cached_rows_equal_computed_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "deep" / "cells.jsonl"
     given = {"scenario": ["slalom"], "duration": 9.0, "settling": 6.0, "seeds": 2}
     given |= {"truths": ["matched"], "soils": ["sand"], "filters": ["ekf"], "sigma_xy": [0.05]}
@@ -208,6 +208,6 @@ def test_a_row_on_terrain_has_a_table_of_its_own_beside_those_without() -> None:
     assert "9.0" in shown
 
 
-def test_what_cannot_move_has_no_slips_in_the_table() -> None:
+def test_immobile_machine_has_no_slips_in_the_table() -> None:
     stuck = _row(terrain="slope_15", turning_slip_rmse=float("nan"), turning_slip_bound=float("nan"))
     assert "–" in SlipStudy({}, []).markdown([stuck])

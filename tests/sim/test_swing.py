@@ -31,10 +31,10 @@ CAB = load_vehicle("pc05_cab")
     acceleration=st.floats(0.2, 3.0),
     backlash=st.floats(0.0, 0.02),
 )
-def test_it_reaches_its_target_within_its_limits(
+def test_swing_reaches_its_target_within_its_limits(
     targets: list[float], rate: float, acceleration: float, backlash: float
 ) -> None:
-    """Each target has the time that the longest way there takes."""
+    """Each target has the time of the longest swing."""
     wait = 12.0 / rate + 2.0 * rate / acceleration + 1.0
     state = np.zeros(3)
     for target in targets:
@@ -63,7 +63,7 @@ def test_pieces_of_a_swing_are_the_whole() -> None:
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
 
 
-def test_a_cab_that_looks_forward_is_todays_truth() -> None:
+def test_cab_facing_forward_equals_a_machine_without_a_cab() -> None:
     scenario = load_scenario("thesis").stretched(3.0)
     upper = CAB.upper_structure
     with_cab, without = simulate(scenario, upper=upper), simulate(scenario)
@@ -78,8 +78,8 @@ def test_a_vehicle_without_a_cab_cannot_swing_it() -> None:
         simulate(scenario, upper=None)
 
 
-def test_what_is_on_the_cab_turns_about_the_swing_axis() -> None:
-    """The axis stays where it is while the cab turns; its gyro shows both turns."""
+def test_sensors_on_the_cab_turn_about_the_swing_axis() -> None:
+    """The axis is fixed while the cab turns; the gyro measures both rotations."""
     p = load_emulator_parameters({"scenario": "dig_cycles", "vehicle": "pc05_cab"})
     truth = drive(p)
     sensors = MachineSensors(TruthWindow((truth,), truth.duration), p.noise, 0, 1, mounting_of(p.vehicle))
@@ -111,7 +111,7 @@ def test_the_encoder_reads_within_half_a_turn() -> None:
     assert np.abs(positions).max() <= math.pi
 
 
-def test_dig_cycles_end_near_where_they_began() -> None:
+def test_dig_cycles_end_near_their_start() -> None:
     scenario = load_scenario("dig_cycles")
     truth = simulate(scenario, settings=load_settings(), upper=CAB.upper_structure)
     assert scenario.vehicle == "pc05_cab"

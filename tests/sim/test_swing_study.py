@@ -85,7 +85,7 @@ def _site(poses: FloatArray, point: FloatArray) -> FloatArray:
     return poses[:, :2] + np.stack((cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]), axis=1)
 
 
-def test_without_an_encoder_the_angle_at_the_start_errs_as_the_filter_expects(
+def test_start_angle_without_an_encoder_has_the_error_of_its_prior(
     p: StudyParameters, with_encoder: SlipEstimatorParameters, without_encoder: SlipEstimatorParameters
 ) -> None:
     short = load_study_parameters({"scenario": "dig_cycles", "duration": 8.0, "settling": 4.0})
@@ -103,8 +103,10 @@ def test_without_an_encoder_the_angle_at_the_start_errs_as_the_filter_expects(
 
 
 @pytest.mark.slow
-def test_of_n_readings_of_an_encoder_the_bound_is_their_mean(with_encoder: SlipEstimatorParameters) -> None:
-    """While the brake holds the cab without play: of r each, r/n."""
+def test_bound_of_n_encoder_readings_is_the_variance_of_their_mean(
+    with_encoder: SlipEstimatorParameters,
+) -> None:
+    """The brake holds the cab without play: r/n for n readings of variance r."""
     n, config = 40, make_config(with_encoder)
     config["swing"]["held_density"] = 0.0
     rows = _rows(n, config, ON_SWING, np.diag((STDDEV**2, 0.0, 0.0)))
@@ -245,7 +247,7 @@ def test_the_study_swings_the_upper_structure_of_its_vehicle(
         (["--vehicle", "pc05"], "accepted: a vehicle with upper_structure.drive"),
     ],
 )
-def test_what_no_cab_does_is_refused(
+def test_settings_impossible_for_a_cab_are_refused(
     options: list[str], message: str, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:
     assert message in refuse(*COMMAND, "--cache", tmp_path / "cells.jsonl", *options)

@@ -18,7 +18,7 @@ HILL = {"kind": "hill", "x": 5.0, "y": 0.0, "height": 1.0, "width": 4.0}
 
 
 @pytest.mark.parametrize("name", terrain_names())
-def test_each_is_what_its_file_is_called(name: str) -> None:
+def test_each_terrain_is_named_after_its_file(name: str) -> None:
     terrain = load_terrain(name)
     assert terrain.name == name
     assert (terrain == FLAT) == (name == "flat")
@@ -32,7 +32,7 @@ def test_a_ramp_rises_by_its_slope() -> None:
     assert high == pytest.approx(5.0 * math.tan(math.radians(10.0)))
 
 
-def test_the_ramps_and_the_hill_are_as_high_and_steep_as_stated() -> None:
+def test_ramps_and_hill_have_their_stated_height_and_slope() -> None:
     assert heights(load_terrain("ramp_up"), [50.0], [0.0])[0] == pytest.approx(3.0, abs=0.01)
     assert heights(load_terrain("ramp_down"), [50.0], [0.0])[0] == pytest.approx(-3.0, abs=0.01)
     (hill,) = load_terrain("hill").features

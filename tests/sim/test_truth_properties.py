@@ -51,7 +51,7 @@ def run_loaded(given_: FloatArray, on: Ground, relief: float, loaded: TruthSetti
 
 @settings(max_examples=40, deadline=None)
 @given(segments=SEGMENTS, name=NAMES, relief=RELIEF)
-def test_mirrored_commands_give_the_mirrored_run(segments: list[Segment], name: str, relief: float) -> None:
+def test_mirrored_commands_mirror_the_run(segments: list[Segment], name: str, relief: float) -> None:
     given_ = commands(segments)
     rows = run(given_, ground(name), relief)
     mirrored = run(given_[:, ::-1], ground(name), relief)
@@ -67,7 +67,7 @@ def test_mirrored_commands_give_the_mirrored_run(segments: list[Segment], name: 
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(segments=SEGMENTS, name=NAMES)
-def test_the_machine_has_no_preferred_end(segments: list[Segment], name: str) -> None:
+def test_machine_is_symmetric_front_to_back(segments: list[Segment], name: str) -> None:
     """Turned by π on the spot it is the same machine: reversed and swapped commands lead the other way."""
     given_ = commands(segments)
     rows = run(given_, ground(name))

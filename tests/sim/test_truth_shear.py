@@ -82,7 +82,7 @@ def test_a_heavy_machine_on_stiff_ground_is_balanced_to_what_rounding_leaves(nam
 
 
 @pytest.mark.parametrize("name", SOILS)
-def test_spot_turn_with_low_relief_stalls_and_stands(name: str) -> None:
+def test_spot_turn_with_low_relief_pressure_stalls(name: str) -> None:
     scenario = load_scenario("spot_turn")
     truth = simulate(scenario, soil=name)
     assert all(np.isfinite(getattr(truth, field.name)).all() for field in dataclasses.fields(Truth)[:-1])
@@ -127,14 +127,14 @@ def test_comes_to_rest_without_chatter() -> None:
     assert not rest.left_slip.any()
 
 
-def test_braking_pressure_has_the_efficiency_the_other_way() -> None:
+def test_braking_thrust_is_divided_by_the_efficiency() -> None:
     end = simulate(drive((20.0, FAST, SLOW), soil="sand")).at(20.0)
     swept = VEHICLE.motor_displacement * VEHICLE.gear_ratio / (2.0 * np.pi * VEHICLE.rolling_radius)
     assert end.left_thrust == pytest.approx(VEHICLE.motor_efficiency * swept * end.left_pressure)
     assert end.right_thrust == pytest.approx(swept * end.right_pressure / VEHICLE.motor_efficiency)
 
 
-def test_patches_change_the_soil_under_way() -> None:
+def test_patches_change_the_soil_during_a_drive() -> None:
     patch = Patch(soil="clayey_soil", from_x=2.0, to_x=100.0, from_y=-5.0, to_y=5.0)
     truth = simulate(drive((30.0, FAST, FAST), soil="sand", patches=(patch,)))
     assert (truth.soil_name(0), truth.soil_name()) == ("sand", "clayey_soil")

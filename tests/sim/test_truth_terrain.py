@@ -65,7 +65,7 @@ def lowered(height: float) -> Vehicle:
 
 
 @pytest.mark.parametrize(("name", "soil"), sorted(BEFORE))
-def test_flat_ground_is_as_before(name: str, soil: str) -> None:
+def test_flat_ground_ends_at_the_reference_poses(name: str, soil: str) -> None:
     truth = simulate(load_scenario(name).stretched(40.0), soil=soil)
     end = truth.x[-1], truth.y[-1], truth.yaw[-1]
     assert end == pytest.approx(BEFORE[name, soil], abs=1e-9)
@@ -73,7 +73,7 @@ def test_flat_ground_is_as_before(name: str, soil: str) -> None:
     assert truth.left_load == pytest.approx(0.5 * VEHICLE.weight)
 
 
-def test_a_plane_of_no_slope_is_flat_ground() -> None:
+def test_plane_without_slope_equals_flat_ground() -> None:
     scenario = load_scenario("slalom")
     low = lowered(0.0)  # nothing is loaded by accelerating
     flat = simulate(scenario, vehicle=low)
@@ -95,7 +95,7 @@ def limit_of(soil: str, direction: float) -> float:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("direction", [0.0, 0.5 * math.pi])
-def test_a_slope_holds_until_it_is_steeper_than_the_soil_carries(name: str, direction: float) -> None:
+def test_machine_slides_only_on_slopes_above_the_soil_limit(name: str, direction: float) -> None:
     limit = limit_of(name, direction)
     low = lowered(0.2)  # it would tip over before it slides
     for share, holds in ((0.95, True), (1.03, False)):
@@ -130,7 +130,7 @@ def test_weight_along_the_slope_is_thrust_and_no_resistance(slope: float) -> Non
     assert end.left_load == pytest.approx(0.5 * normal)
 
 
-def test_the_lower_track_bears_more() -> None:
+def test_lower_track_carries_more_load() -> None:
     slope = math.radians(10.0)
     end = simulate(drive(plane(slope, 0.5 * math.pi), (3.0, 0.0, 0.0))).at(3.0)
     assert VEHICLE.centre_of_gravity is not None
@@ -210,7 +210,7 @@ def test_a_machine_that_tips_over_is_refused() -> None:
         simulate(drive(plane(math.radians(35.0), 0.5 * math.pi), (1.0, 0.0, 0.0)))
 
 
-def test_ground_that_is_no_ground_to_lie_on_is_refused() -> None:
+def test_hill_narrower_than_the_machine_is_refused() -> None:
     with pytest.raises(InputError, match=r"radius 2 m is refused; accepted: >= 2\.53 m"):
         simulate(drive(Terrain("knob", (Hill(5.0, 0.0, 0.5, 1.0),)), (1.0, 1.0, 1.0)))
 
@@ -278,7 +278,7 @@ def lying(pose: FloatArray, terrain: Terrain) -> Placement:
     return Placement(x=pose[0], y=pose[1], z=shape[0], yaw=pose[2], pitch=pitch, roll=roll)
 
 
-def test_the_record_lies_on_the_ground_and_its_rates_are_its_attitudes() -> None:
+def test_recorded_height_and_rates_match_the_ground() -> None:
     terrain = load_terrain("hill")
     truth: Truth = simulate(load_scenario("hill"))
     assert truth.z == pytest.approx(heights(terrain, truth.x, truth.y), abs=1e-12)
@@ -288,7 +288,7 @@ def test_the_record_lies_on_the_ground_and_its_rates_are_its_attitudes() -> None
     assert truth.roll_rate[calm] == pytest.approx(roll_rate[calm], abs=2e-3)
 
 
-def test_a_load_in_the_bucket_weighs_ahead() -> None:
+def test_bucket_load_shifts_the_weight_forward() -> None:
     segments = (
         Segment(2.0, 0.0, 0.0),
         Segment(10.0, FAST, FAST, load=100.0),
