@@ -67,7 +67,7 @@ def test_path_of_a_frame_is_found(result: ts.Result) -> None:
     assert result.summary["vehicle"] == "made"
 
 
-def test_frames_of_every_kind_give_the_same(result: ts.Result) -> None:
+def test_every_kind_of_frame_gives_the_same_estimates(result: ts.Result) -> None:
     again = estimator().run(pl.DataFrame(drive()))
     assert np.array_equal(again.estimates.pose, result.estimates.pose)
     assert np.array_equal(again.estimates.pose_covariance, result.estimates.pose_covariance)
@@ -121,7 +121,7 @@ def test_setup_of_a_frame_is_checked() -> None:
     assert found.causes[0].cause in str(found)
 
 
-def test_counts_of_a_coarse_encoder_need_no_word_of_their_size() -> None:
+def test_resolution_of_a_coarse_encoder_is_found_from_its_counts() -> None:
     columns, sprockets = drive(), {}
     for side in ("left", "right"):
         columns[side] = np.floor(50.0 * np.cumsum(columns[side]) / RATE / (2.0 * np.pi))
@@ -157,7 +157,7 @@ FRAMES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("kind", FRAMES)
-def test_cells_of_every_kind_give_the_same(result: ts.Result, kind: str) -> None:
+def test_every_kind_of_cell_gives_the_same_estimates(result: ts.Result, kind: str) -> None:
     columns = {**drive(), "3": drive()["gz"]}
     gyro = {"angular_velocity_z": ("3", "deg/s")}
     again = estimator(**{"imu/data_raw": gyro}).run(FRAMES[kind](columns))
@@ -185,7 +185,7 @@ def test_columns_of_dates_are_times(kind: str) -> None:
         estimator().run(frame)
 
 
-def test_dates_that_are_none_have_no_value() -> None:
+def test_missing_dates_are_noted_as_rows_without_time() -> None:
     times = (drive(3.0)["t"] * 1e3).astype("datetime64[ms]")
     times[7] = np.datetime64("NaT")
     found = ts.Estimator(vehicle=MACHINE, sources=SOURCES, time=("t", "iso8601")).run(
@@ -210,7 +210,7 @@ def test_columns_without_a_value_a_row_are_named(change: dict[str, Any], sentenc
 
 
 @pytest.mark.parametrize("frame", [None, "log.csv", np.zeros((3, 3)), {name: [] for name in drive(3.0)}])
-def test_what_is_no_frame_is_named(frame: Any) -> None:
+def test_argument_that_is_no_frame_is_refused_by_name(frame: Any) -> None:
     with pytest.raises(ts.InputError, match=r"^frame: .*accepted"):
         estimator().run(frame)
 

@@ -104,8 +104,7 @@ def test_bad_arguments_raise_the_sentence_of_the_command(arguments: dict, senten
         ts.replay(ts.example(), **arguments)
 
 
-def test_one_topic_stands_for_a_list_of_one() -> None:
-    """It was taken letter by letter."""
+def test_single_topic_equals_a_list_of_one() -> None:
     one, listed = (ts.replay(ts.example(), withhold=w, stop=4.0) for w in ("gnss_pose", ["gnss_pose"]))
     assert one.summary["withheld"] == listed.summary["withheld"]
     assert [w["topic"] for w in one.summary["withheld"]] == ["gnss_pose"]
@@ -136,7 +135,7 @@ def test_a_missing_bag_is_named() -> None:
         ts.load("nowhere")
 
 
-def test_csv_holds_every_column(result: ts.Result, tmp_path: Path) -> None:
+def test_csv_has_every_column(result: ts.Result, tmp_path: Path) -> None:
     path = result.estimates.save(tmp_path / "estimates.csv")
     table, columns = pl.read_csv(path), result.estimates.columns()
     assert table.columns == list(columns)
@@ -144,7 +143,7 @@ def test_csv_holds_every_column(result: ts.Result, tmp_path: Path) -> None:
     assert np.array_equal(table["stamp_ns"].to_numpy(), columns["stamp_ns"])
 
 
-def test_tum_holds_the_poses_as_unit_quaternions(result: ts.Result, tmp_path: Path) -> None:
+def test_tum_has_the_poses_as_unit_quaternions(result: ts.Result, tmp_path: Path) -> None:
     rows = np.loadtxt(result.estimates.save(tmp_path / "estimates.tum"))
     assert rows.shape == (len(result.estimates), 8)
     assert np.array_equal(rows[:, 1:3], result.estimates.pose[:, :2])
@@ -154,7 +153,7 @@ def test_tum_holds_the_poses_as_unit_quaternions(result: ts.Result, tmp_path: Pa
     assert np.allclose(np.angle(np.exp(1j * (yaw - result.estimates.pose[:, 2]))), 0.0, atol=1e-9)
 
 
-def test_geojson_holds_the_path_in_degrees(result: ts.Result, tmp_path: Path) -> None:
+def test_geojson_has_the_path_in_degrees(result: ts.Result, tmp_path: Path) -> None:
     with pytest.raises(ts.InputError, match="datum"):
         result.estimates.save(tmp_path / "path.geojson")
     path = result.estimates.save(tmp_path / "path.geojson", datum=DATUM)

@@ -35,7 +35,7 @@ def test_message_of_numbers_that_its_fields_cannot_hold_is_written(pattern: str,
         assert make(tmp_path / str(k)).is_dir()
 
 
-def test_bag_that_cannot_be_made_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_generation_of_a_bag_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(folder: Path) -> Path:
         raise ValueError("no such number")
 

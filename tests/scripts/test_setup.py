@@ -86,7 +86,7 @@ def test_failed_command_ends_those_beside_it(tmp_path: Path, in_the_block: bool)
     assert not runs(pid)
 
 
-def test_block_ends_when_what_runs_beside_it_has_ended(tmp_path: Path) -> None:
+def test_block_waits_for_its_parallel_commands(tmp_path: Path) -> None:
     with beside([Command(["sh", "-c", f"sleep 0.2; touch {tmp_path / name}"]) for name in "ab"]):
         (tmp_path / "c").touch()
     assert {path.name for path in tmp_path.iterdir()} >= {"a", "b", "c"}
@@ -134,7 +134,7 @@ def test_own_environment_is_not_taken_for_a_ros_from_apt(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(("requested", "before"), [("lyrical", ""), ("", "system")])
-def test_ros_that_cannot_be_had_is_refused(
+def test_unavailable_ros_distribution_is_refused(
     requested: str, before: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SetupError):
@@ -163,8 +163,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["environment", "file", "link to nothing"])
-def test_an_environment_that_something_else_made_was_removed(checkout: Path, kind: str) -> None:
-    """Somebody's own ``python3 -m venv .venv`` in the checkout."""
+def test_foreign_environment_is_refused_and_kept(checkout: Path, kind: str) -> None:
+    """Such as a user's own ``python3 -m venv .venv`` in the checkout."""
     if kind == "environment":
         checkout.mkdir()
         (checkout / "pyvenv.cfg").write_text("mine")
@@ -180,9 +180,7 @@ def test_an_environment_that_something_else_made_was_removed(checkout: Path, kin
 
 
 @pytest.mark.parametrize("stamp", [None, "", "{", '{"digest": "of before", "ros": "jazzy"}'])
-def test_own_environment_is_replaced_also_where_its_stamp_is_damaged(
-    checkout: Path, stamp: str | None
-) -> None:
+def test_own_environment_with_a_damaged_stamp_is_replaced(checkout: Path, stamp: str | None) -> None:
     (checkout / "lib").mkdir(parents=True)
     (checkout / "lib64").symlink_to("lib")
     (checkout / "trackslip.sh").touch()
@@ -196,7 +194,7 @@ def test_own_environment_is_replaced_also_where_its_stamp_is_damaged(
 
 
 @pytest.mark.parametrize("left", [[], ["trackslip.json.part"]])
-def test_environment_that_was_just_begun_is_gone_on_with(checkout: Path, left: list[str]) -> None:
+def test_set_up_resumes_a_new_environment(checkout: Path, left: list[str]) -> None:
     checkout.mkdir()
     for name in left:
         (checkout / name).touch()
@@ -208,8 +206,10 @@ CREATING = ("removing", "install_system_packages", "create_venv", "install_ros")
 
 
 @pytest.mark.parametrize("step", [*CREATING, "build_workspace"])
-def test_set_up_ended_at_any_step_goes_on(checkout: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    """Also by kill -9, as if nothing of what follows had run."""
+def test_set_up_resumes_after_an_interruption_at_any_step(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """Also after kill -9, as if no later step had run."""
 
     def end(*_: object) -> None:
         (checkout / "half").touch()
@@ -228,7 +228,7 @@ def test_set_up_ended_at_any_step_goes_on(checkout: Path, monkeypatch: pytest.Mo
     assert read_stamp(checkout / "trackslip.json")["digest"]
 
 
-def test_what_cannot_be_removed_is_named(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_directory_that_cannot_be_removed_is_named(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (checkout / "lib").mkdir(parents=True)
     (checkout / "trackslip.json").touch()
 
@@ -240,7 +240,7 @@ def test_what_cannot_be_removed_is_named(checkout: Path, monkeypatch: pytest.Mon
         setup_workspace.set_up("", checks=False)
 
 
-def test_make_clean_leaves_an_environment_that_something_else_made(tmp_path: Path) -> None:
+def test_make_clean_keeps_a_foreign_environment(tmp_path: Path) -> None:
     makefile = Path(setup_commands.ROOT, "Makefile")
     for name, remains in (("pyvenv.cfg", True), ("trackslip.json", False)):
         (tmp_path / ".venv" / "bin").mkdir(parents=True, exist_ok=True)

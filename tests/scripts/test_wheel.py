@@ -45,7 +45,7 @@ def read(wheel: Path, pattern: str) -> str:
         return archive.read(name).decode()
 
 
-def test_wheel_holds_all_that_commands_read(wheel: Path) -> None:
+def test_wheel_has_every_file_that_commands_read(wheel: Path) -> None:
     there = names(wheel)
     for file in (ROOT / "config").rglob("*"):
         if file.is_file():
@@ -60,7 +60,7 @@ def test_wheel_holds_all_that_commands_read(wheel: Path) -> None:
     assert "trackslip_tools/report/templates/page.html" in there
 
 
-def test_wheel_holds_every_module_but_those_of_nodes(wheel: Path) -> None:
+def test_wheel_has_every_module_except_those_of_nodes(wheel: Path) -> None:
     there = {name for name in names(wheel) if name.endswith(".py")}
     expected = {
         str(file.relative_to(package))

@@ -31,19 +31,18 @@ def test_a_leak_is_found_and_its_rate_within_the_interval(leak: float) -> None:
     assert inside >= 34  # of 38 expected
 
 
-def test_noise_is_no_leak() -> None:
+def test_noise_is_not_reported_as_a_leak() -> None:
     certain = sum(growth(*series(0.0, seed)).is_certain for seed in range(100))
     assert certain <= 10  # 2.5 expected, and what noise that lasts adds
 
 
-def test_a_short_run_claims_nothing() -> None:
+def test_short_run_has_no_growth_rate() -> None:
     found = growth(*series(1.0, 1, seconds=250.0))
     assert math.isnan(found.per_hour)
     assert not found.is_certain
 
 
-def test_samples_in_which_there_was_nothing_to_see_do_not_hide_the_growth_of_the_others() -> None:
-    """One look without a message left the latency of an hour without a number."""
+def test_missing_samples_do_not_hide_the_growth() -> None:
     times, values = series(30.0, 1)
     gaps = values.copy()
     gaps[::7] = np.nan
@@ -52,12 +51,12 @@ def test_samples_in_which_there_was_nothing_to_see_do_not_hide_the_growth_of_the
     assert math.isnan(growth(times, np.full_like(values, np.nan)).first)
 
 
-def test_what_never_changes_does_not_grow() -> None:
+def test_constant_series_has_zero_growth() -> None:
     found = growth(np.arange(0.0, 600.0, 5.0), np.full(120, 18.0))
     assert (found.first, found.last, found.per_hour, found.uncertainty) == (18.0, 18.0, 0.0, 0.0)
 
 
-def test_the_page_names_each_node_and_leaves_out_what_was_not_always_there() -> None:
+def test_page_lists_only_series_present_in_every_sample() -> None:
     samples = [
         Sample(k * 10.0, {("slip_estimator", "RSS (MB)"): 200.0 + k, ("a", "b"): 1.0}) for k in range(40)
     ]
