@@ -11,12 +11,12 @@ from trackslip_common.orientations import heading_text, headings_of, is_heading_
 
 
 @pytest.mark.parametrize("stddev", [1.81, 19.2, 1e9, math.inf, math.nan])
-def test_a_heading_that_may_be_any_is_unknown(stddev: float) -> None:
+def test_heading_with_a_large_deviation_is_unknown(stddev: float) -> None:
     """π/√3 = 1.81 rad is the standard deviation of a uniform heading: ±1100° means nothing."""
     assert heading_text(0.3, stddev**2, 2.0) == "unknown"
 
 
-def test_a_known_heading_has_its_interval() -> None:
+def test_known_heading_has_its_interval() -> None:
     assert heading_text(math.pi / 6.0, math.radians(1.5) ** 2, 2.0) == "30.0° ± 3.0"
     assert heading_text(-0.1, math.radians(80.0) ** 2) == "-5.7° ± 80.0"
 
@@ -28,7 +28,7 @@ def test_known_headings_of_an_array() -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("number", [1e308, math.inf, math.nan])
-def test_quaternion_of_absurd_numbers_warns_of_nothing(number: float) -> None:
+def test_quaternion_of_absurd_numbers_raises_no_warning(number: float) -> None:
     """A bag with 1e308 in its odometry made ``replay`` and ``report`` print a warning of numpy."""
     rows = np.zeros(2, [(name, np.float64) for name in ("qx", "qy", "qz", "qw")])
     rows["qw"] = 1.0

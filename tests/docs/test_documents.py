@@ -167,7 +167,7 @@ def test_commands_and_their_options_are_there() -> None:
     assert unknown == []
 
 
-def test_options_that_stand_alone_are_of_some_command() -> None:
+def test_options_named_alone_belong_to_a_command() -> None:
     known = {option for command in commands() for option in options_of(command)} | FOREIGN | {"--help"}
     unknown = [
         str(place)
@@ -217,7 +217,7 @@ def test_parameters_are_there() -> None:
         ("slip_estimator", "gate_likelihood", False),
     ],
 )
-def test_parameters_are_distinguished_from_what_is_none(node: str, name: str, there: bool) -> None:
+def test_parameter_names_are_recognised(node: str, name: str, there: bool) -> None:
     assert is_parameter(node, name) is there
 
 

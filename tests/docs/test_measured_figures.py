@@ -45,8 +45,8 @@ def test_each_block_names_a_measurement_and_each_measurement_has_a_block() -> No
 
 
 @pytest.mark.parametrize("name", CHEAP)
-def test_figures_of_files_in_the_tree_are_todays(name: str) -> None:
-    """To one of the last digit: another processor may round the other way."""
+def test_figures_from_files_in_the_tree_are_current(name: str) -> None:
+    """Within one unit of the last digit: another processor may round the other way."""
     page = names_on(lambda _: True)[name]
     there = blocks_of(page.read_text(encoding="utf-8"))[name]
     _, today, reason = make_numbers.measured(None, name)
@@ -56,7 +56,7 @@ def test_figures_of_files_in_the_tree_are_todays(name: str) -> None:
         assert float(old) == pytest.approx(float(new), abs=1.01 * 10.0 ** -len(old.partition(".")[2]))
 
 
-def test_what_cannot_be_measured_states_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figure_that_cannot_be_measured_states_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_: Path) -> list[str]:
         raise NotMeasured("no log")
 
@@ -80,7 +80,7 @@ def test_a_block_is_rewritten_and_the_rest_stays() -> None:
         "<!-- numbers: a -->\n<!-- end of a -->\n<!-- numbers: a -->\n<!-- end of a -->\n",
     ],
 )
-def test_a_block_that_does_not_end_or_stands_twice_is_refused(text: str) -> None:
+def test_unterminated_or_repeated_block_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="marks"):
         blocks_of(text)
 

@@ -15,7 +15,7 @@ GENERATED = ("index.md", "contributing.md", "vulnerabilities.md", "conduct.md", 
 
 
 @pytest.mark.parametrize("name", sorted(reference_pages.WRITTEN))
-def test_a_reference_page_is_todays(name: str) -> None:
+def test_reference_page_is_current(name: str) -> None:
     there = (ROOT / "docs" / name).read_text(encoding="utf-8")
     assert there == reference_pages.page(name), "make docs writes it"
 

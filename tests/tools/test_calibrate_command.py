@@ -48,7 +48,7 @@ def test_finds_the_emulators_own_numbers(found: dict[str, Any], name: str) -> No
     assert high - low <= WIDEST[name]
 
 
-def test_slip_on_sand_is_within_the_radius_that_it_gives(found: dict[str, Any]) -> None:
+def test_slip_interval_overlaps_the_slips_on_sand(found: dict[str, Any]) -> None:
     """0.72 % on sand (docs: the shear truth), 1.6 % on the patch."""
     low, high = found["findings"]["common_slip"]["interval"]
     assert low <= 0.016
@@ -56,7 +56,7 @@ def test_slip_on_sand_is_within_the_radius_that_it_gives(found: dict[str, Any]) 
     assert found["findings"]["rolling_radius"]["value"] is None
 
 
-def test_replay_takes_the_file(found: dict[str, Any], tmp_path: Path) -> None:
+def test_replay_accepts_the_calibration_file(found: dict[str, Any], tmp_path: Path) -> None:
     assert json_of(tmp_path, "replay", DRIVES[0], "--params", found["file"])["rmse"]["filter"] < 0.02
     assert found["parameters"]["slip_estimator"]["sources.imu_data_raw.sign"] == 1
     assert found["bags"] == DRIVES

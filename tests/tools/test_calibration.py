@@ -115,8 +115,8 @@ WIDEST |= {"turning_efficiency": 0.02, "effective_tread": 0.08}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRUE)
-def test_intervals_hold_the_truth_as_often_as_stated(name: str) -> None:
-    """And no more often than that by being wide: half of one is small."""
+def test_intervals_have_their_stated_coverage(name: str) -> None:
+    """And they are narrow: half of one is below its limit."""
     made = Made()
     found = [calibrated(made, seed).findings[name] for seed in range(RUNS)]
     true = TRUE[name](made)
@@ -127,8 +127,8 @@ def test_intervals_hold_the_truth_as_often_as_stated(name: str) -> None:
     assert half_of_median(found) < 4.0 * np.std(values)
 
 
-def test_noise_of_the_gyro_passed_for_its_scale() -> None:
-    """Between one heading and the next it is a part of what the gyro turned, so that it turned too far."""
+def test_gyro_noise_does_not_bias_the_gyro_scale() -> None:
+    """The noise between two headings is part of the rotation that the gyro measures."""
     made = Made(gyro_noise=0.05, heading_noise=0.004)
     found = [calibrated(made, seed).findings["gyro_scale"] for seed in range(10)]
     assert np.mean([f.value for f in found if f.value is not None]) == pytest.approx(made.scale, abs=0.015)
@@ -144,7 +144,7 @@ def half_of_median(found: Sequence[Finding]) -> float:
     return float(np.median([half(f) for f in found]))
 
 
-def test_the_delay_of_the_gyro_leaves_room_for_the_lag_of_the_ground() -> None:
+def test_interval_of_the_gyro_delay_covers_the_lag_of_the_ground() -> None:
     for late in (0.06, -0.1):
         for ground in (0.0, 0.03):
             finding = calibrated(Made(gyro_late=late + ground), 1).findings["gyro_delay"]
@@ -154,7 +154,7 @@ def test_the_delay_of_the_gyro_leaves_room_for_the_lag_of_the_ground() -> None:
 
 
 @pytest.mark.parametrize("scale", [-0.97, 1.03])
-def test_a_gyro_upside_down_is_shown_by_headings_and_by_the_tracks(scale: float) -> None:
+def test_gyro_upside_down_is_found_from_headings_and_from_tracks(scale: float) -> None:
     one = recorded(Made(scale=scale), 2)
     blind = replace(one, poses=Series(np.empty(0), np.empty((0, 6))))
     for recording in (one, blind):
@@ -181,7 +181,7 @@ def test_a_gyro_upside_down_is_shown_by_headings_and_by_the_tracks(scale: float)
         (DRIVE, ("tread",), "tape"),
     ],
 )
-def test_what_a_drive_does_not_show_is_refused_with_a_reason(
+def test_unobservable_parameter_is_refused_with_a_reason(
     legs: Sequence[tuple[float, float, float]], names: Sequence[str], word: str
 ) -> None:
     findings = calibrated(Made(legs=tuple(legs)), 3).findings
@@ -206,7 +206,7 @@ def test_missing_sensors_are_refused_too() -> None:
     assert "taken as 1" in lost["turning_efficiency"].basis
 
 
-def test_radius_and_slip_are_separated_by_the_user_only() -> None:
+def test_radius_and_slip_are_separated_only_by_an_option() -> None:
     soft, hard = (calibrated(Made(), 5, hard_ground) for hard_ground in (False, True))
     assert not soft.findings["rolling_radius"].is_found
     assert "hard-ground" in soft.findings["rolling_radius"].reason
@@ -222,8 +222,8 @@ def test_radius_and_slip_are_separated_by_the_user_only() -> None:
     }
 
 
-def test_what_the_parameters_have_already_is_not_written() -> None:
-    """A gyro that reads 1.5 % low is news where a hundredth is seen; that it is not upside down is none."""
+def test_confirmed_parameters_are_not_written() -> None:
+    """Only a value whose interval excludes the present one is written, unless all are requested."""
     made = Made()
     of_news, whole = (
         calibrate([recorded(made, 7)], P, SOURCES, hard_ground=True, everything=everything)
@@ -243,7 +243,7 @@ def test_what_the_parameters_have_already_is_not_written() -> None:
     assert "gyro_sign" in text(of_news).splitlines()[-1]
 
 
-def test_bad_headings_and_gaps_do_no_harm() -> None:
+def test_bad_headings_and_gaps_have_no_effect() -> None:
     """A quarter turn wrong in one of forty, doubtful ones, and seconds without the gyro."""
     made = Made()
     whole = recorded(made, 6)
@@ -260,8 +260,8 @@ def test_bad_headings_and_gaps_do_no_harm() -> None:
         assert high - low < 8.0 * WIDEST[name], name
 
 
-def test_oil_trapped_by_a_stop_is_no_offset() -> None:
-    """A stall that ends with closed spools leaves pressure in the lines for as long as it stands."""
+def test_oil_trapped_at_a_stop_does_not_bias_the_offset() -> None:
+    """A stall that ends with closed spools leaves pressure in the lines throughout the standstill."""
     made = Made(legs=(*DRIVE, STRAIGHT, (3.0, 0.0, 0.0)))
     whole = recorded(made, 11)
     values = whole.hydraulics.values.copy()
@@ -273,7 +273,7 @@ def test_oil_trapped_by_a_stop_is_no_offset() -> None:
         assert high - low < 2.0 * WIDEST[name], name
 
 
-def test_more_bags_give_narrower_intervals() -> None:
+def test_more_bags_narrow_the_intervals() -> None:
     recordings = [recorded(Made(), seed) for seed in range(4)]
     all_of_them, one = (calibrate(r, P, SOURCES).findings for r in (recordings, recordings[:1]))
     for name in ("gyro_scale", "effective_rolling_radius", "left_pressure_offset"):
@@ -322,7 +322,7 @@ def test_a_scaled_gyro_is_read_in_true_units() -> None:
     assert (o.innovation[0], o.noise[0, 0]) == (pytest.approx(-0.4), pytest.approx(16e-6))
 
 
-def test_the_jackknife_sees_errors_that_go_together() -> None:
+def test_jackknife_accounts_for_correlated_errors() -> None:
     """Thirty clusters of twenty equal errors are thirty errors, not six hundred."""
     rng = np.random.default_rng(8)
     clusters = np.repeat(np.arange(30), 20)
@@ -335,8 +335,8 @@ def test_the_jackknife_sees_errors_that_go_together() -> None:
 
 
 @pytest.mark.slow
-def test_increments_find_both_noises() -> None:
-    """A slope under a walk and reading noise that claims to be twice as large: the interval is right."""
+def test_increments_separate_walk_and_reading_noise() -> None:
+    """A slope under a walk and reading noise that is stated twice as large: the interval is right."""
     rng = np.random.default_rng(9)
     hits, spreads, slopes = 0, [], []
     for _ in range(100):

@@ -137,7 +137,7 @@ def test_calibration_and_learned_states_agree_within_their_intervals(machine: Ma
 
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.soil)
 @pytest.mark.parametrize("name", ["gyro_scale", "gyro_bias", "asymmetry"])
-def test_both_find_what_the_machine_was_made_with(machine: Machine, name: str) -> None:
+def test_calibration_and_learned_states_contain_the_true_values(machine: Machine, name: str) -> None:
     true = {"gyro_scale": machine.scale, "gyro_bias": machine.bias, "asymmetry": machine.asymmetry}[name]
     for value, half in both(machine, name):
         assert abs(value - true) <= 1.5 * half

@@ -127,7 +127,7 @@ def test_a_bag_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
     assert main(["check", str(tmp_path / "none")]) == ExitCode.BAD_INPUT
 
 
-def test_what_a_short_drive_cannot_decide_comes_with_what_to_drive(tmp_path: Path) -> None:
+def test_undetermined_causes_come_with_the_drive_they_need(tmp_path: Path) -> None:
     undetermined = json_of(tmp_path, "check", BAGS / "slope_up_sand")["undetermined"]
     assert undetermined
     assert all(one.keys() == {"what", "needed"} for one in undetermined)

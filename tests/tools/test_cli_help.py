@@ -64,7 +64,7 @@ HEAVY = {"numba", "scipy", "rich", "bokeh", "matplotlib", "dask"}
         (["record", "--help"], HEAVY | {"rosbags", "numpy"}),
     ],
 )
-def test_a_command_loads_what_it_needs(arguments: list[str], barred: set[str]) -> None:
+def test_command_loads_no_library_it_does_not_need(arguments: list[str], barred: set[str]) -> None:
     """Each in a process of its own."""
     code = f"""
 import sys

@@ -80,7 +80,7 @@ def test_a_window_cuts_by_log_time(bag: Path, summary: Summary) -> None:
     assert found["duration_s"] == pytest.approx(3.0, abs=0.35)
 
 
-def test_a_window_beyond_the_bag_holds_nothing(
+def test_window_beyond_the_bag_has_no_estimate(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = summary(bag, "--start", "1000", code=ExitCode.FAILED)
@@ -88,7 +88,7 @@ def test_a_window_beyond_the_bag_holds_nothing(
     assert "no estimate" in capsys.readouterr().out
 
 
-def test_withheld_fixes_are_not_used_but_score(bag: Path, summary: Summary) -> None:
+def test_withheld_fixes_are_scored_and_not_used(bag: Path, summary: Summary) -> None:
     whole = summary(bag)
     without = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:4:9")
     assert without["rmse"]["filter"] != whole["rmse"]["filter"]
@@ -96,7 +96,7 @@ def test_withheld_fixes_are_not_used_but_score(bag: Path, summary: Summary) -> N
     assert summary(bag, "--withhold", "/box_pose", code=ExitCode.FAILED)["final"] is None
 
 
-def test_what_was_withheld_is_counted_and_its_error_stated(
+def test_withheld_messages_are_counted_and_their_errors_stated(
     bag: Path, summary: Summary, printed: Callable[[], str]
 ) -> None:
     found = summary(bag, "--withhold", "box_pose:4:9", "--withhold", "imu/data_raw:2:6")
@@ -187,7 +187,7 @@ def test_info_lists_the_topics(bag: Path, capsys: pytest.CaptureFixture[str]) ->
         assert topic in shown
 
 
-def test_json_holds_null_for_what_is_no_number(
+def test_json_has_null_for_nan_and_infinity(
     bag: Path, summary: Summary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> dict[str, Any]:

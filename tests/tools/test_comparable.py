@@ -118,7 +118,7 @@ def test_a_whole_run_is_compared_whole(
     assert "not from" not in printed()
 
 
-def test_a_run_that_two_recorders_kept_is_compared_whole(
+def test_run_recorded_by_two_recorders_is_compared_whole(
     one_run: list[Line], compare: Compare, printed: Callable[[], str]
 ) -> None:
     again = [line._replace(log_ns=line.log_ns + 3 * MS) for line in one_run]
@@ -129,7 +129,7 @@ def test_a_run_that_two_recorders_kept_is_compared_whole(
     assert "lacks" not in printed()
 
 
-def test_lines_of_two_estimators_at_once_are_no_missing_lines(
+def test_lines_of_two_estimators_at_once_are_not_counted_as_missing(
     inputs: list[Line], one_run: list[Line], compare: Compare, printed: Callable[[], str]
 ) -> None:
     other = live(since(inputs, 2.0), load_slip_parameters())[0]
@@ -148,7 +148,7 @@ def test_lines_of_two_estimators_at_once_are_no_missing_lines(
         (REPORTS, "lacks .* lines of the live estimator's journal"),
     ],
 )
-def test_what_follows_a_missing_measurement_is_not_compared(
+def test_estimates_after_a_missing_measurement_are_not_compared(
     one_run: list[Line],
     compare: Compare,
     printed: Callable[[], str],
@@ -174,12 +174,12 @@ def test_an_estimate_that_differs_before_a_missing_measurement_is_found(
     assert matches is False
 
 
-def test_a_bag_that_begins_after_the_estimator_is_not_compared(
+def test_bag_that_begins_after_the_estimator_is_not_compared(
     one_run: list[Line],
     compare: Compare,
     printed: Callable[[], str],
 ) -> None:
-    """The recorder was started again: all measurements from there on do not make up for the state there."""
+    """The recorder is restarted: the state at its start is unknown."""
     latched = [line for line in one_run if line.topic == PARAMETERS_TOPIC]
     later = [line._replace(log_ns=at_ns(5.0)) for line in latched]
     matches, compared = compare([*later, *since(one_run, 5.0)])
@@ -188,7 +188,7 @@ def test_a_bag_that_begins_after_the_estimator_is_not_compared(
     assert "replay = live: not compared: the bag lacks the first" in printed()
 
 
-def test_what_a_waiting_estimator_did_not_use_may_be_missing(inputs: list[Line], compare: Compare) -> None:
+def test_measurements_before_the_first_fix_may_be_missing(inputs: list[Line], compare: Compare) -> None:
     """A recorder finds the topics one after the other; the first fix comes later."""
     given = without(inputs, "box_pose", 0.0, 2.0)
     run = [*given, *live(given, load_slip_parameters())[0]]
@@ -199,9 +199,7 @@ def test_what_a_waiting_estimator_did_not_use_may_be_missing(inputs: list[Line],
     assert compared["estimates"] > 300
 
 
-def test_an_estimator_started_again_is_started_again_in_the_replay(
-    two_runs: list[Line], compare: Compare
-) -> None:
+def test_restart_of_the_estimator_is_replayed_as_a_restart(two_runs: list[Line], compare: Compare) -> None:
     matches, compared = compare(two_runs)
     assert matches is True
     first, second = compared["parts"]
@@ -221,7 +219,7 @@ def test_after_a_restart_a_recording_with_gaps_is_compared_again(
     assert len(compared["breaks"]) == 1
 
 
-def test_a_restart_takes_changed_parameters_along(inputs: list[Line], compare: Compare) -> None:
+def test_restart_with_changed_parameters_is_compared(inputs: list[Line], compare: Compare) -> None:
     matches, compared = compare(restarted(inputs, gate_probability=0.9))
     assert matches is True
     assert len(compared["parts"]) == 2
@@ -245,10 +243,10 @@ def test_a_restart_without_its_parameters_is_not_compared(two_runs: list[Line], 
     assert "lacks the parameters" in one["reason"]
 
 
-def test_the_bag_that_a_replay_writes_of_two_runs_holds_both(
+def test_replay_of_two_runs_writes_both(
     two_runs: list[Line], inputs: list[Line], tmp_path: Path, compare: Compare
 ) -> None:
-    """Put beside the inputs it is a recording again."""
+    """Merged with the inputs it is a recording again."""
     made = tmp_path / "made"
     compare(two_runs, "--output", str(made))
     written = in_order_of_journal(made)

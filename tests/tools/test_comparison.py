@@ -45,41 +45,41 @@ def test_the_same_matches() -> None:
     assert found.matches
 
 
-def test_nothing_matches_nothing() -> None:
+def test_empty_runs_do_not_match() -> None:
     assert not compared(odometry([]), odometry([])).matches
 
 
 @pytest.mark.parametrize("name", [*FIELDS, "covariance", "twist_covariance"])
-def test_every_number_counts(name: str) -> None:
+def test_difference_in_any_number_is_found(name: str) -> None:
     found = compared(odometry(range(100)), odometry(range(100), **{name: 1e-3}))
     assert found.largest_difference == pytest.approx(1e-3)
     assert not found.matches
     assert f"1.0e-03 in {name} of odometry" in str(found)
 
 
-def test_headings_differ_the_short_way_round() -> None:
+def test_heading_difference_is_the_shorter_angle() -> None:
     found = compared(odometry(range(9)), odometry(range(9), heading=2.0 * math.pi - 1e-4))
     assert found.largest_difference == pytest.approx(1e-4)
 
 
-def test_a_number_that_is_none_on_one_side_differs_infinitely() -> None:
+def test_nan_on_one_side_is_an_infinite_difference() -> None:
     assert compared(odometry(range(9)), odometry(range(9), v_y=math.nan)).largest_difference == math.inf
     both = odometry(range(9), v_y=math.nan)
     assert compared(both, both).matches
 
 
-def test_the_last_of_one_stamp_counts() -> None:
+def test_last_estimate_of_a_stamp_is_compared() -> None:
     twice = np.concatenate((odometry([4], x=9.0), odometry(range(9))))
     assert compared(odometry(range(9)), twice).matches
 
 
-def test_what_one_side_lacks_is_counted_within_the_live_ones() -> None:
-    """Replayed ones before the first live estimate and after the last are none of it."""
+def test_unmatched_estimates_are_counted_within_the_live_run() -> None:
+    """Replayed estimates before the first live one and after the last are not counted."""
     live, replayed = odometry([k for k in range(10, 50) if k != 20]), odometry([*range(30), *range(33, 60)])
     assert compared(live, replayed).unmatched == 1 + 3
 
 
-def test_what_lies_beyond_the_last_line_of_the_journal_is_left_out() -> None:
+def test_estimates_after_the_last_journal_line_are_not_compared() -> None:
     live, replayed = odometry(range(100)), odometry(range(90))
     assert compared(live, replayed).unmatched == 10
     found = compared(live, replayed, last_sprockets_ns=89 * STEP_NS)

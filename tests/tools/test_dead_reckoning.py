@@ -60,7 +60,7 @@ def test_a_straight_line(positions: bool, speed: float) -> None:
 
 @pytest.mark.parametrize("positions", [True, False])
 @pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_a_full_circle_ends_where_it_began(positions: bool, turn: float) -> None:
+def test_full_circle_ends_at_its_start(positions: bool, turn: float) -> None:
     """v = 0.3 m/s, φ̇ = ±0.25 rad/s: a circle of 1.2 m radius in 8π s, its far side 2.4 m to the side."""
     left, right = (1.0, 2.0) if turn > 0.0 else (2.0, 1.0)
     path = reckoned(samples(left, right, 8.0 * math.pi, positions, 5), EPOCH_NS, ORIGIN)
@@ -75,8 +75,8 @@ def test_a_turn_on_the_spot() -> None:
     np.testing.assert_allclose(path.poses[-1], (0.0, 0.0, 1.0), atol=1e-9)
 
 
-def test_the_gyro_turns_the_heading_where_it_is_given() -> None:
-    """Sprockets say straight on, the gyro says a quarter circle."""
+def test_gyro_replaces_the_yaw_rate_of_the_sprockets() -> None:
+    """Sprockets drive straight on, the gyro turns by a quarter circle."""
     rate = math.pi / 2.0 / 5.0
     gyro = [YawRate("imu", EPOCH_NS + k * 100 * MS + 3 * MS, rate, 1e-4) for k in range(-5, 60)]
     path = reckoned(samples(2.0, 2.0, 5.0), EPOCH_NS, ORIGIN, gyro)
@@ -114,7 +114,7 @@ def test_a_measured_speed_is_that_of_the_time_before_it() -> None:
     np.testing.assert_allclose(path.poses[-1], (0.2 * 0.02, 0.0, 0.0), atol=1e-12)
 
 
-def test_positions_count_not_the_speeds_beside_them() -> None:
+def test_positions_are_preferred_to_speeds() -> None:
     lying = [replace(s, left_speed=9.0, right_speed=-9.0) for s in samples(1.0, 1.0, 1.0)]
     path = reckoned(lying, EPOCH_NS, ORIGIN)
     np.testing.assert_allclose(path.poses[-1], (0.2, 0.0, 0.0), atol=1e-9)
@@ -129,7 +129,7 @@ def test_a_path_between_samples_is_linear_and_unknown_outside() -> None:
     assert np.isnan(found[[0, 4]]).all()
 
 
-def test_what_is_not_finite_is_left_out() -> None:
+def test_non_finite_measurements_are_ignored() -> None:
     bad = replace(samples(1.0, 1.0, 0.0)[0], stamp_ns=EPOCH_NS + 5 * MS, left_speed=math.nan)
     gyro = [YawRate("imu", EPOCH_NS + 500 * MS, 0.3, 1e-4), YawRate("imu", EPOCH_NS, math.inf, 1e-4)]
     path = reckoned([*samples(0.0, 0.0, 1.0), bad], EPOCH_NS, ORIGIN, gyro)

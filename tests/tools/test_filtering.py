@@ -36,7 +36,7 @@ def logged(arrivals: Rows) -> list[float]:
     return found
 
 
-def test_withholding_goes_by_log_time_and_is_half_open() -> None:
+def test_withholding_is_a_half_open_interval_of_log_time() -> None:
     filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
     kept = logged(apply(filters, fixes(31, 100)))
     assert kept == pytest.approx([k / 10 for k in range(31) if not 10 <= k < 20])
@@ -68,7 +68,7 @@ def test_thinning_slower_than_the_source_keeps_all() -> None:
     assert len(apply(InputFilters(thin=(Thin("box_pose", 10.0),)), fixes(50, 400))) == 50
 
 
-def test_thinning_goes_on_after_a_gap() -> None:
+def test_thinning_continues_on_its_grid_after_a_gap() -> None:
     arrivals = fixes(100, 100)
     t = (arrivals["log_time_ns"] - ORIGIN_NS) * 1e-9
     kept = logged(apply(InputFilters(thin=(Thin("box_pose", 1.0),)), arrivals[(t <= 2.0) | (t >= 5.55)]))
@@ -100,7 +100,7 @@ def test_the_added_noise_is_of_sigma_and_the_covariance_states_it() -> None:
     np.testing.assert_allclose(kept["noise"][:3], np.broadcast_to(np.diag((0.0025, 0.0025, 1.0)), (3, 3, 3)))
 
 
-def test_the_noise_is_seeded_and_the_source_stays_as_it_was() -> None:
+def test_noise_is_seeded_and_leaves_the_input_unchanged() -> None:
     arrivals, thin = fixes(10, 100), (Thin("box_pose", 10.0, 0.05),)
 
     def noise(seed: int) -> list[float]:
@@ -115,7 +115,7 @@ def test_the_noise_is_seeded_and_the_source_stays_as_it_was() -> None:
 @pytest.mark.parametrize(
     "measurement", [YawRate("imu", ORIGIN_NS, 1.0, 1.0), Sprockets("sprockets", ORIGIN_NS, 1.0, 1.0)]
 )
-def test_only_positions_take_noise(measurement: YawRate | Sprockets) -> None:
+def test_noise_is_added_only_to_positions(measurement: YawRate | Sprockets) -> None:
     arrivals = rows_of([(ORIGIN_NS, measurement)], SOURCES)
     kept = apply(InputFilters(thin=(Thin(measurement.source, 1.0, 0.05),)), arrivals)
     assert kept.tobytes() == arrivals.tobytes()

@@ -51,7 +51,7 @@ def fleet(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_folder_stands_for_the_bags_in_it(fleet: Path) -> None:
+def test_folder_expands_to_its_bags(fleet: Path) -> None:
     assert is_folder(fleet)
     assert not is_folder(fleet / "b")
     assert not is_folder(fleet / "nothing")
@@ -87,7 +87,7 @@ def test_a_folder_that_may_not_be_looked_into_is_named(locked: Path) -> None:
 
 
 @pytest.mark.slow
-def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(
+def test_number_of_workers_does_not_change_results_and_a_broken_bag_is_one_line(
     fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = {count: tmp_path / f"{count}.json" for count in ("1", "2")}
@@ -106,7 +106,7 @@ def test_any_workers_give_the_same_numbers_and_a_broken_bag_is_one_line(
     assert [line for line in printed.out.splitlines() if len(line) > WIDTH and " " in line.strip()] == []
 
 
-def test_a_bag_alone_and_among_others_gives_the_same(
+def test_bag_among_others_gives_the_summary_of_the_bag_alone(
     summary: Callable[..., dict[str, Any]], tmp_path: Path
 ) -> None:
     bag = BAGS / "slalom_sand"
@@ -119,7 +119,7 @@ def test_a_bag_alone_and_among_others_gives_the_same(
 
 
 @pytest.mark.parametrize("option", [("--output", "OUT"), ("--publish",)])
-def test_what_belongs_to_one_bag_is_refused_of_many(
+def test_options_of_one_bag_are_refused_with_several(
     option: tuple[str, ...], fleet: Path, refuse: Callable[..., str]
 ) -> None:
     assert "not with several bags" in refuse("replay", fleet, *option)
@@ -133,10 +133,9 @@ def test_workers_and_scheduler_exclude_each_other(fleet: Path, refuse: Callable[
 
 @pytest.mark.parametrize("count", ["100000", "9" * 5000, "1e3", "-1"])
 @pytest.mark.parametrize("command", ["replay", "tune", "study", "report"])
-def test_as_many_processes_as_asked_for_were_started(
+def test_invalid_number_of_workers_is_refused_before_any_starts(
     tmp_path: Path, refuse: Callable[..., str], monkeypatch: pytest.MonkeyPatch, command: str, count: str
 ) -> None:
-    """``--workers 100000``: a hundred thousand Pythons, or as many as the machine could bear."""
     monkeypatch.setattr(ProcessPoolExecutor, "__init__", lambda *_, **__: pytest.fail("they are started"))
     words = refuse(command, *([] if command == "study" else [tmp_path]), f"--workers={count}")
     assert re.search(
@@ -208,7 +207,7 @@ SUMMARY = {
 }
 
 
-def test_what_would_be_shown_is_collected(capsys: pytest.CaptureFixture[str]) -> None:
+def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]) -> None:
     with collected() as lines:
         show("a result")
         show("a note", file=sys.stderr)
@@ -227,7 +226,7 @@ def test_processes_give_results_in_order_with_one_thread_each() -> None:
             list(mapped(refused, range(5)))
 
 
-def test_a_process_that_is_ended_is_one_line() -> None:
+def test_killed_worker_is_reported_in_one_line() -> None:
     with pytest.raises(InputError, match="a process was ended"), workers(2) as mapped:
         list(mapped(end, range(2)))
 

@@ -63,7 +63,7 @@ def set_stamp(sec: int, nanosec: int = 0) -> Callable[[Any], None]:
     ],
     ids=["nan", "inf", "1e308", "-1e30", "1901", "1969", "1970", "2038"],
 )
-def test_gyro_readings_that_are_none_are_left_out_of_a_calibration(
+def test_invalid_gyro_readings_are_left_out_of_a_calibration(
     tmp_path: Path, lines: list[Any], bag_of: BagOf, capsys: pytest.CaptureFixture[str], change: Any
 ) -> None:
     path = bag_of(changed(lines, GYRO, change, 40))

@@ -50,7 +50,9 @@ def test_class_names_that_change_in_a_bag() -> None:
 
 
 @pytest.mark.parametrize("command", ["replay", "report"])
-def test_a_reference_that_remap_took_away(bag: Path, tmp_path: Path, refuse: Refuse, command: str) -> None:
+def test_reference_renamed_by_remap_is_refused_with_its_new_name(
+    bag: Path, tmp_path: Path, refuse: Refuse, command: str
+) -> None:
     options = ["--remap", "reference_pose:=other", "--reference", "reference_pose"]
     if command == "report":
         options += ["--output", str(tmp_path / "report.html")]
@@ -109,8 +111,8 @@ def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
     assert done.stderr == "trackslip: cannot read or write (No space left on device)\n"
 
 
-def test_info_with_closed_output_ended_with_a_traceback(bag: Path) -> None:
-    """``>&-``: there is no stdout at all then."""
+def test_info_with_closed_output_ends_quietly(bag: Path) -> None:
+    """``>&-``: there is no stdout."""
     command = f"{shlex.join([*TRACKSLIP, 'info', str(bag)])} >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr) == (ExitCode.DONE, "")

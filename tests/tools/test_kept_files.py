@@ -35,14 +35,14 @@ def mine(tmp_path: Path) -> Path:
         *(("calibrate", "--output"), ("calibrate", "--json")),
     ],
 )
-def test_a_text_of_the_users_was_replaced_by_a_result(
+def test_text_of_the_user_is_not_replaced_by_a_result(
     bag: Path, mine: Path, refuse: Refuse, command: str, option: str
 ) -> None:
     assert "holds something else, and is not replaced" in refuse(command, bag, option, mine)
     assert mine.read_text(encoding="utf-8") == MINE
 
 
-def test_a_recording_was_replaced_by_a_report(bag: Path, tmp_path: Path, refuse: Refuse) -> None:
+def test_recording_is_not_replaced_by_a_report(bag: Path, tmp_path: Path, refuse: Refuse) -> None:
     other = tmp_path / "other.mcap"
     content = next(bag.glob("*.mcap")).read_bytes()
     other.write_bytes(content)
@@ -51,17 +51,17 @@ def test_a_recording_was_replaced_by_a_report(bag: Path, tmp_path: Path, refuse:
 
 
 @pytest.mark.parametrize("name", BEGINNINGS)
-def test_parameters_of_the_users_were_replaced_by_tuned_ones(
+def test_parameters_of_the_user_are_not_replaced_by_tuned_ones(
     bag: Path, tmp_path: Path, refuse: Refuse, name: str
 ) -> None:
-    """As by ``tune --output config``."""
+    """For example by ``tune --output config``."""
     (tmp_path / name).write_text(MINE, encoding="utf-8")
     assert "is not replaced" in refuse("tune", bag, "--output", tmp_path)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir() if path.is_file()] == [(name, MINE)]
 
 
 @pytest.mark.parametrize("name", ["index.html", "1.html"])
-def test_pages_of_the_users_were_replaced_by_those_of_a_folder(
+def test_pages_of_the_user_are_not_replaced_by_those_of_a_folder(
     bag: Path, tmp_path: Path, refuse: Refuse, name: str
 ) -> None:
     site = tmp_path / "site"
@@ -85,7 +85,7 @@ STUDY = ("study", "--seeds", "1", "--soil", "sand", "--cache")
         (("--estimator", "soil"), "soil_table.md"),
     ],
 )
-def test_tables_and_figures_of_the_users_were_replaced_by_those_of_a_study(
+def test_tables_and_figures_of_the_user_are_not_replaced_by_a_study(
     tmp_path: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], name: str
 ) -> None:
     monkeypatch.setattr(Study, "run", lambda *_, **__: pytest.fail("refused after the work"))
@@ -103,7 +103,7 @@ def test_tables_and_figures_of_the_users_were_replaced_by_those_of_a_study(
     assert f"{name}' cannot be written (it is a directory)" in line
 
 
-def test_what_was_written_before_and_empty_files_are_replaced(tmp_path: Path) -> None:
+def test_earlier_results_and_empty_files_are_replaced(tmp_path: Path) -> None:
     before = tmp_path / "report.html"
     for content in (f"{PAGE} -->", "", PAGE):
         before.write_text(content, encoding="utf-8")
@@ -121,28 +121,28 @@ def test_a_journal_refuses_a_file_of_the_users(tmp_path: Path) -> None:
     assert journal.read_text(encoding="utf-8") == MINE
 
 
-def test_a_study_wrote_its_pieces_behind_a_text_of_the_users(mine: Path) -> None:
+def test_study_refuses_a_text_of_the_user_as_its_cache(mine: Path) -> None:
     with pytest.raises(InputError, match="is no cache of a study"):
         Cache(mine, Row)
     assert mine.read_text(encoding="utf-8") == MINE
 
 
 @pytest.mark.parametrize("kept", ["journal", "cache"])
-def test_a_pipe_as_a_journal_or_a_cache_was_waited_for(tmp_path: Path, kept: str) -> None:
+def test_named_pipe_as_journal_or_cache_is_refused_without_blocking(tmp_path: Path, kept: str) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match=f"is no {kept}"):
         Journal(tmp_path / "pipe", (), ("a",)) if kept == "journal" else Cache(tmp_path / "pipe", Row)
 
 
 @pytest.mark.parametrize("kept", ["journal", "cache"])
-def test_a_journal_or_a_cache_larger_than_memory_was_read(tmp_path: Path, kept: str) -> None:
+def test_huge_file_as_journal_or_cache_is_refused(tmp_path: Path, kept: str) -> None:
     with (tmp_path / "large").open("wb") as file:
         file.truncate(2**33)
     with pytest.raises(InputError, match=f"is no {kept}"):
         Journal(tmp_path / "large", (), ("a",)) if kept == "journal" else Cache(tmp_path / "large", Row)
 
 
-def test_what_is_no_file_is_written_as_it_is(tmp_path: Path, mine: Path) -> None:
+def test_links_and_devices_are_written_through(tmp_path: Path, mine: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(mine)
     write_whole(link, "through the link")

@@ -37,7 +37,7 @@ def read_until(terminal: int, word: bytes) -> bytes:
     return received
 
 
-def test_keys_act_without_enter_and_the_terminal_is_left_as_it_was() -> None:
+def test_keys_act_without_enter_and_the_terminal_is_restored() -> None:
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", CHILD.format(path=sys.path)])
@@ -50,7 +50,7 @@ def test_keys_act_without_enter_and_the_terminal_is_left_as_it_was() -> None:
     os.close(terminal)
 
 
-def test_a_pipe_gives_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pipe_gives_no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("   "))
     with Keyboard() as keyboard:
         assert keyboard.typed() == ""

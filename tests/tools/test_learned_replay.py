@@ -52,7 +52,7 @@ def second_run(
     return make_bag
 
 
-def test_a_replay_states_what_was_learned(
+def test_replay_reports_learned_states(
     bag: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = summary(bag)["learned"]
@@ -67,11 +67,11 @@ def test_a_replay_states_what_was_learned(
     assert "not observed yet: " in shown
 
 
-def test_without_an_estimate_nothing_was_learned(bag: Path, summary: Summary) -> None:
+def test_replay_without_an_estimate_has_no_learned_states(bag: Path, summary: Summary) -> None:
     assert summary(bag, "--start", "1000", code=1)["learned"] is None
 
 
-def test_a_replay_starts_from_what_the_live_estimator_started_from(
+def test_replay_starts_from_the_learned_states_of_the_live_estimator(
     second_run: Callable[..., Path],
     bag: Path,
     tmp_path: Path,
@@ -88,7 +88,7 @@ def test_a_replay_starts_from_what_the_live_estimator_started_from(
     assert replayed.estimates[-1]["pose"].tolist() == [found["final"][n] for n in ("x", "y", "yaw")]
 
 
-def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
+def test_bag_of_a_replay_has_the_learned_states_of_its_start(
     second_run: Callable[..., Path], tmp_path: Path, lines: list[Any], summary: Summary
 ) -> None:
     made, both = tmp_path / "made", tmp_path / "both"
@@ -104,7 +104,7 @@ def test_what_a_replay_started_from_stands_in_the_bag_that_it_writes(
         ({"machine": "x"}, (), "of another vehicle"),
     ],
 )
-def test_what_does_not_fit_is_reported_and_not_used(
+def test_unusable_learned_states_are_reported_and_not_used(
     second_run: Callable[..., Path],
     summary: Summary,
     printed: Callable[[], str],
@@ -118,7 +118,7 @@ def test_what_does_not_fit_is_reported_and_not_used(
     assert reason in shown
 
 
-def test_a_report_shows_how_it_came(emulated_run: Run) -> None:
+def test_report_shows_learned_states_over_time(emulated_run: Run) -> None:
     rows = {row[0]: row for row in learned_rows(emulated_run)}
     assert rows["gyro bias"][3] == "°/s"
     assert rows["delay of box_pose"][1:3] == ("–", "–")

@@ -175,7 +175,7 @@ def test_the_light_of_a_node_that_ends_turns(opened: Any, machine: Machine, comp
     assert complaints == []
 
 
-def test_page_is_grey_without_its_server_and_comes_back_by_itself(
+def test_page_is_grey_without_its_server_and_reconnects(
     opened: Any, machine: Machine, pages: dict[str, File]
 ) -> None:
     page = opened(390)

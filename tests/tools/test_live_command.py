@@ -44,7 +44,7 @@ BAG = Path(__file__).parents[2] / "bags" / "spot_turn_sand"
     ],
     ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else "",
 )
-def test_what_cannot_be_served_is_refused_in_one_line(
+def test_arguments_that_cannot_be_served_are_refused_in_one_line(
     arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["live", *arguments]) == ExitCode.BAD_INPUT
@@ -53,13 +53,13 @@ def test_what_cannot_be_served_is_refused_in_one_line(
     assert "accepted" in line or "refused" in line
 
 
-def test_a_bag_was_replayed_before_its_address_was_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_address_is_refused_before_the_bag_is_replayed(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["live", str(BAG), "--host", "0.0.0.0"]) == ExitCode.BAD_INPUT
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 @pytest.mark.slow
-def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
+def test_bag_with_sensors_only_is_shown_with_replayed_estimates() -> None:
     with open_bag(BAG) as bag, with_estimates(bag) as whole:
         state = LiveState("a test", load_vehicle())
         feed = BagFeed(whole, state, 1.0, InputFilters(start_s=8.0))
@@ -89,8 +89,7 @@ def test_a_bag_with_sensors_alone_is_shown_with_what_a_replay_gives() -> None:
 
 
 @pytest.mark.slow
-def test_a_page_over_a_bag_had_no_vehicle_option(capsys: pytest.CaptureFixture[str]) -> None:
-    """It pointed to one, where the bag names none."""
+def test_page_over_a_bag_uses_the_vehicle_option(capsys: pytest.CaptureFixture[str]) -> None:
     with open_bag(BAG) as bag, with_estimates(bag, "excavator_20t") as whole:
         state = LiveState("a test", load_vehicle("excavator_20t"), keeps_vehicle=True)
         feed = BagFeed(whole, state, 1000.0, InputFilters())

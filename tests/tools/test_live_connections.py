@@ -128,7 +128,7 @@ def test_half_sent_body_is_closed_after_its_timeout(hasty: PageServer, connect: 
     assert is_closed(connect(hasty, body))
 
 
-def test_an_unread_answer_is_given_up(
+def test_connection_with_an_unread_answer_is_closed(
     serve: Callable[[], PageServer], connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connections, "_LIFE_S", 0.2)
@@ -139,9 +139,7 @@ def test_an_unread_answer_is_given_up(
 
 
 @pytest.mark.parametrize("path", ["", "/"], ids=["half-sent", "answered"])
-def test_new_connections_take_the_place_of_the_oldest(
-    path: str, server: PageServer, connect: Connect
-) -> None:
+def test_new_connections_replace_the_oldest(path: str, server: PageServer, connect: Connect) -> None:
     sent = asking(server, path) if path else HALF
     clients = []
     for _ in range(MOST + 40):
@@ -153,7 +151,7 @@ def test_new_connections_take_the_place_of_the_oldest(
     wait_for(lambda: server.counts["connections displaced"] >= 40)
 
 
-def test_half_sent_requests_do_not_take_the_place_of_whole_ones(server: PageServer, connect: Connect) -> None:
+def test_half_sent_requests_do_not_replace_whole_ones(server: PageServer, connect: Connect) -> None:
     good = connect(server, asking(server, "/large"))
     start = good.recv(100)
     for _ in range(MOST + 40):
@@ -203,7 +201,7 @@ def scarce() -> Iterator[Callable[[int], None]]:
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_out_of_descriptors_half_sent_requests_give_way(
+def test_half_sent_requests_are_closed_when_descriptors_run_out(
     server: PageServer, connect: Connect, scarce: Callable[[int], None], logged: list[str]
 ) -> None:
     scarce(41)  # 20 at each end, and one for the good client
@@ -215,7 +213,7 @@ def test_out_of_descriptors_half_sent_requests_give_way(
     assert logged == []
 
 
-def test_out_of_descriptors_accepting_pauses(
+def test_accepting_pauses_when_descriptors_run_out(
     server: PageServer, connect: Connect, scarce: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = []
@@ -250,7 +248,7 @@ def test_server_logs_one_line_a_second(caplog: pytest.LogCaptureFixture) -> None
     assert log.count == 400
 
 
-def test_rubbish_is_refused_without_a_word(server: PageServer, logged: list[str]) -> None:
+def test_malformed_requests_are_refused_without_a_log_line(server: PageServer, logged: list[str]) -> None:
     forms = ("multipart/form-data", "application/x-www-form-urlencoded", "multipart/form-data; boundary=a")
     for kind in forms:
         for body in (b"\xff\xfe%%%", b"--a\r\n\r\n--a--"):

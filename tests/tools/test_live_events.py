@@ -43,7 +43,7 @@ def test_explanations_are_an_event_again_where_another_one_is_the_most_probable(
     ]
 
 
-def test_a_stuck_and_a_stalled_machine_are_reported_in_the_words_of_the_estimator() -> None:
+def test_stuck_and_stalled_machine_are_reported_with_the_text_of_the_estimator() -> None:
     events = Events()
     texts = ("getting stuck: left at the limit of the soil", "stalled: both tracks")
     for k, text in enumerate(texts):
@@ -62,14 +62,14 @@ def test_a_node_that_falls_silent_and_comes_back() -> None:
     assert reported(events) == ["sick_pls: silent", "sick_pls: running"]
 
 
-def test_a_part_that_goes_is_well_again() -> None:
+def test_part_no_longer_reported_is_well_again() -> None:
     events = Events()
     events.see_lights([light(Level.ERROR, "several publishers of scan", "record: inputs")], 0.0, 0.0)
     events.see_lights([], 1.0, 0.0)
     assert reported(events)[-1] == "record: inputs: recovered"
 
 
-def test_what_alternates_each_second_does_not_fill_the_list() -> None:
+def test_alternating_state_does_not_fill_the_event_list() -> None:
     events = Events()
     for k in range(60):
         level, text = (Level.OK, "running") if k % 2 else (Level.WARN, f"{k} rejected in the last second")
@@ -85,7 +85,7 @@ def test_rejection_by_the_gate_is_reported_when_it_begins() -> None:
     assert reported(events) == ["gate refuses box_pose", "gate refuses box_pose"]
 
 
-def test_what_was_learned_is_reported_when_it_is_observed() -> None:
+def test_learned_state_is_reported_once_when_observed() -> None:
     events = Events()
     for text in (
         "not observed yet",

@@ -53,13 +53,13 @@ def test_age_is_that_of_the_reading_and_grows_between_reports() -> None:
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "", "fast", "1e999"])
-def test_a_rate_that_is_no_number_is_left_out(text: str) -> None:
+def test_malformed_rate_is_ignored(text: str) -> None:
     lights = Lights()
     lights.update(statuses_of(diagnostics("odd", 0, "running", **{"rate (Hz)": text})), 0.0)
     assert math.isnan(lights.at(0.0)[0].rate)
 
 
-def test_a_part_that_its_node_no_longer_mentions_goes() -> None:
+def test_part_no_longer_reported_disappears() -> None:
     lights = Lights()
     message = diagnostics("record")
     message.status += diagnostics("record: inputs", 2, "several publishers of scan").status

@@ -56,7 +56,7 @@ async def connected(server: PageServer, **headers: str) -> WebSocketClientConnec
     return await websocket_connect(request)
 
 
-def test_files_come_with_rules_that_let_no_other_script_run(server: PageServer) -> None:
+def test_files_have_a_policy_that_allows_no_other_script(server: PageServer) -> None:
     status, rules, content = ask(server, "GET", "/")
     assert (status, content) == (200, b"<p>page</p>")
     assert "default-src 'none'" in rules
@@ -64,12 +64,12 @@ def test_files_come_with_rules_that_let_no_other_script_run(server: PageServer) 
 
 
 @pytest.mark.parametrize("path", ["/../../etc/passwd", "/live.py", "/%2e%2e/setup.py", "//", "/stream"])
-def test_nothing_else_is_there(server: PageServer, path: str) -> None:
+def test_other_paths_are_not_found(server: PageServer, path: str) -> None:
     assert ask(server, "GET", path)[0] in (400, 404)
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
-def test_nothing_can_be_sent(server: PageServer, method: str) -> None:
+def test_requests_other_than_get_are_refused(server: PageServer, method: str) -> None:
     assert ask(server, method, "/", body=b"{}")[0] == 405
 
 
@@ -79,7 +79,7 @@ def test_only_names_that_are_allowed_get_an_answer(server: PageServer, host: str
     assert ask(server, "GET", "/", f"localhost:{server.port}")[0] == 200
 
 
-def test_a_page_gets_all_first_and_then_what_is_new(server: PageServer) -> None:
+def test_page_gets_the_whole_state_first_and_then_changes(server: PageServer) -> None:
     async def conversation() -> None:
         page = await connected(server, Origin=f"http://127.0.0.1:{server.port}")
         assert json.loads(await page.read_message()) == {"run": "a", "number": 0}
@@ -91,7 +91,7 @@ def test_a_page_gets_all_first_and_then_what_is_new(server: PageServer) -> None:
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1", "file://"])
-def test_a_page_from_elsewhere_gets_no_stream(server: PageServer, origin: str) -> None:
+def test_page_of_another_origin_gets_no_stream(server: PageServer, origin: str) -> None:
     async def conversation() -> None:
         with pytest.raises(HTTPClientError, match="403"):
             await connected(server, Origin=origin)
@@ -111,7 +111,7 @@ def test_a_viewer_that_sends_is_disconnected(server: PageServer, word: str | byt
     talk(conversation)
 
 
-def test_a_page_that_does_not_read_costs_nothing_and_later_gets_all_again(
+def test_page_that_does_not_read_gets_the_whole_state_later(
     server: PageServer, whole: dict[str, Any]
 ) -> None:
     async def conversation() -> None:
@@ -133,7 +133,7 @@ def test_a_page_that_does_not_read_costs_nothing_and_later_gets_all_again(
     talk(conversation)
 
 
-def test_there_is_an_end_to_how_many_may_look(server: PageServer) -> None:
+def test_number_of_pages_is_limited(server: PageServer) -> None:
     async def conversation() -> None:
         pages = [await connected(server) for _ in range(MOST_PAGES)]
         with pytest.raises(HTTPClientError, match="503"):
@@ -152,7 +152,7 @@ def test_a_taken_port_is_refused_in_one_line(server: PageServer) -> None:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", ""])
-def test_all_addresses_want_a_name_that_browsers_ask_for(host: str) -> None:
+def test_wildcard_address_requires_an_origin(host: str) -> None:
     with pytest.raises(InputError, match="origin"):
         PageServer(FILES, dict, LiveParameters(host=host, port=0, origins=()))
     p = LiveParameters(host=host, port=0, origins=("Digger.local", "192.168.4.1:80", "[fe80::1]"))
@@ -160,11 +160,11 @@ def test_all_addresses_want_a_name_that_browsers_ask_for(host: str) -> None:
 
 
 @pytest.mark.parametrize("origin", ["http://digger.local", "*", "digger.local/", "a b", "user@host"])
-def test_an_origin_that_is_none_is_refused(origin: str) -> None:
+def test_malformed_origin_is_refused(origin: str) -> None:
     with pytest.raises(InputError, match="accepted"):
         LiveParameters(host="127.0.0.1", port=0, origins=(origin,)).allowed(1)
 
 
-def test_an_address_of_its_own_is_its_origin() -> None:
+def test_specific_address_is_its_own_origin() -> None:
     assert LiveParameters(host="192.168.4.1", port=0, origins=()).allowed(80) == {"192.168.4.1:80"}
     assert LiveParameters(host="::1", port=0, origins=()).allowed(80) == {"[::1]:80"}

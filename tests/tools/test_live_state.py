@@ -51,7 +51,7 @@ def test_a_frame_has_the_newest_point_of_each_curve(state: LiveState) -> None:
     assert frame["facts"]["motion"] == "straight"
 
 
-def test_a_heading_that_may_be_any_is_unknown(state: LiveState) -> None:
+def test_heading_with_a_large_deviation_is_shown_as_unknown(state: LiveState) -> None:
     for stddev, shown in ((0.1, "0.0° ± 11.5"), (19.2, "unknown")):
         state.process("odometry", messages.odometry(0.0, 0.0, variance=stddev**2), 0.0)
         assert state.tick(0.0, 0.0)["facts"]["heading"] == shown
@@ -70,7 +70,7 @@ def test_before_the_first_frame_there_is_nothing_to_show(state: LiveState) -> No
     assert state.whole() == {}
 
 
-def test_at_rest_slips_mean_nothing(state: LiveState) -> None:
+def test_slips_are_not_shown_at_standstill(state: LiveState) -> None:
     state.process("odometry", messages.odometry(0.0, 0.0), 0.0)
     state.process("track_slip", messages.track_slip(0.5, 0.5, motion_state=1), 0.0)
     frame = as_json(state.tick(0.0, 0.0))
@@ -78,13 +78,13 @@ def test_at_rest_slips_mean_nothing(state: LiveState) -> None:
     assert frame["facts"]["motion"] == "standing"
 
 
-def test_what_is_old_is_shown_no_more(state: LiveState) -> None:
+def test_outdated_values_are_not_shown(state: LiveState) -> None:
     drive(state, 2)
     assert state.tick(60.0, 60e3)["facts"]["position"] == "–"
     assert state.tick(60.0, 60e3)["outlines"]["machine"] == ([], [])
 
 
-def test_last_values_stay_when_nothing_more_comes(state: LiveState) -> None:
+def test_last_values_stay_at_the_end_of_the_input(state: LiveState) -> None:
     *_, last = drive(state, 2)
     assert state.tick(60.0, 60e3)["facts"]["position"] == "–"
     before = as_json(state.whole())
@@ -100,7 +100,7 @@ def test_last_values_stay_when_nothing_more_comes(state: LiveState) -> None:
         assert after[name] == before[name]
 
 
-def test_the_vehicle_that_a_message_names_is_drawn(state: LiveState) -> None:
+def test_vehicle_of_the_message_is_drawn(state: LiveState) -> None:
     small = as_json(drive(state, 1)[-1])["outlines"]["machine"]
     text = vehicle_text(load_vehicle("excavator_20t"))
     state.process("vehicle", make("std_msgs/msg/String", data=text), 0.0)
@@ -109,7 +109,7 @@ def test_the_vehicle_that_a_message_names_is_drawn(state: LiveState) -> None:
     assert np.ptp(frame["outlines"]["machine"][0]) > 2.0 * np.ptp(small[0])
 
 
-def test_a_vehicle_that_is_none_is_an_event(state: LiveState) -> None:
+def test_malformed_vehicle_is_an_event(state: LiveState) -> None:
     state.process("vehicle", make("std_msgs/msg/String", data="}{"), 0.0)
     assert "vehicle" in drive(state, 1)[-1]["events"][0][-1]
 
@@ -139,7 +139,7 @@ def test_fixes_of_any_source_are_drawn(state: LiveState, source: str) -> None:
     assert as_json(state.tick(0.0, 0.0))["new_fixes"] == [[3.0, 4.0]]
 
 
-def test_a_source_that_falls_silent_is_a_lost_fix_and_then_one_that_is_back(state: LiveState) -> None:
+def test_silent_source_is_reported_as_lost_and_then_as_back(state: LiveState) -> None:
     state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
     reported = []
     for now_s in (-0.5, 0.0, 1.9, 2.1, 9.0, 12.0):
@@ -162,7 +162,7 @@ def test_a_source_slower_than_its_timeout_is_lost_after_three_periods(state: Liv
     assert reported == [(7.4, "fix lost: rtk")]
 
 
-def test_a_lost_fix_is_left_to_the_estimator_where_it_speaks(state: LiveState) -> None:
+def test_lost_fix_is_not_reported_beside_diagnostics_of_the_estimator(state: LiveState) -> None:
     state.process("slip_estimator/parameters", parameters(rtk=2.0), 0.0)
     state.process("rtk", messages.fix(0.0, 0.0), 0.0)
     state.process("diagnostics", messages.diagnostics("slip_estimator"), 3.0)
@@ -172,14 +172,14 @@ def test_a_lost_fix_is_left_to_the_estimator_where_it_speaks(state: LiveState) -
 @pytest.mark.parametrize(
     "text", ["}{", "[]", "slip_estimator: 1", "slip_estimator: {ros__parameters: {pose_sources: 1}}"]
 )
-def test_parameters_that_are_none_change_nothing(state: LiveState, text: str) -> None:
+def test_malformed_parameters_have_no_effect(state: LiveState, text: str) -> None:
     known = state.pose_sources
     state.process("slip_estimator/parameters", make("std_msgs/msg/String", data=text), 0.0)
     assert state.pose_sources == known
     as_json(state.tick(0.0, 0.0))
 
 
-def test_a_place_too_far_to_be_rounded_is_not_drawn(state: LiveState) -> None:
+def test_position_too_far_to_be_rounded_is_not_drawn(state: LiveState) -> None:
     state.process("odometry", messages.odometry(0.0, 1e307), 0.0)
     assert as_json(state.tick(0.0, 0.0))["outlines"]["machine"] == [[], []]
 
@@ -214,7 +214,7 @@ def test_whatever_numbers_and_texts_come_frames_are_json(values: list[float], te
 
 
 @pytest.mark.slow
-def test_an_hour_takes_no_more_memory_than_the_first_minutes(state: LiveState) -> None:
+def test_memory_of_the_state_is_bounded(state: LiveState) -> None:
     ticks = strips.ROWS + 50
     drive(state, ticks, speed=40.0)
     early = len(json.dumps(state.whole()))
@@ -234,7 +234,7 @@ def test_a_path_keeps_its_shape_when_points_are_dropped(most: int) -> None:
     assert kept.points[0] == (0.0, 0.0)
 
 
-def test_strips_give_the_panels_of_the_report() -> None:
+def test_strips_have_the_panels_of_the_report() -> None:
     made = Strips(5)
     for k in range(8):
         made.add(float(k), {})

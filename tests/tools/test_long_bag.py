@@ -64,7 +64,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("command", GROWTHS)
-def test_commands_keep_little_of_a_bag(tmp_path: Path, command: str) -> None:
+def test_memory_growth_of_commands_is_limited(tmp_path: Path, command: str) -> None:
     """None holds what it reads as Python objects, or as whole records of messages."""
     options = ["--output", str(tmp_path / "report.html")] if command == "report" else []
 
@@ -80,7 +80,7 @@ def test_commands_keep_little_of_a_bag(tmp_path: Path, command: str) -> None:
 
 
 @pytest.mark.timeout(600)
-def test_a_repeated_drive_goes_on_where_it_ended(tmp_path: Path) -> None:
+def test_repeated_drive_is_continuous(tmp_path: Path) -> None:
     """Stamps, sprockets and poses are continuous: nothing jumps, and nothing is lost."""
     path = lengthened(tmp_path / "long", 2.0, "--live")
     with open_bag(path) as bag:

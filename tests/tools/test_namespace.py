@@ -79,7 +79,7 @@ def test_a_replay_without_the_namespace_names_those_there_are(
     assert "(--vehicle does); it has machines in --namespace site/one, two\n" in capsys.readouterr().out
 
 
-def test_a_topic_named_vehicle_of_somebody_else_states_none(
+def test_vehicle_topic_of_another_type_names_no_vehicle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with BagWriter(tmp_path / "bag") as bag:

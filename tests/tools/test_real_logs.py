@@ -83,7 +83,7 @@ def test_geometry_alone_is_enough(
 
 
 @pytest.mark.slow
-def test_what_the_log_of_the_warthog_holds(log: Import, tmp_path: Path) -> None:
+def test_warthog_log_gives_the_documented_errors(log: Import, tmp_path: Path) -> None:
     found = replay(log("warthog", True), "warthog", tmp_path)
     assert found["rmse"]["dead_reckoning"] == pytest.approx(7.4, rel=0.05)
     assert found["rmse"]["encoder_gyro"] == pytest.approx(0.45, rel=0.05)
@@ -92,7 +92,7 @@ def test_what_the_log_of_the_warthog_holds(log: Import, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["marmotte", "warthog"])
-def test_after_ten_metres_it_matters_not_which_heading_was_assumed(
+def test_error_after_ten_metres_does_not_depend_on_the_assumed_heading(
     log: Import, tmp_path: Path, robot: str
 ) -> None:
     headed, bare = log(robot, True), log(robot, False)

@@ -53,8 +53,10 @@ def test_the_length_of_the_batches_changes_nothing(
     assert len(expected[5]) == 11
 
 
-def test_columns_give_what_messages_give(emulated_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also of a part of the bag."""
+def test_reading_by_column_equals_reading_by_message(
+    emulated_bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also for a part of the bag."""
 
     def read(filters: InputFilters) -> Inputs:
         with open_bag(emulated_bag) as bag:

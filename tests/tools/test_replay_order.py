@@ -51,13 +51,13 @@ def test_without_a_journal_log_time_orders() -> None:
     assert order(arrivals, journal()) == [("b", 9), ("a", 1), ("a", 5)]
 
 
-def test_the_journal_orders_whatever_the_log_has() -> None:
+def test_journal_overrides_the_order_of_log_times() -> None:
     arrivals = [arrival("a", 1, 10), arrival("b", 1, 11), arrival("a", 2, 12), arrival("b", 2, 13)]
     lines = journal((20, "b", 1), (21, "b", 2), (22, "a", 2), (23, "a", 1))
     assert order(arrivals, lines) == [("b", 1), ("b", 2), ("a", 2), ("a", 1)]
 
 
-def test_a_source_that_the_journal_does_not_know_is_merged_by_log_time() -> None:
+def test_source_absent_from_the_journal_is_merged_by_log_time() -> None:
     arrivals = [arrival("a", k, 10 * k) for k in (1, 2, 3)] + [
         arrival("gnss", k, 10 * k + 3) for k in (0, 1, 2, 9)
     ]
@@ -86,27 +86,27 @@ def test_a_manual_pose_without_a_stamp_is_found_by_the_line_of_its_use() -> None
     assert counts.lost_inputs == 0
 
 
-def test_what_live_never_processed_is_left_out() -> None:
+def test_message_absent_from_the_journal_is_not_replayed() -> None:
     """The recorder received stamp 2, the estimator did not: its journal is complete."""
     arrivals = [arrival("a", k, k) for k in (1, 2, 3)]
     assert order(arrivals, journal((5, "a", 1), (6, "a", 3))) == [("a", 1), ("a", 3)]
 
 
-def test_a_line_whose_message_the_bag_lacks_is_passed_over_and_counted() -> None:
+def test_journal_line_without_a_message_is_skipped_and_counted() -> None:
     arrivals = [arrival("a", k, k) for k in (1, 3)]
     lines = journal((5, "a", 1), (6, "a", 2), (7, "b", 2), (8, "a", 3))
     assert order(arrivals, lines) == [("a", 1), ("a", 3)]
     assert ordered(arrivals, lines)[1].lost_inputs == 2
 
 
-def test_repeats_are_processed_as_often_and_in_the_order_in_which_they_came() -> None:
+def test_repeats_are_replayed_in_their_number_and_order() -> None:
     arrivals = [arrival("a", 1, 10, rate=0.1), arrival("a", 1, 11, rate=0.2), arrival("a", 2, 12)]
     rows, _ = ordered(arrivals, journal((20, "a", 1), (21, "a", 2), (22, "a", 1), (23, "a", 1)))
     found = [(int(row["stamp_ns"]), float(row["value"][0])) for row in rows]
     assert found == [(1, 0.1), (2, 0.0), (1, 0.2)]
 
 
-def test_commands_come_from_their_lines() -> None:
+def test_commands_are_read_from_their_journal_lines() -> None:
     rows, counts = ordered([arrival("a", 1, 10)], journal((20, "reset", 7), (21, "a", 1)))
     assert rows["kind"].tolist() == [IS_COMMAND, YAW_RATE]
     assert (rows[0]["stamp_ns"], rows[0]["log_time_ns"]) == (7, 20)
@@ -135,7 +135,7 @@ def test_lines_whose_numbers_go_back_are_not_counted_as_missing() -> None:
 
 
 @pytest.mark.parametrize("cuts", [(), (5, 11, 12, 30)])
-def test_copies_of_lines_name_nothing_again(cuts: tuple[int, ...]) -> None:
+def test_copies_of_journal_lines_are_ignored(cuts: tuple[int, ...]) -> None:
     lines = journal(*[(10 * k, "a", k) for k in range(1, 9)])
     copies = lines.copy()
     copies["log_time_ns"] += 3
@@ -172,7 +172,7 @@ def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
     assert counts.lost_inputs > 0
 
 
-def test_memory_is_bounded_where_nothing_is_ever_named() -> None:
+def test_memory_is_bounded_without_journal_lines() -> None:
     known = LiveOrder(SOURCES, {0}, [], 4)
     for k in range(100):
         now = k * HORIZON_NS

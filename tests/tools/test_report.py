@@ -58,7 +58,7 @@ def test_the_errors_shown_are_those_that_are_scored(run: Run) -> None:
     np.testing.assert_allclose(heading.curves[0].values, np.degrees(errors.values[:, 2]))
 
 
-def test_slips_stand_beside_the_truth_where_the_machine_moves(run: Run) -> None:
+def test_slips_are_drawn_beside_the_truth_while_moving(run: Run) -> None:
     panel = titled(motion_panels([run]), "Slip of the right")
     truth, estimate = panel.curves
     assert (truth.label, truth.colour, truth.band) == ("truth", INK, None)
@@ -90,7 +90,7 @@ def test_the_smoother_is_shown_beside_the_filter(run: Run) -> None:
     assert "smoothed" in labels
 
 
-def test_ellipses_lie_two_standard_deviations_away(run: Run) -> None:
+def test_ellipses_are_at_two_standard_deviations(run: Run) -> None:
     assert run.states is not None
     outlines = ellipses(run.states)
     last = outlines[-1] - run.states.path.poses[-1, :2]
@@ -99,7 +99,7 @@ def test_ellipses_lie_two_standard_deviations_away(run: Run) -> None:
     np.testing.assert_allclose(distances, 2.0)
 
 
-def test_the_box_is_drawn_where_and_how_it_stood(run: Run) -> None:
+def test_box_is_drawn_at_its_pose(run: Run) -> None:
     first = boxes(run)[0]
     np.testing.assert_allclose(first[:-1].mean(axis=0), (0.0, 0.0), atol=0.05)
     sides = np.linalg.norm(np.diff(first, axis=0), axis=1)
@@ -107,7 +107,7 @@ def test_the_box_is_drawn_where_and_how_it_stood(run: Run) -> None:
     np.testing.assert_allclose(sides, (box.length, box.width, box.length, box.width))
 
 
-def test_laser_points_lie_on_the_walls_of_the_site(run: Run) -> None:
+def test_laser_points_are_on_the_walls_of_the_site(run: Run) -> None:
     """Those of config/site.yaml: the fence from (−12, 14) to (22, 16)."""
     points = run.recording.points
     fence = points[(points[:, 1] > 13.0) & (points[:, 1] < 17.0)]

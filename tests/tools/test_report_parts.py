@@ -25,13 +25,13 @@ def test_a_single_spike_survives_in_any_of_the_curves(place: int, size: float) -
     assert len(kept) <= 400
 
 
-def test_first_and_last_sample_stay() -> None:
+def test_first_and_last_sample_are_kept() -> None:
     kept = extremes([np.sin(np.arange(5000.0))], 50)
     assert kept[0] == 0
     assert kept[-1] == 4999
 
 
-def test_a_break_stays_a_break() -> None:
+def test_gap_in_a_curve_is_kept() -> None:
     values = np.sin(np.arange(5000.0))
     values[2000:2300] = np.nan
     kept = extremes([values], 200)
@@ -49,7 +49,7 @@ def test_a_break_stays_a_break() -> None:
     seed=st.integers(0, 1000),
     holes=st.floats(0.0, 1.0),
 )
-def test_never_more_than_allowed_always_rising_and_no_extreme_lost(
+def test_thinning_keeps_extremes_within_the_limit_and_in_order(
     size: int, columns: int, limit: int, seed: int, holes: float
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def test_a_silence_is_a_gap_with_its_times() -> None:
 @pytest.mark.parametrize(
     "times", [np.empty(0), np.array((3.0,)), np.full(20, 3.0), np.cumsum(np.tile((0.001, 0.9), 30))]
 )
-def test_of_a_topic_without_a_steady_rate_nothing_is_called_missing(times: np.ndarray) -> None:
+def test_topic_without_a_steady_rate_has_no_missing_messages(times: np.ndarray) -> None:
     timing = Timing(times)
     assert not timing.regular
     assert np.isnan(timing.lost)

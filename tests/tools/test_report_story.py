@@ -100,7 +100,7 @@ def test_stalled_and_stuck_tracks_are_named_in_headline_events_and_strip(stalled
     assert (left.spell.start, left.spell.stop) == pytest.approx((10.0, 20.0))
 
 
-def test_lost_fixes_and_refusals_of_the_gate_are_events(emulated_run: Run) -> None:
+def test_lost_fixes_and_gated_fixes_are_events(emulated_run: Run) -> None:
     assert events_of(emulated_run) == []
     details, at_s = Details(), emulated_run.recording.seconds(emulated_run.details.fixes["stamp_ns"])
     details.sources = emulated_run.details.sources
@@ -183,14 +183,14 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
 # Lights
 
 
-def test_spells_follow_each_other_and_last_to_the_end() -> None:
+def test_spells_are_contiguous_up_to_the_end() -> None:
     found = spells(np.array((0.0, 1.0, 2.0, 5.0)), np.array((1, 1, 2, 1)))
     assert found == [Spell(0.0, 2.0, 1), Spell(2.0, 5.0, 2), Spell(5.0, 5.0, 1)]
     assert total_duration(found, 1) == 2.0
     assert spells(np.empty(0), np.empty(0)) == []
 
 
-def test_recorded_lights_show_when_a_node_failed_fell_silent_and_came_back() -> None:
+def test_recorded_lights_show_failure_silence_and_recovery_of_a_node() -> None:
     log = LightLog()
     for second in range(40):
         log.add(diagnostics("can_driver"), second + 0.5)
@@ -206,7 +206,7 @@ def test_recorded_lights_show_when_a_node_failed_fell_silent_and_came_back() -> 
     assert log.events[0].text == "sick_pls: not connected"
 
 
-def test_after_the_last_message_of_all_every_light_is_silent() -> None:
+def test_lights_are_silent_after_the_last_message() -> None:
     log = LightLog()
     log.add(diagnostics("can_driver"), 1.0)
     assert [spell.state for spell in log.spells(9.0)["can_driver"]] == [Level.OK, Level.SILENT]
@@ -275,7 +275,7 @@ def test_a_bag_is_named_by_what_distinguishes_it(paths: tuple[str, ...], names: 
 
 
 @pytest.mark.parametrize("text", ["$$x$$", "\\(x\\)", "\\[x\\]"])
-def test_nothing_in_a_plot_is_taken_for_mathematics(text: str) -> None:
+def test_text_in_a_plot_is_never_rendered_as_mathematics(text: str) -> None:
     shown = plot_text(text)
     assert not any(opening in shown for opening in ("$$", "\\(", "\\["))
     assert shown.replace("\u200b", "") == text

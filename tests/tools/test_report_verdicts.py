@@ -85,7 +85,7 @@ def test_whitened_fixes_of_a_consistent_estimate_have_variance_one(run: Run, fac
     np.testing.assert_allclose(whitened.mean(axis=0), 0.0, atol=0.15 * factor)
 
 
-def test_nis_counts_what_was_taken_and_shows_what_was_not(run: Run) -> None:
+def test_nis_is_of_accepted_measurements_and_rejected_ones_are_drawn(run: Run) -> None:
     consistent = consistent_run(run)
     found = innovations_of(consistent)["box_pose"]
     assert found.mean_ratio == pytest.approx(1.0, abs=0.1)
@@ -144,7 +144,9 @@ def with_timing(run: Run, topic: str, change: Callable[[np.ndarray], np.ndarray]
         ),
     ],
 )
-def test_what_is_wrong_is_stated(run: Run, name: str, change: Callable[[Run], Run], words: str) -> None:
+def test_faults_of_a_run_need_attention(
+    run: Run, name: str, change: Callable[[Run], Run], words: str
+) -> None:
     found = verdicts(change(run), load_limits())[name]
     assert found.state is State.ATTENTION
     assert re.search(words, found.words), found.words
@@ -168,7 +170,7 @@ def test_rejections_are_shares_of_their_source(run: Run) -> None:
     assert "sprockets" not in found.value  # waiting for the first fix is no fault
 
 
-def test_every_measurement_was_used_is_stated_only_where_it_is_so(run: Run) -> None:
+def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
     def words(of: Run) -> str:
         return verdicts(of, load_limits())["Rejections"].words
 

@@ -77,7 +77,7 @@ def test_the_reference_counts_every_sample_at_its_own_stamp() -> None:
     assert (found.samples, found.position) == (4, pytest.approx(0.5))
 
 
-def test_nothing_is_aligned() -> None:
+def test_paths_are_scored_without_alignment() -> None:
     found = score(path((0, 100), (1, 0, 0), (2, 0, 0)), path((0, 100), (0, 0, 0), (1, 0, 0)))
     assert found is not None
     assert found.position == pytest.approx(1.0)
@@ -90,7 +90,7 @@ def test_only_what_the_path_covers_is_scored() -> None:
     assert score(own, path((0, 300), (0, 0, 0), (0, 0, 0))) is None
 
 
-def test_heading_errors_go_the_short_way_round() -> None:
+def test_heading_error_is_the_shorter_angle() -> None:
     own = path((0, 100), (0, 0, 3.1), (0, 0, 3.1 + 4 * math.pi))
     found = score(own, path((0, 100), (0, 0, -3.1), (0, 0, -3.1)))
     assert found is not None
@@ -114,13 +114,13 @@ def test_nees_by_hand() -> None:
     assert mean_nees(own, reference) == pytest.approx((4.0 + second) / 2.0)
 
 
-def test_nees_takes_the_covariance_nearest_in_time() -> None:
+def test_nees_uses_the_covariance_nearest_in_time() -> None:
     own = estimates(*((t, (1, 0, 0), np.eye(3) * v) for t, v in ((0, 1.0), (100, 4.0), (300, 16.0))))
     for ms, variance in ((10, 1.0), (49, 1.0), (51, 4.0), (190, 4.0), (210, 16.0), (300, 16.0)):
         assert mean_nees(own, path((ms,), (0, 0, 0))) == pytest.approx(1.0 / variance)
 
 
-def test_nees_is_none_where_nothing_is_covered() -> None:
+def test_nees_is_none_without_overlap() -> None:
     own = estimates((0, (0, 0, 0), np.eye(3)))
     assert mean_nees(own, path((50,), (0, 0, 0))) is None
     assert mean_nees(own, path((0,), (0, 0, 0))) == 0.0
@@ -147,7 +147,7 @@ def slips(stamps_ns: Any, left: Any, right: Any) -> Series:
     return series_of(stamp_ns=stamps_ns, left_slip=left, right_slip=right)
 
 
-def test_slips_are_compared_between_samples_left_and_right_together() -> None:
+def test_slip_errors_are_interpolated_for_both_tracks() -> None:
     own = slips(stamps(0, 100), (0.0, 0.2), (0.0, 0.1))
     true = slips(stamps(-50, 50, 100), (9.0, 0.1, 0.5), (9.0, 0.05, 0.5))
     np.testing.assert_allclose(slip_errors(own, true), (0.0, -0.3, 0.0, -0.4), atol=1e-12)
@@ -193,7 +193,7 @@ def test_nees_includes_the_covariance_of_the_reference() -> None:
     assert errors.nees_position == pytest.approx(0.09 / 0.05)
 
 
-def test_a_covariance_that_is_none_counts_as_exact() -> None:
+def test_invalid_reference_covariance_counts_as_zero() -> None:
     P = np.diag((0.01, 0.01, 0.01))
     own = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
     for none in (np.zeros((3, 3)), np.full((3, 3), np.nan), np.diag((-1.0, 0.0, 0.0))):

@@ -74,7 +74,7 @@ def numbers(result: Replay) -> list[bytes]:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> None:
+def test_replay_processes_seeds_as_the_estimator_does(seeded: Path, model: str) -> None:
     parts: list[Part] = []
     result = replayed(seeded, parts, **SOURCE, model=model)
     reports = [report for report in reports_of(parts) if report.source == "slip_seed"]
@@ -93,7 +93,7 @@ def test_replay_takes_seeds_as_the_estimator_does(seeded: Path, model: str) -> N
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_live_run_with_seeds_is_given_back(seeded: Path, model: str, tmp_path: Path) -> None:
+def test_live_run_with_seeds_is_replayed_exactly(seeded: Path, model: str, tmp_path: Path) -> None:
     p = load_slip_parameters(SOURCE | {"model": model})
     parts: list[Part] = []
     with open_bag(seeded) as bag, EstimateWriter(tmp_path / "own", p) as writer:
@@ -134,7 +134,7 @@ def test_columns_and_messages_read_the_same_seeds(seeded: Path, monkeypatch: pyt
     assert len(by_column) == 2
 
 
-def test_tuning_with_seeds_ended_in_an_index_error(seeded: Path) -> None:
+def test_tuning_with_seeds_has_finite_scores(seeded: Path) -> None:
     with open_bag(seeded) as bag:
         task = read_task(bag, load_slip_parameters(SOURCE), InputFilters(), None, needs_reference=True)
     found = task.score({})

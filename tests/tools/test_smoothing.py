@@ -68,7 +68,7 @@ def rough(found: list[Measurement], seed: int) -> list[Measurement]:
     return [m for m in found if not isinstance(m, PoseFix)] + list(noisy)
 
 
-def test_is_better_than_the_filter_and_much_better_inside_an_outage(log: Any) -> None:
+def test_smoother_is_better_than_the_filter_and_much_better_in_an_outage(log: Any) -> None:
     found = without(log.measurements, PoseFix, *OUTAGE)
     runs = [smoothed_of(rough(found, seed)) for seed in range(4)]
     for span, gain in (((0, 2**62), 0.8), (OUTAGE, 0.7)):
@@ -77,10 +77,9 @@ def test_is_better_than_the_filter_and_much_better_inside_an_outage(log: Any) ->
         assert (smoothed < gain * filtered).all()
 
 
-def test_claims_no_more_than_it_may(log: Any, outage: Smoothed) -> None:
-    """Never less sure than the filter; and the errors fit what is claimed.
-
-    But for 1e-4: the gain of a yaw rate is that of a filter which knows its gyro, not that of least variance.
+def test_smoothed_covariance_is_consistent_and_below_the_filtered_one(log: Any, outage: Smoothed) -> None:
+    """Within 1e-4, because the gain of a yaw rate is that of a Schmidt filter, which is not of least
+    variance.
     """
     filtered, smoothed = (estimates["pose_covariance"] for estimates in outage)
     gained = np.linalg.eigvalsh(filtered - smoothed)[:, 0] / np.trace(filtered, axis1=1, axis2=2)
@@ -92,7 +91,9 @@ def test_claims_no_more_than_it_may(log: Any, outage: Smoothed) -> None:
     assert np.mean(weighed) < 6.0, "3 if consistent; one drive's errors are few and go together"
 
 
-def test_ends_where_the_filter_ends_in_any_order_of_arrival(log: Any, outage: Smoothed) -> None:
+def test_smoother_ends_in_the_state_of_the_filter_for_any_order_of_arrival(
+    log: Any, outage: Smoothed
+) -> None:
     found = without(log.measurements, PoseFix, *OUTAGE)
     shuffled = [found[i] for i in np.random.default_rng(3).permutation(len(found))]
     again = smoothed_of(shuffled)
@@ -104,7 +105,7 @@ def test_ends_where_the_filter_ends_in_any_order_of_arrival(log: Any, outage: Sm
     np.testing.assert_array_equal(again.smoothed["pose"], outage.smoothed["pose"])
 
 
-def test_a_users_word_is_no_news_of_what_was_before(log: Any) -> None:
+def test_set_pose_does_not_change_the_path_before_it(log: Any) -> None:
     at_ns = 25 * S + 1
     moved = log.true_pose(at_ns) + np.array((3.0, 0.0, 0.0))
     word = PoseFix(SET_POSE, at_ns, moved, np.diag((1e-4, 1e-4, 1e-4)))
@@ -128,7 +129,7 @@ def test_silent_sprockets_leave_a_gap_and_no_nonsense(log: Any) -> None:
 
 
 @pytest.mark.parametrize("model", ["icr", pytest.param("free_slips", marks=pytest.mark.slow)])
-def test_serves_every_model_and_names_its_filter(log: Any, model: str) -> None:
+def test_smoother_uses_the_ekf_for_every_model(log: Any, model: str) -> None:
     p = load_slip_parameters({"model": model, "filter": "daf"})
     found = smoothed_of(without(log.measurements, PoseFix, *OUTAGE), p)
     filtered, smoothed = (errors(estimates, log) for estimates in found)
@@ -137,7 +138,7 @@ def test_serves_every_model_and_names_its_filter(log: Any, model: str) -> None:
     np.testing.assert_array_equal(again.smoothed["pose"][100], found.smoothed["pose"][100])
 
 
-def test_nothing_starts_without_a_fix(log: Any) -> None:
+def test_smoothing_without_a_fix_is_refused(log: Any) -> None:
     with pytest.raises(InputError, match="to start from"):
         smoothed_of([m for m in log.measurements if not isinstance(m, PoseFix)])
 
@@ -160,7 +161,7 @@ def test_the_command_writes_a_bag_and_a_summary(emulated_bag: Path, tmp_path: Pa
     }
 
 
-def test_the_command_without_a_start_fails_in_words(
+def test_command_without_a_start_reports_no_estimate(
     emulated_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["smooth", str(emulated_bag), "--withhold", "box_pose"]) == ExitCode.FAILED

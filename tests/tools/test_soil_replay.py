@@ -34,7 +34,7 @@ def replayed(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tu
     return folder / "out", json_of(folder, "replay", emulated_bag, "--output", folder / "out")
 
 
-def test_the_summary_has_the_soil(replayed: tuple[Path, dict[str, Any]]) -> None:
+def test_summary_has_the_soil(replayed: tuple[Path, dict[str, Any]]) -> None:
     found, true = replayed[1]["soil"], soil("sandy_loam")
     assert found.keys() >= KEYS
     assert found["mu_r"] == pytest.approx(true.value("mu_r"), rel=0.05)
@@ -54,7 +54,7 @@ def test_forces_and_soil_are_in_the_output(replayed: tuple[Path, dict[str, Any]]
 
 
 @pytest.mark.slow
-def test_replay_of_a_bag_with_live_forces_gives_them_again(
+def test_replay_reproduces_live_forces(
     emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path, summary: Summary
 ) -> None:
     """Sensors and estimates in one bag; without the journal, whose log times are not those of a recorder."""
@@ -69,8 +69,8 @@ def test_replay_of_a_bag_with_live_forces_gives_them_again(
 
 
 @pytest.mark.parametrize("vehicle", ["pc05_cab", "pc05"])
-def test_replay_gives_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
-    """To the last bit, with swing and tilt where they are known."""
+def test_replay_feeds_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
+    """Bit for bit, with swing and tilt where they are known."""
     own = SlipEstimator(load_slip_parameters({"vehicle": vehicle}))
     records = to_records(record(dig()[:6], Cab(encoder=vehicle == "pc05_cab")).measurements, own.sources)
     results = own.process_records(records)
@@ -92,5 +92,5 @@ def test_withheld_hydraulics_are_reported_and_a_bag_without_them_has_no_soil(
     assert "soil" not in summary(bag)
 
 
-def test_a_parameter_that_is_none_is_refused(emulated_bag: Path, refuse: Callable[..., str]) -> None:
+def test_unknown_parameter_is_refused(emulated_bag: Path, refuse: Callable[..., str]) -> None:
     assert "'nonsense'" in refuse("replay", emulated_bag, "--set", "soil_estimator.nonsense=1")

@@ -28,7 +28,7 @@ def test_a_folded_table_fits_and_keeps_its_cells(columns: int, rows: int, width:
     assert {word for line in [heading, *cells] for word in line} <= set(text.replace(",", " ").split())
 
 
-def test_markdown_is_folded_with_its_keys_and_what_is_the_same_stands_above() -> None:
+def test_wide_table_is_folded_with_its_keys_and_constant_columns_above() -> None:
     names = [f"number {k} of {'x' * 15}" for k in range(5)]
     heading = f"| soil | σ m | {' | '.join(names)} |"
     rules = f"| --- | ---: | {' | '.join(['---:'] * 5)} |"

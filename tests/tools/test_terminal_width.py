@@ -38,7 +38,7 @@ def test_a_command_keeps_to_the_terminal(words: str, tmp_path: Path) -> None:
     assert "Traceback" not in shown.text
 
 
-def test_the_targets_of_make_were_wider_than_the_terminal() -> None:
+def test_list_of_make_targets_fits_the_terminal() -> None:
     shown = on_terminal(["make", "-C", str(ROOT), "--no-print-directory"])
     assert shown.code == 0
     assert {line.split()[1] for line in shown.lines if line.startswith("make ")} >= {"demo", "test", "clean"}

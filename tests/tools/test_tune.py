@@ -49,7 +49,7 @@ def tune(bag: Path, plan: Path, output: Path, *options: str) -> int:
 
 
 @pytest.mark.slow
-def test_it_leaves_parameters_and_evidence(
+def test_command_writes_parameters_and_evidence(
     emulated_bag: Path, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"

@@ -110,7 +110,7 @@ def test_errors_against_a_reference_of_singular_covariance_have_no_nees(drive: C
     assert np.isnan((found.nees, found.pose_log_likelihood)).all()
 
 
-def test_a_spike_costs_no_more_than_a_wrong_measurement_may(drive: Callable[..., Any]) -> None:
+def test_likelihood_of_a_spike_is_limited(drive: Callable[..., Any]) -> None:
     task = task_of(drive, **{"sources.box_pose.position_floor": 0.1})
     spiked = records(measurements(drive), task.p)
     fixes = np.flatnonzero(spiked["kind"] == POSE)
@@ -131,8 +131,10 @@ def test_without_a_reference_there_are_no_errors(drive: Callable[..., Any]) -> N
 
 
 @pytest.mark.slow
-def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp_path: Path) -> None:
-    """Fixes ten times as bad as they say: found on three bags, and good for each that had no say."""
+def test_tuning_corrects_a_wrong_noise_and_writes_the_evidence(
+    drive: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Fixes are ten times worse than stated: the value is found on three bags and helps each one left out."""
     tasks = [task_of(drive, seed, **{"sources.box_pose.position_floor": 0.01}) for seed in range(3)]
     plan = plan_of(tmp_path)
     result = tuned(tmp_path, tasks, plan)
@@ -158,7 +160,7 @@ def test_tuning_mends_what_was_wrong_and_shows_it(drive: Callable[..., Any], tmp
 
 
 @pytest.mark.slow
-def test_values_that_only_fit_their_own_bags_are_not_better_for_others(
+def test_values_that_overfit_their_bags_are_reported_as_no_better(
     drive: Callable[..., Any], tmp_path: Path
 ) -> None:
     """One bag's fixes are bad, the other's good: what is found on either harms the other."""
@@ -186,7 +188,9 @@ def test_position_is_an_objective_too(drive: Callable[..., Any], tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_an_interrupted_search_goes_on_and_ends_the_same(drive: Callable[..., Any], tmp_path: Path) -> None:
+def test_interrupted_search_resumes_and_ends_with_the_same_values(
+    drive: Callable[..., Any], tmp_path: Path
+) -> None:
     tasks = [task_of(drive, seed) for seed in range(2)]
     plan = plan_of(tmp_path, FLOORS.replace("evaluations: 40", "evaluations: 20"))
     whole = tuned(tmp_path / "whole", tasks, plan)

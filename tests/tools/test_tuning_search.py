@@ -11,8 +11,8 @@ from trackslip_common.errors import InputError
 from trackslip_tools.tuning.search import search
 
 
-def test_what_ends_the_workers_ends_the_search() -> None:
-    """scipy took it for a mistake in the way it is called, and a traceback came of it."""
+def test_error_of_a_worker_ends_the_search() -> None:
+    """scipy must not replace the error by one of its own."""
 
     def costs(_: Any) -> Any:
         raise InputError("its workers ended")

@@ -37,7 +37,7 @@ def test_file_loads_and_its_receiver_is_the_source_of_poses(tmp_path: Path) -> N
     assert not p.poses()["gnss_pose"].use_heading
 
 
-def test_sources_that_are_stated_stay_whatever_the_vehicle_has(tmp_path: Path) -> None:
+def test_stated_pose_sources_override_those_of_the_vehicle(tmp_path: Path) -> None:
     new(tmp_path, "--mass", "20000")
     layer = vehicle_layer(load_vehicle(str(tmp_path / "digger.yaml")))
     assert load_slip_parameters({"pose_sources": ["rtk"]}, layer).pose_sources == ("rtk",)
@@ -89,7 +89,7 @@ def test_too_little_lists_what_would_do(tmp_path: Path, capsys: pytest.CaptureFi
     assert list(tmp_path.iterdir()) == []
 
 
-def test_file_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_file_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "digger.yaml").write_text("mine", encoding="utf-8")
     assert new(tmp_path, "--mass", "20000") == ExitCode.BAD_INPUT
     assert (tmp_path / "digger.yaml").read_text(encoding="utf-8") == "mine"
@@ -99,7 +99,7 @@ def test_file_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("arguments", "named"), [(("--mass", "2e9"), "mass"), (("--mass", "20000", "--tread", "-1"), "tread")]
 )
-def test_numbers_that_no_machine_has_are_refused(
+def test_numbers_impossible_for_a_machine_are_refused(
     arguments: tuple[str, ...], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert new(tmp_path, *arguments) == ExitCode.BAD_INPUT
@@ -129,6 +129,6 @@ def test_basic_parameters_are_few() -> None:
     assert 10 <= len(basic) <= MOST_BASIC
 
 
-def test_number_that_no_draft_knows_is_refused() -> None:
+def test_unknown_number_of_a_draft_is_refused() -> None:
     with pytest.raises(InputError, match="nothing"):
         draft("made", {"mass.mass": 20000.0, "kinematics.nothing": 1.0})
