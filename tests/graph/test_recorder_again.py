@@ -50,7 +50,7 @@ def test_existing_bag_name_is_skipped(recorder: RecordNode, tmp_path: Path) -> N
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_2", "bag_3"]
 
 
-def test_publishers_are_counted_anew_for_each_bag(recorder: RecordNode) -> None:
+def test_publishers_are_counted_separately_for_each_bag(recorder: RecordNode) -> None:
     """A topic with one publisher may get a second one in the next bag: their sequence numbers are no gaps."""
     recorder._taps.alone = {"/topic"}
     again(recorder)

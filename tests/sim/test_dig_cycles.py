@@ -105,7 +105,7 @@ def test_the_summary_has_the_swing(short: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("soil", "seed"), [("sand", "0"), ("dry_clay", "5")])
-def test_estimate_meets_its_bars_over_twenty_minutes_of_dig_cycles(
+def test_errors_stay_within_bounds_over_twenty_minutes_of_dig_cycles(
     tmp_path: Path, soil: str, seed: str
 ) -> None:
     """Ten slews and more of half a turn; on dry clay the box localizer takes a wrong quarter for 17 s."""

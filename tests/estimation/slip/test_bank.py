@@ -159,7 +159,7 @@ def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> 
     assert nees < 3.0
 
 
-def test_fixes_with_a_lasting_offset_are_used_again_within_a_minute() -> None:
+def test_fixes_with_a_persistent_offset_are_used_again_within_a_minute() -> None:
     recording = drive(Machine(duration=110.0, fix_noise=0.03, fix_stated=0.03, track_error=0.05))
     off = [15.0, 21.0], [0.0, 0.7]
     given = changed(recording, lambda m, t: moved(m, np.interp(t, *off), -np.interp(t, *off)))

@@ -112,7 +112,7 @@ def test_angle_jump_at_a_still_cab_is_attributed_to_the_encoder() -> None:
     assert ENCODER in estimator.explained.text
 
 
-def test_encoder_with_a_lasting_offset_is_used_again() -> None:
+def test_encoder_with_a_persistent_offset_is_used_again() -> None:
     recording = record(dig(), Cab())
     jumps = 30.0
     measurements = spoilt(recording, lambda t, angle, _: angle + (0.5 if t > jumps else 0.0))
