@@ -91,7 +91,7 @@ def test_load_is_uncertain_after_a_long_standstill_with_a_bucket() -> None:
     """Not before the first drive, whose weight is that of the file, nor after a short halt, nor without a
     bucket.
     """
-    stand, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
+    standstill, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
     assert VEHICLE.bucket is not None
     assert load_stddev(VEHICLE, [standstill, drive]) == 0.0
     assert load_stddev(VEHICLE, [standstill, drive, halt, drive, halt]) == 0.0
