@@ -15,9 +15,10 @@ from trackslip_common.errors import InputError
 SIDES = ("left_velocity", "right_velocity")
 
 
-def made(folder: Path, names: str) -> FirstMapping:
+def made(folder: Path, names: str, rows: str = "") -> FirstMapping:
     log = folder / "log.csv"
-    log.write_text(f"{names}\n" + ",".join("1" for _ in names.split(",")) + "\n", encoding="utf-8")
+    rows = rows or ",".join("1" for _ in names.split(","))
+    log.write_text(f"{names}\n{rows}\n", encoding="utf-8")
     return first_mapping(log, "excavator_20t", {})
 
 
@@ -53,12 +54,115 @@ def test_columns_are_found_by_their_names(
 
 
 @pytest.mark.parametrize(
+    ("time", "first", "second", "unit"),
+    [
+        ("datetime", "2026-11-20T14:30:00.00", "2026-11-20T14:30:00.02", "iso8601"),
+        ("time_s", "2026-11-20 14:30:00.00", "2026-11-20 14:30:00.02", "iso8601"),
+        ("Zeitstempel", "2026-11-20 14:30:00", "2026-11-20 14:30:01", "iso8601"),
+        ("Zeitstempel", "20.11.2026 14:30:00", "20.11.2026 14:30:01", "iso8601"),
+        ("ts", "100", "120", "ms"),
+        ("__time", "1763645400.00", "1763645400.02", "s"),
+        ("%time", "1763645400000000000", "1763645400020000000", "ns"),
+        ("rosbagTimestamp", "1763645400000000000", "1763645400020000000", "ns"),
+        ("timestamp", "1763645400000", "1763645400020", "ms"),
+        ("TimeUS", "120000000", "120020000", "us"),
+        ("timestamp", "120000000", "120004000", "us"),
+        ("t", "100", "120", "ms"),
+        ("t", "12.00", "12.02", "s"),
+        ("time_ms", "100", "100.02", "ms"),
+    ],
+)
+def test_the_unit_of_times_is_that_of_their_values(
+    time: str, first: str, second: str, unit: str, tmp_path: Path
+) -> None:
+    found = made(tmp_path, f"{time},v_left_mps,v_right_mps", f"{first},0.5,0.5\n{second},0.5,0.5")
+    assert found.found["time"] == f"{time}, {unit}"
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "unit"),
+    [
+        ("header.stamp.sec,header.stamp.nanosec", "1763645400,20000000", ["s", "ns"]),
+        ("secs,nsecs", "1763645400,20000000", ["s", "ns"]),
+        ("Date,Time", "2026-11-20,14:30:00", "iso8601"),
+    ],
+)
+def test_times_in_two_columns_are_added(names: str, row: str, unit: object, tmp_path: Path) -> None:
+    found = made(tmp_path, f"{names},v_left_mps,v_right_mps", f"{row},0.5,0.5")
+    assert yaml.safe_load(found.text)["time"] == {"column": names.split(","), "unit": unit}
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "field", "unit"),
+    [
+        ("velocity[0]", "velocity[1]", "velocity", "m/s"),
+        ("field.velocity0", "field.velocity1", "velocity", "m/s"),
+        ("speed_0_kmh", "speed_1_kmh", "velocity", "km/h"),
+        ("speed_l", "speed_r", "velocity", "m/s"),
+        ("Geschwindigkeit_links", "Geschwindigkeit_rechts", "velocity", "m/s"),
+        ("Kettengeschwindigkeit links [km/h]", "Kettengeschwindigkeit rechts [km/h]", "velocity", "km/h"),
+        ("Drehzahl_links", "Drehzahl_rechts", "velocity", "rpm"),
+        ("vitesse_gauche", "vitesse_droite", "velocity", "m/s"),
+        ("Kette_links_km/h", "Kette_rechts_km/h", "velocity", "km/h"),
+        ("wheel_speed[1]", "wheel_speed[0]", "velocity", "rad/s"),  # PX4: 0 is the right one
+        ("Dist0", "Dist1", "position", "m"),  # ArduPilot
+        ("encoder_0", "encoder_1", "position", "rev"),
+        ("/joint_states/left_wheel/velocity", "/joint_states/right_wheel/velocity", "velocity", "m/s"),
+    ],
+)
+def test_sides_are_found_in_the_words_of_the_log(
+    left: str, right: str, field: str, unit: str, tmp_path: Path
+) -> None:
+    found = made(tmp_path, f"t_s,{right},{left}").found
+    assert found[f"left_{field}"] == f"{left}, {unit}"
+    assert found[f"right_{field}"] == f"{right}, {unit}"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "field", "entry"),
+    [
+        ("Gierrate", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
+        ("Drehrate [°/s]", "0.1", "angular_velocity_z", {"unit": "°/s"}),
+        ("imu_gz", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
+        ("GyrZ", "0.1", "angular_velocity_z", {"unit": "rad/s", "scale": -1.0}),
+        ("gyro_rad[2]", "0.1", "angular_velocity_z", {"unit": "rad/s", "scale": -1.0}),
+        ("/imu/angular_velocity/z", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
+        ("Breite", "48.1", "latitude", {"unit": "deg"}),
+        ("gps.lat", "481000000", "latitude", {"unit": "deg", "scale": 1e-7}),
+        ("gps.latitude_deg", "48.1", "latitude", {"unit": "deg"}),
+        ("heading", "270", "heading", {"unit": "deg"}),
+    ],
+)
+def test_other_quantities_are_found_with_their_scales(
+    name: str, value: str, field: str, entry: dict[str, object], tmp_path: Path
+) -> None:
+    names = f"t_s,v_left_mps,v_right_mps,{name},Länge"
+    topics = yaml.safe_load(made(tmp_path, names, f"0,0.5,0.5,{value},11.5").text)["topics"]
+    found = {field: entry for topic in topics.values() for field, entry in topic.items()}
+    assert found[field] == {"column": name, **entry}
+
+
+@pytest.mark.parametrize(
+    "name", ["Kurs", "cmd_yaw_rate", "std_lat", "linear_acceleration.z", "yaw_rate_setpoint"]
+)
+def test_commands_courses_and_deviations_are_not_used(name: str, tmp_path: Path) -> None:
+    assert made(tmp_path, f"t_s,v_left_mps,v_right_mps,{name},lon").unused == (name, "lon")
+
+
+def test_decimal_commas_are_stated(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("Zeit;v_links;v_rechts\n0,00;0,5;0,5\n0,02;0,5;0,5\n", encoding="utf-8")
+    assert yaml.safe_load(first_mapping(log, "excavator_20t", {}).text)["csv"] == {"decimal": "comma"}
+
+
+@pytest.mark.parametrize(
     "names",
     [
         "t,v_left,v_right",
         "t,v_left,v_right,gz",
         "t,v_left,v_right,yaw_rate,lat,lon,height,left_pressure",
         "t,left_delta_ticks,right_delta_ticks,x,y,height",
+        "secs,nsecs,velocity[0],velocity[1],heading,height",
     ],
 )
 def test_a_first_mapping_is_one_that_import_accepts(names: str, tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ _BLANK = (
     "undefined",
     *_NOT_NUMBERS,
 )
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
+DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _BLOCK = 20_000  # rows
 _HEAD = 200  # lines
 _SHOWN = 40  # characters of a bad cell
@@ -267,7 +267,7 @@ class _Reader:
     def _bad(self, line: int, name: str, cell: str, instead: str) -> InputError:
         """A cell that cannot be converted."""
         place = f"{self._path}: line {line}, column '{name}'"
-        if _DECIMAL_COMMA.fullmatch(cell):
+        if DECIMAL_COMMA.fullmatch(cell):
             remedy = "a decimal point, or csv: {decimal: comma} in the mapping"
             return InputError(f"{place}: '{cell}' has a decimal comma; accepted: {remedy}")
         shown = cell if len(cell) <= _SHOWN else f"{cell[:_SHOWN]}…"

@@ -2,23 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """A first mapping for one CSV log, from the names of its columns; a user reads and corrects it."""
 
+import csv
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
-from trackslip_bags.importing.csv_text import Dialect, encoding_of, find_head, lines_of
+from trackslip_bags.importing.columns import ISO
+from trackslip_bags.importing.csv_table import DECIMAL_COMMA
+from trackslip_bags.importing.csv_text import COMMENT, Dialect, encoding_of, find_head, lines_of, split
 from trackslip_bags.importing.log_kinds import refuse_other_kinds
+from trackslip_bags.importing.times import likely_unit
+from trackslip_common.arrays import FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
 from trackslip_common.units import UNITS
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
-_LINES = 200  # in which the names are looked for
+_LINES = 2000  # whose names and values are looked at
 
 # As they stand in names, where / and ° cannot.
 _SPELT = {"kmh": "km/h", "kph": "km/h", "mps": "m/s", "m_s": "m/s", "rad_s": "rad/s", "rads": "rad/s"} | {
@@ -31,66 +37,117 @@ class _Kind(NamedTuple):
 
     topic: str  # empty: the time
     field: str
-    is_name: Callable[[str], object]
+    names: str  # pattern of the words of a name, without its unit
     quantities: tuple[str, ...]
-    usual: str  # unit where the name has none
+    usual: str  # unit where neither name nor values state one
+    is_certain: bool = False  # the name states it without writing it
+    scale: float = 1.0
 
 
-_COUNTS = {"tick", "ticks", "count", "counts", "pulse", "pulses", "enc", "encoder"}
-_POSITIONS = _COUNTS | {"pos", "position", "angle"}
-_INCREMENTS = {"delta", "d", "inc", "increment", "increments"}
-_PARTS = {"wheel", "track", "sprocket", "motor"}
+_SIDES = {"left": "left|links|linke[rs]?|gauche|l", "right": "right|rechts|rechte[rs]?|droite?|r"}
+_BY_NUMBER = {"left": "0", "right": "1"}  # guessed, and said to be
+_PART = (
+    "wheels?|tracks?|sprockets?|motors?|joints?|states?|field|measured|meas|actual|ist|"
+    "ketten?|rad|antrieb|chenille|roue|moteur"
+)
+_TURNING = "rpm|drehzahl"
+_SPEED = f"speed|vel|velocity|v|w|omega|geschwindigkeit|geschw|vitesse|{_TURNING}"
+_COUNTED = "ticks?|counts?|pulses?|enc|encoder|impulse?"
+_ADDED = "delta|d|inc|increments?"
+_POSITION = f"{_COUNTED}|pos|position|angle|winkel"
+_DISTANCE = "dist|distance|strecke|weg"
+_TIMES = "time|stamp|timestamp|date_?time|zeit|zeitstempel|uhrzeit|temps|horodatage"
+_CLOCK = "(?:(?:ros|rosbag|header|field|gps|unix|utc|system|log|sample|local|epoch)_)*"
+_ANY = r"(?:\w+_)?"
+_NO_MEASUREMENT = re.compile(
+    "(?:.*_)?(?:cmd|command(?:ed)?|set|setpoint|sp|target|ref|desired|goal|home|soll|consigne|"
+    "std|stddev|sigma|var|variance|cov|covariance)(?:_.*)?"
+)
 _COUNTS_PER_TURN = 1000  # guessed, and said to be
 
 
-def _speed(side: str) -> Callable[[str], object]:
-    word = "(?:speed|vel|velocity|track|wheel|sprocket|motor|measured|meas|v|w|omega)"
-    return re.compile(f"(?:{word}_?)*(?:{side}|{side[0]})(?:_?{word})*").fullmatch
+def _of_side(side: str, needed: str, more: str = "") -> str:
+    """Pattern of words about a side, one of ``needed`` among them; a side by number comes last."""
+    word = f"(?:{needed}|{_PART}{more})"
+    return (
+        f"(?=.*(?:{needed}))(?:(?:{word}_?)*(?:{_SIDES[side]})(?:_?{word})*|(?:{word}_?)+{_BY_NUMBER[side]})"
+    )
 
 
-def _position(side: str) -> Callable[[str], bool]:
-    def is_name(stem: str) -> bool:
-        words = set(stem.split("_"))
-        others = words - {side, side[0]}
-        return bool(others < words and others & _POSITIONS and others <= _POSITIONS | _PARTS | _INCREMENTS)
+def _kinds_of(side: str) -> tuple[_Kind, ...]:
+    of_speed, of_position = f"{side}_velocity", f"{side}_position"
+    px4 = {"left": "1", "right": "0"}[side]  # of its WheelEncoders the first is the right one
+    more = f"|{_ADDED}"
+    return (
+        _Kind("sprockets", of_speed, f"{_ANY}wheel_speed_{px4}", ("angular rate",), "rad/s", True),
+        _Kind("sprockets", of_speed, _of_side(side, _TURNING, f"|{_SPEED}"), ("angular rate",), "rpm", True),
+        _Kind(
+            "sprockets",
+            of_speed,
+            rf"(?:(?:{_PART})_?)*(?:{_SIDES[side]})(?:_?(?:{_PART}))*",
+            ("speed", "angular rate"),
+            "m/s",
+        ),
+        _Kind("sprockets", of_speed, _of_side(side, _SPEED), ("speed", "angular rate"), "m/s"),
+        _Kind("sprockets", of_position, f"{_ANY}wheel_angle_{px4}", ("angle",), "rad", True),
+        _Kind("sprockets", of_position, _of_side(side, _POSITION, more), ("angle",), "rad"),
+        _Kind("sprockets", of_position, _of_side(side, _DISTANCE, more), ("length",), "m"),
+    )
 
-    return is_name
 
-
-def _named(names: str) -> Callable[[str], object]:
-    return re.compile(names).fullmatch
-
-
+# The first kind of a field with a column counts. The third axis of ArduPilot and PX4 points down.
 _KINDS = (
-    _Kind("", "time", _named(r"t|time|stamp|timestamp|seconds?|secs?"), ("time",), "s"),
-    _Kind("sprockets", "left_velocity", _speed("left"), ("speed", "angular rate"), "m/s"),
-    _Kind("sprockets", "right_velocity", _speed("right"), ("speed", "angular rate"), "m/s"),
-    _Kind("sprockets", "left_position", _position("left"), ("angle",), "rad"),
-    _Kind("sprockets", "right_position", _position("right"), ("angle",), "rad"),
+    _Kind("", "time", rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc", ("time",), "s"),
+    *_kinds_of("left"),
+    *_kinds_of("right"),
+    _Kind("imu/data_raw", "angular_velocity_z", rf"{_ANY}gyr_z", ("angular rate",), "rad/s", True, -1.0),
+    _Kind("imu/data_raw", "angular_velocity_z", rf"{_ANY}gyro_rad_2", ("angular rate",), "rad/s", True, -1.0),
     _Kind(
         "imu/data_raw",
         "angular_velocity_z",
-        _named(r"(?:gyro|g|w|omega|rate|angular_velocity)_?z|yaw_?rate|turn_?rate"),
+        rf"(?:imu_?\d*_)?[gw]_?z|{_ANY}(?:(?:gyro|omega|rate|angular_velocity)_?z|(?:yaw|turn|gier|dreh)_?rate|"
+        rf"giergeschwindigkeit|drehgeschwindigkeit|vitesse_(?:de_)?(?:lacet|rotation))",
         ("angular rate",),
         "rad/s",
     ),
-    _Kind("gnss_pose", "latitude", _named(r"lat|latitude"), ("angle",), "deg"),
-    _Kind("gnss_pose", "longitude", _named(r"lon|lng|long|longitude"), ("angle",), "deg"),
     _Kind(
-        "gnss_pose", "x", _named(r"x|e|east|easting|(?:gnss|gps|(?:\w+_)?pos(?:ition)?)_x"), ("length",), "m"
+        "gnss_pose", "latitude", rf"{_ANY}(?:lat|latitude|(?:geo_?)?breite|breitengrad)", ("angle",), "deg"
+    ),
+    _Kind(
+        "gnss_pose",
+        "longitude",
+        rf"{_ANY}(?:lon|lng|long|longitude|(?:geo_?)?l(?:ä|ae)nge|l(?:ä|ae)ngengrad)",
+        ("angle",),
+        "deg",
+        True,
+    ),
+    _Kind(
+        "gnss_pose",
+        "x",
+        r"x|e|(?:utm_)?east(?:ing)?|rechtswert|ost(?:wert)?|(?:gnss|gps|utm|(?:\w+_)?pos(?:ition)?)_x",
+        ("length",),
+        "m",
     ),
     _Kind(
         "gnss_pose",
         "y",
-        _named(r"y|n|north|northing|(?:gnss|gps|(?:\w+_)?pos(?:ition)?)_y"),
+        r"y|n|(?:utm_)?north(?:ing)?|hochwert|nord(?:wert)?|(?:gnss|gps|utm|(?:\w+_)?pos(?:ition)?)_y",
         ("length",),
         "m",
     ),
+    _Kind("heading", "heading", rf"{_ANY}(?:heading|hdg|hdt|steuerkurs)", ("angle",), "deg"),
+)
+_IN_TWO = (  # times in two columns, and their units
+    (rf"(?:{_CLOCK}stamp_)?secs?", rf"(?:{_CLOCK}stamp_)?n(?:ano)?secs?", ("s", "ns")),
+    ("date|datum", "time|zeit|uhrzeit|heure", (ISO,)),
 )
 _PAIRS = (  # of which a log has both or none; the first one counts
     (("left_velocity", "right_velocity"), ("left_position", "right_position")),
     (("latitude", "longitude"), ("x", "y")),
 )
+_LONGEST_PERIOD = 2.0  # s between rows
+_LARGEST_ANGLES = {"latitude": 90.0, "longitude": 180.0}  # deg
+_AS_WHOLE_NUMBER = 1e-7  # deg, of MAVLink, u-blox and PX4
 
 
 @dataclass(frozen=True)
@@ -111,102 +168,176 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
     Raises:
         InputError: it is no table, or has no column that looks like one of these.
     """
-    names = _names(log)
-    fields = _one_of_each_pair({kind: found for kind in _KINDS if (found := _column(kind, names))})
+    table = _read(log)
+    fields = _one_of_each_pair(_fields(table))
     lacking = [
         " or ".join(either)
         for either in (("time",), ("left_velocity", "left_position"), ("right_velocity", "right_position"))
-        if not set(either) & {kind.field for kind in fields}
+        if not set(either) & fields.keys()
     ]
     if lacking:
         raise InputError(
-            f"{log}: no column looks like {', '.join(lacking)} among {', '.join(names)}; "
+            f"{log}: no column looks like {', '.join(lacking)} among {', '.join(table.cells)}; "
             "accepted: --mapping with a file that names them (docs/import.md)"
         )
     topics: dict[str, dict[str, Any]] = {}
     tree: dict[str, Any] = {"vehicle": vehicle}
-    for kind, found in fields.items():
-        (topics.setdefault(kind.topic, {}) if kind.topic else tree)[kind.field] = found.entry
-    guessed = [f"unit of {one.name}: {one.unit}" for one in fields.values() if not one.is_stated]
-    guessed += [
-        f"counts of {one.name}: {_COUNTS_PER_TURN} a turn ('scale')"
-        for one in fields.values()
-        if one.is_counted
-    ]
+    tree |= {"csv": _Flow(decimal="comma")} if table.has_decimal_commas else {}
+    for field, found in fields.items():
+        (topics.setdefault(found.topic, {}) if found.topic else tree)[field] = found.entry
+    guessed = [guess for found in fields.values() for guess in found.guesses]
     if "gnss_pose" in topics:
         stddev = load_parameters(GnssLocalizerParameters, NODE, (f"{NODE}.yaml",)).assumed_stddev.single
         topics["gnss_pose"]["stddev"] = _Flow(x=stddev, y=stddev)
         guessed.append(f"standard deviation of positions: {stddev:g} m")
     tree |= {"topics": topics, "parameters": {**_sources(topics), **parameters}}
     head = f"# What is what in {log.name}, by trackslip import. Correct it; docs/import.md has every key.\n"
-    used = {one.name for one in fields.values()}
+    used = {name for found in fields.values() for name in found.names}
     return FirstMapping(
         text=head + yaml.dump(tree, Dumper=_Dumper, sort_keys=False, allow_unicode=True),
-        found={kind.field: f"{one.name}, {one.unit}" for kind, one in fields.items()},
+        found={field: f"{' + '.join(one.names)}, {' + '.join(one.units)}" for field, one in fields.items()},
         guessed=tuple(guessed),
-        unused=tuple(name for name in names if name not in used),
+        unused=tuple(name for name in table.cells if name not in used),
     )
 
 
-def _names(log: Path) -> list[str]:
-    """Of all columns."""
+class _Table(NamedTuple):
+    """How a log begins."""
+
+    cells: Mapping[str, list[str]]  # by column, those that are not blank
+    has_decimal_commas: bool
+
+    def numbers(self, name: str) -> FloatArray:
+        """(n,) of a column; empty where it holds something else."""
+        try:
+            return np.array([float(cell.replace(",", ".")) for cell in self.cells[name]], np.float64)
+        except ValueError:
+            return np.empty(0)
+
+
+def _read(log: Path) -> _Table:
     refuse_other_kinds(log)
     try:
         with log.open(encoding=encoding_of(log), newline=None) as stream:
             lines = list(islice(lines_of(log, stream), _LINES))
-    except (OSError, UnicodeDecodeError) as error:
+        head = find_head(log, lines, Dialect(), ())
+        below = [line for line in lines[head.line :] if not line.lstrip().startswith(COMMENT)]
+        rows = [split(line, head.delimiter) for line in below]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{log}: cannot be read ({error})") from error
-    return [name for name in find_head(log, lines, Dialect(), ()).names if name]
+    rows = [row for row in rows if len(row) >= len(head.names)]
+    cells = {name: [row[k] for row in rows if row[k]] for k, name in enumerate(head.names) if name}
+    has_commas = any(DECIMAL_COMMA.fullmatch(cell) for own in cells.values() for cell in own)
+    return _Table(cells, has_commas)
 
 
 class _Found(NamedTuple):
-    """A column of a kind."""
+    """The columns of a field."""
 
-    name: str
-    unit: str
-    is_stated: bool  # the unit, by the name
-    is_counted: bool
-    has_increments: bool
+    topic: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    guesses: tuple[str, ...] = ()
+    scale: float = 1.0
+    has_increments: bool = False
 
     @property
     def entry(self) -> "_Flow":
         """Of the mapping."""
-        scale = {"scale": 1.0 / _COUNTS_PER_TURN} if self.is_counted else {}
+        column, unit = (list(own) if len(own) > 1 else own[0] for own in (self.names, self.units))
+        scale = {} if self.scale == 1.0 else {"scale": self.scale}
         increments = {"increments": True} if self.has_increments else {}
-        return _Flow(column=self.name, unit=self.unit, **scale, **increments)
+        return _Flow(column=column, unit=unit, **scale, **increments)
 
 
-def _column(kind: _Kind, names: list[str]) -> _Found | None:
-    """The first column of a kind."""
-    for name in names:
+def _fields(table: _Table) -> dict[str, _Found]:
+    """Of each field the first column of its first kind."""
+    found: dict[str, _Found] = {}
+    for kind in _KINDS:
+        column = None if kind.field in found else _column(kind, table)
+        if column is not None:
+            found[kind.field] = column
+    return found | ({"time": in_two} if (in_two := _time_in_two(table)) else {})
+
+
+def _column(kind: _Kind, table: _Table) -> _Found | None:
+    for name in table.cells:
         for stem, unit in _readings(name):
             is_of_kind = not unit or any(unit in UNITS[quantity] for quantity in kind.quantities)
-            if not is_of_kind or not kind.is_name(stem):
-                continue
-            is_position, words = kind.field.endswith("_position"), set(stem.split("_"))
-            if is_position and not unit and words & _COUNTS:
-                return _Found(name, "rev", True, True, bool(words & _INCREMENTS))
-            return _Found(
-                name, unit or kind.usual, bool(unit), False, is_position and bool(words & _INCREMENTS)
-            )
+            if is_of_kind and re.fullmatch(kind.names, stem) and not _NO_MEASUREMENT.fullmatch(stem):
+                return _found(kind, table, name, stem, unit)
     return None
 
 
-def _one_of_each_pair(fields: Mapping[_Kind, _Found]) -> dict[_Kind, _Found]:
+def _found(kind: _Kind, table: _Table, name: str, stem: str, unit: str) -> _Found:
+    """A column of a kind, with what its name and its values state of it."""
+    scale, words = kind.scale, re.findall(r"[^\W\d_]+|\d+", stem)
+    is_position, side = kind.field.endswith("_position"), kind.field.partition("_")[0]
+    guesses = [f"scale of {name}: -1, of an axis that points down"] if scale < 0.0 else []
+    if not kind.is_certain and words[-1] == _BY_NUMBER.get(side):
+        guesses.append(f"side of {name}: {side}")
+    own, is_known = _unit_by_values(kind, table, name)
+    if is_known and (own == ISO or not unit):
+        unit = own
+    elif is_position and not unit and any(re.fullmatch(_COUNTED, word) for word in words):
+        unit, scale = "rev", 1.0 / _COUNTS_PER_TURN
+        guesses.append(f"counts of {name}: {_COUNTS_PER_TURN} a turn ('scale')")
+    elif not unit:
+        unit = own
+        guesses += [] if kind.is_certain else [f"unit of {name}: {unit}"]
+    if np.abs(table.numbers(name)).max(initial=0.0) > _LARGEST_ANGLES.get(kind.field, np.inf):
+        scale = _AS_WHOLE_NUMBER
+    has_increments = is_position and any(re.fullmatch(_ADDED, word) for word in words)
+    return _Found(kind.topic, (name,), (unit,), tuple(guesses), scale, has_increments)
+
+
+def _unit_by_values(kind: _Kind, table: _Table, name: str) -> tuple[str, bool]:
+    """Of a column whose name states none, and whether it is certain: a date is, a period is not."""
+    if kind.field != "time" or not table.cells[name]:
+        return kind.usual, False
+    if unit := likely_unit(table.cells[name][0]):
+        return unit, True
+    steps = np.diff(table.numbers(name))
+    period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    units = (unit for unit in ("s", "ms", "us", "ns") if period * UNITS["time"][unit] <= _LONGEST_PERIOD)
+    return next(units, kind.usual), False
+
+
+def _time_in_two(table: _Table) -> _Found | None:
+    """Seconds and nanoseconds, or a date and a time of day."""
+    words = {name: _words(name) for name in table.cells}
+    for first, second, units in _IN_TWO:
+        names = tuple(
+            next((name for name in words if re.fullmatch(pattern, words[name])), "")
+            for pattern in (first, second)
+        )
+        if not all(names):
+            continue
+        cells = " ".join(next(iter(table.cells[name]), "") for name in names)
+        if units != (ISO,) or likely_unit(cells) == ISO:
+            return _Found("", names, units)
+    return None
+
+
+def _one_of_each_pair(fields: Mapping[str, _Found]) -> dict[str, _Found]:
     """Without half a pair, and without what another pair says already."""
-    found, left_out = {kind.field for kind in fields}, set()
+    left_out: set[str] = set()
     for pairs in _PAIRS:
-        whole = next((pair for pair in pairs if set(pair) <= found), ())
+        whole = next((pair for pair in pairs if fields.keys() >= set(pair)), ())
         left_out |= {name for pair in pairs for name in pair if name not in whole}
-    return {kind: one for kind, one in fields.items() if kind.field not in left_out}
+    return {field: one for field, one in fields.items() if field not in left_out}
+
+
+def _words(name: str) -> str:
+    """``left_speed`` of ``LeftSpeed``, ``left.speed`` and others."""
+    return re.sub(r"[\W_]+", "_", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
 
 
 def _readings(name: str) -> Iterator[tuple[str, str]]:
     """A name without its unit, and the unit; then the whole name, which states none."""
-    words = re.sub(r"[\W_]+", "_", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
+    words = _words(name)
     if in_brackets := re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", name):
-        stem = re.sub(r"[\W_]+", "_", name[: in_brackets.start()].lower()).strip("_")
-        yield stem, _SPELT.get(in_brackets[1].lower(), in_brackets[1])
+        yield _words(name[: in_brackets.start()]), _SPELT.get(in_brackets[1].lower(), in_brackets[1])
     known = {**_SPELT, **{unit: unit for units in UNITS.values() for unit in units if unit.isalpha()}}
     for end, unit in known.items():
         if words.endswith(f"_{end}"):
@@ -216,10 +347,10 @@ def _readings(name: str) -> Iterator[tuple[str, str]]:
 
 def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters that follow from which topics there are."""
+    found: dict[str, Any] = {"pose_sources": [""], "start": "initial_pose"}
     if "gnss_pose" in topics:
         found = {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
-    else:
-        found = {"pose_sources": [""], "start": "initial_pose"}
+    found |= {"heading_sources": ["heading"]} if "heading" in topics else {}
     return found | ({} if "imu/data_raw" in topics else {"yaw_rate_sources": [""]})
 
 

@@ -26,6 +26,7 @@ _ISO = re.compile(
     r"(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ](\d\d):?(\d\d)(?::?(\d\d)(?:[.,](\d{1,9})\d*)?)? ?"
     r"(Z|UTC|GMT|[+-]\d\d:?\d\d)?"
 )
+_DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _OUR_DAYS = range(10**18, 2**31 * 10**9)  # since 2001
 _LARGEST = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
@@ -37,7 +38,7 @@ def accepted(cell: str, column: TimeColumn) -> str:
     """What such a column may hold instead of a cell; where another unit would do, which."""
     if column.is_iso:
         return "as 2026-11-20T14:30:00.25+01:00"
-    return f"a number of {' + '.join(column.units)}{_likely_unit(cell)}"
+    return f"a number of {' + '.join(column.units)}{_other_unit(cell)}"
 
 
 def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
@@ -71,7 +72,7 @@ def _number_ns(cell: str, unit: str) -> int:
 
 
 def _iso_ns(cell: str, default_zone_ns: int) -> int:
-    found = _ISO.fullmatch(cell)
+    found = _date_of(cell)
     if found is None:
         raise ValueError(cell)
     *parts, fraction, zone = found.groups()
@@ -84,18 +85,31 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
     return found_ns
 
 
+def _date_of(cell: str) -> re.Match[str] | None:
+    """Parts of a date and time of day; also of 20.11.2026 14:30."""
+    return _ISO.fullmatch(cell) or _ISO.fullmatch(
+        _DAY_FIRST.sub(lambda day: f"{day[3]}-{day[2]:0>2}-{day[1]:0>2}", cell)
+    )
+
+
 def too_late(value_ns: int, column: TimeColumn) -> str:
     """A hint for a time beyond what stamps can hold: the unit that would make it one of our days."""
     if column.is_iso or len(column.units) > 1:
         return ""
-    return _likely_unit(str(Decimal(value_ns) / _SCALES[column.units[0]]))
+    return _other_unit(str(Decimal(value_ns) / _SCALES[column.units[0]]))
 
 
-def _likely_unit(cell: str) -> str:
-    if _ISO.fullmatch(cell):
-        return f" (is its unit {ISO}?)"
-    for unit in ("ms", "us", "ns"):
+def likely_unit(cell: str) -> str:
+    """The unit in which a cell is one of our days; empty where it is none."""
+    if _date_of(cell):
+        return ISO
+    for unit in ("s", "ms", "us", "ns"):
         with suppress(ValueError):
             if _number_ns(cell, unit) in _OUR_DAYS:
-                return f" (is its unit {unit}?)"
+                return unit
     return ""
+
+
+def _other_unit(cell: str) -> str:
+    unit = likely_unit(cell)
+    return f" (is its unit {unit}?)" if unit else ""
