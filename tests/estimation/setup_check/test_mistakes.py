@@ -241,6 +241,16 @@ def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_
     assert float(cause.remedy.rpartition("=")[2]) == pytest.approx(factor, rel=0.06)
 
 
+@pytest.mark.parametrize("lever", [(-1.2, 0.6), (1.5, 0.5)])
+@pytest.mark.parametrize("stddev", [0.02, 3.0])
+def test_a_wrong_lever_arm_is_no_scale_of_the_gyro(lever: tuple[float, float], stddev: float) -> None:
+    """As of a vehicle that a first mapping guesses."""
+    log = make_drive(has_heading=False)
+    (fixes,) = log.fixes
+    wrong = replace(fixes, lever=lever, stddevs=np.full(len(fixes.t), stddev))
+    assert [cause.cause for cause in check(replace(log, fixes=(wrong,))).causes] == ["lever_arm"]
+
+
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_front_and_rear_exchanged_are_no_lever_arm_and_no_offset(*, has_heading: bool) -> None:
     log = make_drive(has_heading=has_heading, lever=(0.9, 0.5))

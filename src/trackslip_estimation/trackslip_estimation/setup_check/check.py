@@ -184,7 +184,7 @@ def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> N
     late = _judge_delays(lates, lever, drive.fixes, found)
     if late is not None:
         drive = clocks.undelayed(drive, late)
-    scale = judge_scale(drive, gyro_unit)
+    scale = judge_scale(drive, gyro_unit, lever)
     if scale is not None:
         found.causes = [cause for cause in found.causes if cause.cause != scale.cause]  # none is its unit
         found.add([scale])

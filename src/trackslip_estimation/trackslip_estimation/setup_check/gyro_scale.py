@@ -13,6 +13,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import PRIOR, Cause, odds_of
+from trackslip_estimation.setup_check.fit import Lever
 from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
@@ -23,15 +24,19 @@ _RIGHT = np.log(1.11)  # by which the logarithm of the scale of a sound gyro dif
 _LEAST_SEGMENTS = 3  # of the path
 
 
-def judge_scale(drive: Drive, unit: float) -> Cause | None:
-    """Of a drive with all signs undone, and ``unit``: what the gyro showed of 1 rad/s."""
+def judge_scale(drive: Drive, unit: float, lever: Lever | None) -> Cause | None:
+    """Of a drive with all signs undone, and ``unit``: what the gyro showed of 1 rad/s.
+
+    ``lever``: another arm of the fixes, which explains their path too.
+    """
     if drive.gyro is None:
         return None
-    causes = (_judge(drive, drive.gyro, scales, unit) for scales in _SCALES)
+    by_lever = 0.0 if lever is None else lever.log_ratio
+    causes = (_judge(drive, drive.gyro, scales, unit, by_lever) for scales in _SCALES)
     return next((cause for cause in causes if cause is not None), None)
 
 
-def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float) -> Cause | None:
+def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: float) -> Cause | None:
     bias = drive.fit.bias
     both = {
         "its headings": heading_logs(drive, scales, bias)[:, 0],
@@ -44,7 +49,7 @@ def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float) -> Cause |
     total = np.sum(list(witnesses.values()), axis=0)
     best = int(np.argmax(total))
     gain = float(total[best] - total[is_right].max())
-    if best in (0, len(scales) - 1) or gain < PRIOR:  # at an end none makes it show the turns
+    if best in (0, len(scales) - 1) or gain < PRIOR + by_lever:  # at an end none makes it show the turns
         return None
     turns = turns_of((drive.turn - bias * WINDOW) / scales[best])
     if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in witnesses.values()):
