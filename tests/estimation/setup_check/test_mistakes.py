@@ -188,6 +188,26 @@ def test_a_sign_beside_a_track_that_turns_by_another_factor_is_named_too(name: s
     assert names_of(log) == {"speed_unit", MISTAKES[name].cause}
 
 
+def scaled_fixes(log: Log, factor: float) -> Log:
+    return replace(log, fixes=tuple(replace(one, places=factor * one.places) for one in log.fixes))
+
+
+@pytest.mark.parametrize("stddev", [0.02, 0.3, 3.0])
+@pytest.mark.parametrize("has_heading", [True, False])
+def test_fixes_in_km_are_named(has_heading: bool, stddev: float) -> None:
+    log = scaled_fixes(make_drive(has_heading=has_heading), 1e-3)
+    stated = tuple(replace(one, stddevs=np.full(len(one.t), stddev)) for one in log.fixes)
+    (cause,) = check(replace(log, fixes=stated)).causes
+    assert cause.cause == "frame"
+    assert "km" in cause.remedy
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1.0, 1.0 / 0.3048, 100.0, 1000.0])
+def test_the_distance_by_the_tracks_is_no_matter_of_the_fixes(factor: float) -> None:
+    shown = check(scaled_fixes(drive(), factor)).facts[0].partition(",")[0]
+    assert shown == "distance: 116.1 m by the tracks"
+
+
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_fixes_at_a_speed_of_no_machine_are_named(has_heading: bool) -> None:
     log = make_drive(has_heading=has_heading)

@@ -98,13 +98,13 @@ def _check(log: Log, found: _Found) -> list[str]:
         found.causes = [cause for cause in found.causes if cause.cause != "datum"]
     found.add(sided.causes, sided.undetermined)
     if sided.drive is None:
-        return facts_of(log, drive)
+        return facts_of(log, drive, unit)
     directions = decide_signs(sided.drive, is_upside_down=state.is_upside_down)
     found.add(directions.causes, directions.undetermined)
     undone = directions.undone(sided.drive)
     if directions.is_decided:
         _continuous(undone, unit, state.unit, found)
-    return facts_of(log, undone)
+    return facts_of(log, undone, unit)
 
 
 def _with_right_quantities(log: Log, found: _Found) -> tuple[Log, Drive]:
@@ -263,9 +263,12 @@ def _arms(lever: Lever, fixes: Fixes) -> list[Measured]:
     ]
 
 
-def facts_of(log: Log, drive: Drive) -> list[str]:
-    """Distance and turn by each odometer, and rates: what a user checks against memory."""
-    left, right = drive.grid.tracks.T
+def facts_of(log: Log, drive: Drive, unit: float) -> list[str]:
+    """Distance and turn by each odometer, and rates: what a user checks against memory.
+
+    ``unit``: of the speeds, which is undone in ``drive``: shown is what was recorded.
+    """
+    left, right = unit * drive.grid.tracks.T
     way = float(np.nansum(np.abs(window_sums(drive.grid, (left + right) / 2.0))))
     lines = [f"distance: {way:.1f} m by the tracks"]
     if drive.fixes is not None:

@@ -24,7 +24,7 @@ _LEAST_WINDOWS = 5
 _LEAST_RATIO, _USUAL_SHARE = 1.5, 0.8  # q of most windows, on one side of 1
 _DEAD = 0.02  # q of a track that shows no motion
 _SLIPS = (0.55, 1.1)  # machine over track, of a track that is right
-_FASTEST = 15.0  # m/s, of a machine on tracks
+FASTEST = 15.0  # m/s, of a machine on tracks
 _SIDES = ("left", "right")
 
 
@@ -118,7 +118,7 @@ def _frame(drive: Drive, unit: float) -> Cause | None:
         return None
     of_fixes, of_tracks = float(np.median(way[fast])), float(np.median(tracks[fast]))
     is_steady = float(np.percentile(way[fast], 20)) > of_fixes / 3.0  # fixes that leap are not
-    if of_fixes < _FASTEST or of_tracks > _FASTEST or not is_steady:
+    if of_fixes < FASTEST or of_tracks > FASTEST or not is_steady:
         return None
     evidence = (
         f"fixes go {of_fixes / of_tracks:.3g} times as far as the tracks, {of_fixes:.3g} m/s: no machine does"

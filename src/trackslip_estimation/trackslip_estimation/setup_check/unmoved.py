@@ -7,8 +7,10 @@ import numpy as np
 from trackslip_estimation.setup_check.drive import USUAL_EFFICIENCY, Drive
 from trackslip_estimation.setup_check.equal_runs import equal_runs
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
+from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.log import Fixes
 from trackslip_estimation.setup_check.quantities import explained_share
+from trackslip_estimation.setup_check.sides import FASTEST
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
 _LEAST_WAY = 10.0  # m, by the tracks
@@ -17,6 +19,7 @@ _STILL = 1e-4  # of the way: no path is so narrow
 _LEAST_PLACES = 10
 _REPEATED = 0.5  # share of the way
 _LONGEST_HOLD = 5.0  # s, for which a log may hold the last fix
+_LEAST_RATIO = 0.01  # of the way: tracks that slip by more stand, or dig in, and the machine does not follow
 _FOLLOWS, _FOLLOWS_NOT = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
 _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
@@ -38,6 +41,12 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
         )
         needed = "look at the places as they come, while the machine drives"
         return [], [Undetermined(what, needed, is_wrong=True)]
+    if (ratio := _followed(drive, way)) > 0.0:
+        evidence = (
+            f"its places move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
+        )
+        remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
+        return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
     extent = float(np.ptp(fixes.places, axis=0).max())
     if extent > min(_QUIETEST, _STILL * way):
         return [], []
@@ -47,6 +56,16 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
     return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
+
+
+def _followed(drive: Drive, way: float) -> float:
+    """Share of the way by the tracks that fixes in another unit go; 0 where they are in none, or stay."""
+    speeds = np.abs(drive.x).max(axis=1) * drive.machine.tread / WINDOW
+    ways = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))
+    share, windows = max(explained_share(drive.fix_ways, ways[:, k : k + 1]) for k in (0, 1))
+    ratio = float(np.nansum(drive.fix_ways)) / way
+    is_other = ratio < _LEAST_RATIO and share > _FOLLOWS and float(np.nanpercentile(speeds, 95)) < FASTEST
+    return ratio if is_other and windows >= _LEAST_WINDOWS else 0.0
 
 
 def _way_repeated(drive: Drive, fixes: Fixes) -> float:
