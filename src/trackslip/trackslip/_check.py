@@ -12,27 +12,17 @@ from trackslip_bags.reader import open_bag
 from trackslip_common.compiling import compilation_announced
 from trackslip_common.errors import collected
 from trackslip_common.yaml_tree import section
-from trackslip_estimation.setup_check.finding import Cause, Result, Undetermined
+from trackslip_estimation.setup_check.finding import Result
 from trackslip_tools.check.bag import check_bag, whole
 from trackslip_tools.cli import replay_options
 
 
 @dataclass(frozen=True, eq=False)
-class SetupCheck:
+class SetupCheck(Result):
     """Setup mistakes that explain contradictions between sensors; ``str`` of it is the command's output."""
 
-    causes: tuple[Cause, ...]  #: each with cause, source, evidence, odds and remedy
-    undetermined: tuple[Undetermined, ...]  #: undecided by this drive, and the motion to decide it
-    facts: tuple[str, ...]  #: distance and turn measured by each sensor
-    text: str
-
-    @property
-    def is_plausible(self) -> bool:
-        """Whether no cause was found and no mistake is certain."""
-        return not self.causes and not any(one.is_wrong for one in self.undetermined)
-
     def __str__(self) -> str:
-        return self.text
+        return whole(self)
 
 
 def check(
@@ -67,7 +57,7 @@ def check(
 
 def of_result(result: Result) -> SetupCheck:
     """A ``SetupCheck`` from the result of the setup check."""
-    return SetupCheck(result.causes, result.undetermined, result.facts, whole(result))
+    return SetupCheck(result.causes, result.undetermined, result.facts, result.measured)
 
 
 def setting_texts(settings: Mapping[str, Any] | None) -> list[str]:

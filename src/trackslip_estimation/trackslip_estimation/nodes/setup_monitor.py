@@ -8,6 +8,7 @@ from rclpy.clock import Clock, ClockType
 
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
+from trackslip_estimation.setup_check.finding import Result
 from trackslip_estimation.setup_check.running import Background, RunningCheck
 from trackslip_estimation.slip.measurements import Command, Input, Reload
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -41,17 +42,23 @@ class SetupMonitor:
         self._background.join()
 
     def health(self) -> list[Health]:
-        """Return one entry: no mistake found, or the causes with their remedies."""
-        result = self._running.result
-        values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
-        values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
-        if not result.causes:
-            return [Health(OK, "no setup mistake found", values, PART)]
-        first, *others = result.causes
-        words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]
-        words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_WORDS - 1]]
-        return [Health(WARN, "; ".join(words), values, PART)]
+        """The entry of the setup check."""
+        return [health_of(self._running.result)]
 
     def _evaluate(self) -> None:
         if self._node.active:
             self._background.start()
+
+
+def health_of(result: Result) -> Health:
+    """Plausible, or the causes with their remedies, or mistakes that are certain but one of several."""
+    values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
+    values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
+    if result.is_plausible:
+        return Health(OK, "no setup mistake found", values, PART)
+    if not result.causes:
+        return Health(WARN, result.headline, values, PART)
+    first, *others = result.causes
+    words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]
+    words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_WORDS - 1]]
+    return Health(WARN, "; ".join(words), values, PART)
