@@ -186,7 +186,7 @@ def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
 
 @compiled
 def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
-    """End a fault of a source; FOLDED moves its offset into the measured state, except a swing angle."""
+    """End a fault of a source; BECAME_JUMP moves its offset into the measured state, except a swing angle."""
     x, P, source, own = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
     if is_heading_off(was):
         if e.event == BECAME_JUMP and c.of_swing[source] == 1:  # the offset stays
