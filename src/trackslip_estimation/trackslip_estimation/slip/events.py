@@ -34,7 +34,7 @@ before the measurement that the event explains. "Since": after the latest consis
     LATE             delay of all fixes                                  before all of them
     BIASED           bias of the first gyro, and the heading             since
                      the same, and the offset of a coarse receiver       or earlier
-    BECAME_JUMP           the offset of the source, which becomes a jump of   before
+    BECAME_JUMP      the offset of the source, which becomes a jump of   before
                      the measured state; of swing angles nothing: the
                      offset stays
 
