@@ -63,8 +63,7 @@ def test_replays_to_the_expected_numbers(name: str, tmp_path: Path) -> None:
     assert found["rejected"] == expected["rejected"]
 
 
-def test_between_them_they_show_what_a_reader_must_bear() -> None:
-    """One cut short, one with sensors that fail: what makes the others worth less alone."""
+def test_bags_include_a_truncated_one_and_one_with_failing_sensors() -> None:
     bags = MANIFEST["bags"].values()
     assert sum(bag["holds"]["damaged"] for bag in bags) == 1
     rates = [bag["holds"]["messages"]["/imu/data_raw"] / bag["holds"]["duration_s"] for bag in bags]

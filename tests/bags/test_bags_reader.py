@@ -296,7 +296,7 @@ def test_the_description_names_every_topic(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["/sprockets", f"/{'a_long_name/' * 5}sprockets"])
 def test_the_description_fits_a_terminal(name: str, tmp_path: Path) -> None:
-    """The longest of our types with a topic of 12 letters was wider than 80 columns."""
+    """With the longest of our types and a topic of 12 letters."""
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
     with BagWriter(tmp_path / "bag") as writer:
         writer.write(name, kind, serialize(make(kind)), 0)

@@ -127,8 +127,7 @@ def test_a_path_below_a_file_is_refused(tmp_path: Path) -> None:
         BagWriter(tmp_path / "file" / "bag")
 
 
-def test_a_name_that_no_metadata_states_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    """All messages were written, and then a traceback came."""
+def test_name_invalid_in_metadata_is_refused_before_writing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the name is not UTF-8; accepted") as caught:
         BagWriter(tmp_path / "bag\udcff")
     str(caught.value).encode()  # can be printed

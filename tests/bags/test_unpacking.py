@@ -60,10 +60,9 @@ def test_message_above_the_unpacked_limit_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
-def test_chunk_of_ros1_that_unpacks_to_too_much(
+def test_chunk_of_ros1_above_the_unpacked_limit_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """2 kB that were 3 GB in memory: of ROS 1 bags nothing was limited."""
     file, store = tmp_path / "robot.bag", get_typestore(Stores.ROS1_NOETIC)
     name = "std_msgs/msg/String"
     bag = Ros1Writer(file)

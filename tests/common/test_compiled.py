@@ -94,8 +94,8 @@ def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_folder_and_a_link_to_it_share_machine_code(tmp_path: Path) -> None:
-    """After ``setup.bash`` modules come through colcon's links: all was compiled once more, for minutes."""
+def test_folder_and_link_to_it_share_machine_code(tmp_path: Path) -> None:
+    """After ``setup.bash`` modules are imported through links of colcon."""
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
     (tmp_path / "below" / "trackslip_caller.py").write_text(CALLER, encoding="utf-8")

@@ -56,6 +56,6 @@ def test_entry_that_is_no_record_is_refused(entry: Any) -> None:
 @pytest.mark.parametrize(
     "line", ["", "{", "[" * 100_000, '{"a": ' * 100_000, "[1]", "7" * 5000, "null", '"a"']
 )
-def test_lines_that_hold_no_mapping(line: str) -> None:
-    """Deep nesting ended a tuning that went on from its journal, and a study, with a traceback."""
+def test_lines_without_a_mapping_give_none(line: str) -> None:
+    """Also deeply nested ones."""
     assert parse_line(line) is None

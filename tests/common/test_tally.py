@@ -33,8 +33,8 @@ def test_each_reason_shows_its_latest_detail() -> None:
     assert [tally.words(key) for key in tally.total] == ["8 fields", "number"]
 
 
-def test_a_tally_is_read_while_another_thread_counts() -> None:
-    """New keys came while a copy or a sorted list was made: "dictionary changed size during iteration"."""
+def test_tally_is_read_while_another_thread_counts() -> None:
+    """New keys may be added while a copy or a sorted list is made."""
     tally, failures, begun = Tally(), [], threading.Event()
     kinds = Enum("kinds", {f"k{k}": f"k{k}" for k in range(30_000)})  # type: ignore[misc]
 

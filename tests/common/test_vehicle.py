@@ -210,7 +210,6 @@ def test_a_machine_of_any_size_is_accepted(numbers: tuple[Any, ...], file: Path)
 
 @pytest.mark.parametrize("name", vehicle_names())
 def test_each_number_of_a_vehicle_file_is_explained(name: str) -> None:
-    """Of some there was nothing but the unit."""
     lines = (config_directory() / "vehicles" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     above: dict[int, bool] = {}  # indent → whether the group, or a comment of its own, says it
     bare, explained = [], False

@@ -154,7 +154,6 @@ def test_sender_that_stalls_and_catches_up_loses_nothing(decoder, frames, tally,
 
 
 def test_sprockets_of_a_sender_that_stalls_for_150_ms_keep_their_speed(excavator, frames, tally):
-    """They had 0.35 instead of 2.5 rad/s, and 16 frames were counted as lost."""
     per_count, speeds, positions = 2.0 * math.pi / 12288, [], []
     for k in range(100):
         arrival = max(k, 65.0 + 0.05 * (k - 50)) if 50 <= k < 66 else k

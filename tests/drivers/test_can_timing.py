@@ -34,8 +34,8 @@ def busy(cycle_ms, count, seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_busy_host_does_not_change_the_cycle_of_the_dbc(seed):
-    """Late frames counted and the burst after them not: speeds were 2.7 % low."""
+def test_busy_host_does_not_change_the_cycle_of_the_dbc(seed):
+    """Late frames and the burst after them both count."""
     found = measured(10.0, busy(10.0, 3000, seed))
     assert found[-1] == 10.0 * MS
     assert {cycle for cycle in found if cycle is not None} == {10.0 * MS}

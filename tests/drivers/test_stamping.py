@@ -68,8 +68,8 @@ def test_recorded_jitter_is_removed(drift):
     assert np.percentile(errors, 99) < 0.5 * MS
 
 
-def test_a_wrong_period_is_noticed():
-    """1 % longer than believed: the filter runs ahead for no longer than its patience."""
+def test_wrong_period_is_detected():
+    """1 % longer than configured: the filter runs ahead for no longer than its patience."""
     true = (np.arange(3000) * PERIOD * 1.01).astype(np.int64)
     errors = filtered(true) - true
     assert errors.min() >= -200 * PERIOD * 0.01

@@ -37,7 +37,7 @@ def machine(can):
     bus.close()
 
 
-def test_a_machine_never_seen(real_time, programs, observer, machine):
+def test_unknown_machine_is_read_by_its_dbc_and_roles(real_time, programs, observer, machine):
     dbc, roles = unseen_bus.write(programs.folder)
     topics = {name: observer.subscribe(name) for name in ("sprockets", "hydraulics", "swing")}
     healths = observer.healths()

@@ -32,8 +32,7 @@ def missing_of_sprockets(monitor, until):
         assert time.monotonic() < give_up, found
 
 
-def test_the_demo_waits_until_the_recorder_receives(domain, monkeypatch):
-    """Up to 1.2 s of samples and of the estimator's journal were not in the bag."""
+def test_demo_waits_until_the_recorder_receives(domain, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     join_graph()
     try:

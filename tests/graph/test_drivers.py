@@ -209,8 +209,8 @@ def test_can(bench, programs, observer):
     are_stamped(hydraulics, stamps_ns(messages)[0])
 
 
-def test_device_that_halts_for_a_moment_is_missed_and_found(bench, programs, observer, device, udp_port):
-    """As on a busy machine. The driver says so, and goes on."""
+def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, observer, device, udp_port):
+    """As on a busy machine; the driver continues."""
     bench["can_driver"] = (partial(device, plug_halting, plug_can, udp_port), bench["can_driver"][1])
     run(bench, programs, observer, "can_driver", 200)
 

@@ -85,7 +85,7 @@ class Machine:
         return self._programs.replay("bag")
 
 
-def test_every_command_of_a_user_is_done_reported_and_answered(programs, observer):
+def test_every_user_command_is_executed_reported_and_answered(programs, observer):
     machine = Machine(programs, observer)
     assert machine.health("waiting for sprockets").level == DiagnosticStatus.WARN
     machine.drive(200, 1000)
@@ -141,8 +141,8 @@ def test_every_command_of_a_user_is_done_reported_and_answered(programs, observe
 
 
 @pytest.mark.slow
-def test_a_pose_whose_publisher_the_recorder_never_met_is_replayed(programs, observer):
-    """Who sets a pose and ends at once was in no bag, and the replay was another drive."""
+def test_pose_whose_publisher_the_recorder_never_met_is_replayed(programs, observer):
+    """A program that sets a pose and ends at once may be missed by the recorder."""
     machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")
     machine.drive(200, 600)
     assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED

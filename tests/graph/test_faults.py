@@ -144,7 +144,7 @@ def test_sensors_fail_and_come_back(rig):
     assert rig.count("watson_imu", "reconnects") >= 1
 
 
-def test_nonsense_is_refused_and_counted(programs, observer, can):
+def test_malformed_faults_are_refused_and_counted(programs, observer, can):
     rig = Rig(programs, observer, can, sensors=())
     for text in ("sensor: can", "sensor: can, kind: bus_off, duration: -1", "sensor: sonar, kind: stuck"):
         rig.fault(text)

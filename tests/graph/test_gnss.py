@@ -36,7 +36,7 @@ def machine(programs, observer, can):
     return programs.node("gnss_localizer", **{f"datum_{name}": value for name, value in ORIGIN.items()})
 
 
-def test_antenna_is_on_the_map_and_the_heading_is_the_machine_s(real_time, machine, observer):
+def test_antenna_position_and_heading_match_the_truth(real_time, machine, observer):
     fixes, poses, headings, truth, datum = map(
         observer.subscribe, ("fix", "gnss_pose", "heading", "truth/odometry", "gnss_localizer/datum")
     )
@@ -67,7 +67,7 @@ def test_antenna_is_on_the_map_and_the_heading_is_the_machine_s(real_time, machi
 
 
 @pytest.mark.slow
-def test_faults_of_a_receiver_are_reported_and_pass(machine, observer):
+def test_faults_of_a_receiver_are_reported_and_withdrawn(machine, observer):
     healths, fault = observer.healths(), observer.publisher("emulator/fault")
     poses = observer.subscribe("gnss_pose")
     observer.wait_for_ends("emulator/fault", "emulator")

@@ -61,10 +61,10 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
     assert "box_pose of another frame" in estimator.health()[0].values
 
 
-def test_a_flood_of_messages_is_dropped_and_its_publisher_named(
+def test_flood_of_messages_is_dropped_and_its_publisher_named(
     estimator: SlipEstimatorNode, other: Node
 ) -> None:
-    """At 10 kHz the executor had no time for timers: no diagnostics for 6 s, and a queue that grew."""
+    """At 10 kHz the executor must keep time for timers, and the queue must not grow."""
     publisher = other.create_publisher(topic_class("box_pose"), "box_pose", publisher_qos("box_pose"))
     wait_for(lambda: estimator.count_publishers("box_pose") == 1)
     (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")

@@ -182,7 +182,7 @@ def test_the_graph_is_closed_unless_its_environment_opens_it(
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 @pytest.mark.parametrize("fast_dds", ["FASTRTPS", "FASTDDS"])
-def test_fast_dds_gets_our_profile_unless_it_has_one(
+def test_our_fast_dds_profile_is_used_unless_another_is_set(
     file: Path, fast_dds: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     variable = f"{fast_dds}_DEFAULT_PROFILES_FILE"

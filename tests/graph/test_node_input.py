@@ -208,7 +208,7 @@ def test_parameters_of_other_nodes_in_a_common_section_are_ignored(programs, obs
     assert vehicle_of_text(vehicle[0].data, "vehicle") == load_vehicle("excavator_20t")
 
 
-def test_a_soil_estimator_without_hydraulics_names_what_it_lacks(programs, observer):
+def test_soil_estimator_without_hydraulics_names_the_missing_groups(programs, observer):
     healths = observer.healths()
     programs.node("soil_estimator", vehicle="warthog")
     lacking = "vehicle 'warthog' has no mass and no hydraulics: no forces and no soil are estimated"

@@ -15,7 +15,7 @@ PITCH = 0.2  # rad
 
 
 @pytest.mark.slow
-def test_one_is_used_and_one_without_a_covariance_is_counted(programs, observer):
+def test_orientation_is_used_and_one_without_a_covariance_is_counted(programs, observer):
     publishers = {t: observer.publisher(t) for t in ("sprockets", "box_pose", "imu/data_raw")}
     reports, attitudes = observer.subscribe("measurement_reports"), observer.subscribe("attitude")
     healths = observer.healths()

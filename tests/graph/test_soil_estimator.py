@@ -123,7 +123,7 @@ def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, 
 
 
 @pytest.mark.slow
-def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs):
+def test_faults_are_named_and_invalid_input_does_not_end_the_node(programs, observer, inputs):
     machine = Machine(programs, observer)
     machine.until_reported(DiagnosticStatus.WARN, "waiting for machine_state")
     nan = float("nan")
@@ -152,7 +152,7 @@ def test_faults_are_named_and_bad_input_ends_nothing(programs, observer, inputs)
     assert machine.program.stderr.count("Traceback") == 0
 
 
-def test_only_the_limits_of_the_warning_change_while_it_runs(programs, observer):
+def test_only_the_limits_of_the_warning_change_at_run_time(programs, observer):
     Machine(programs, observer)
     for name, value, accepted in (
         ("stuck_time", 2.0, True),

@@ -40,7 +40,7 @@ def started(programs: Any, unit: str, preparation: str = "") -> Any:
     return programs.start(*Unit(SYSTEMD / f"{unit}.service").command(preparation, PATH=path, **here))
 
 
-def test_every_unit_that_starts_nodes_is_run_here() -> None:
+def test_every_unit_that_starts_nodes_is_tested() -> None:
     units = {file.stem for file in SYSTEMD.glob("*.service")}
     assert units - {"trackslip-can"} == {*NODES}
 

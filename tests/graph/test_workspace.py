@@ -143,7 +143,7 @@ def test_sourcing_finds_all_packages(script: str) -> None:
 
 
 @made_by_setup
-def test_sourcing_twice_adds_nothing_and_keeps_the_settings_of_the_user() -> None:
+def test_sourcing_twice_keeps_the_environment_and_the_settings_of_the_user() -> None:
     once = "export RMW_IMPLEMENTATION=mine; . .venv/trackslip.sh"
     first, second = (from_nothing("sh", "-c", f"{lines}; exec env") for lines in (once, f"{once}; {once}"))
     assert "RMW_IMPLEMENTATION=mine" in first.splitlines()

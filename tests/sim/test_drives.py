@@ -21,7 +21,7 @@ def test_an_untuned_estimator_is_consistent_on_drawn_machines() -> None:
 
 
 def test_tables_fit_a_terminal() -> None:
-    """Those of ``make bars`` and ``make drives`` were 118 and 120 columns wide."""
+    """Those of ``make bars`` and ``make drives``."""
     ends = np.array((10.21, 1.23, 0.27))
     score = Score(0.0123, 12.34, 10.1, np.array((10.4, 0.2, 1.7)), ends, ends, 3)
     lines = [

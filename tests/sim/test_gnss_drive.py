@@ -62,8 +62,8 @@ def fixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("use_attitude", [False, True])
-def test_rtk_and_heading_keep_the_bars(fixed: Path, use_attitude: bool) -> None:
-    """With an inertial unit of 12 Hz it was 26 mm: an antenna 3 m up leans by the error of the tilt."""
+def test_errors_with_rtk_and_heading_stay_within_their_bars(fixed: Path, use_attitude: bool) -> None:
+    """The tilt error displaces an antenna at 3 m height; an inertial unit of 12 Hz would give 26 mm."""
     found = replayed(fixed, **{"sources.heading.offset": OFFSET, "use_attitude": use_attitude})
     assert found["rmse"]["filter"] <= 0.023
     assert found["rmse"]["heading"] <= 0.005
@@ -81,8 +81,8 @@ def test_velocities_of_the_receiver_keep_the_bars(fixed: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_inertial_unit_of_the_20_t_machine_has_100_hz(fixed: Path, tmp_path: Path) -> None:
-    """It was the PC05's, of 12 Hz; what is unplugged is silent."""
+def test_inertial_unit_of_the_20_t_machine_has_100_hz(fixed: Path, tmp_path: Path) -> None:
+    """An unplugged unit is silent."""
     with open_bag(fixed) as bag:
         stamps = np.array([m.log_time_ns for m in bag.messages(["/imu/data_raw"])])
     assert np.all(np.diff(stamps) == 10_000_000)
@@ -106,8 +106,7 @@ def on_cab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_antennas_on_a_cab_without_an_encoder(on_cab: Path) -> None:
-    """A drive of a machine with an antenna had no fixes, and so no estimate."""
+def test_antennas_on_a_cab_without_an_encoder_give_an_estimate(on_cab: Path) -> None:
     found = replayed(on_cab, vehicle=str(on_cab.parent / "bare.yaml"))
     assert "swing" not in found["messages"]
     assert found["rmse"]["filter"] < 0.03

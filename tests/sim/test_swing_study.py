@@ -219,10 +219,9 @@ def test_cells_without_a_cab_have_no_swing() -> None:
 # The command
 
 
-def test_the_study_swings_the_upper_structure_of_its_vehicle(
+def test_study_swings_the_upper_structure_of_its_vehicle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It was refused: the drive lost ``upper_structure.drive`` of the vehicle."""
     options = ["--duration", "27", "--settling", "20", "--seeds", "1", "--filter", "ekf"]
     options += ["--sigma-xy", "0.02"]
     command = [*COMMAND, *options, "--cache", str(tmp_path / "cells.jsonl")]

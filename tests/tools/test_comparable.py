@@ -234,8 +234,8 @@ def test_a_restart_with_another_vehicle_is_not_compared(inputs: list[Line], comp
     assert one["reason"] == "the estimator was started again with other vehicle.kinematics.tread"
 
 
-def test_a_restart_without_its_parameters_is_not_compared(two_runs: list[Line], compare: Compare) -> None:
-    """Nobody knows what it had learned before."""
+def test_restart_without_its_parameters_is_not_compared(two_runs: list[Line], compare: Compare) -> None:
+    """The learned states at its start are unknown."""
     matches, compared = compare(without(two_runs, PARAMETERS_TOPIC, 1.0, 9.0))
     assert matches is True
     assert len(compared["parts"]) == 1

@@ -79,8 +79,8 @@ def locked() -> Iterator[Path]:
         folder.chmod(0o700)
 
 
-def test_a_folder_that_may_not_be_looked_into_is_named(locked: Path) -> None:
-    """``trackslip replay /`` told of a metadata.yaml that nobody had named."""
+def test_unreadable_folder_is_named(locked: Path) -> None:
+    """For example by ``trackslip replay /``."""
     for path in (locked, locked.parent):
         with pytest.raises(InputError, match=f"^folder '{locked}' cannot be read .Permission denied"):
             find_bags([path])

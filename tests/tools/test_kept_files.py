@@ -113,7 +113,7 @@ def test_earlier_results_and_empty_files_are_replaced(tmp_path: Path) -> None:
     assert set(BEGINNINGS) > {PARAMETERS}
 
 
-def test_a_journal_refuses_a_file_of_the_users(tmp_path: Path) -> None:
+def test_journal_refuses_a_file_of_the_user(tmp_path: Path) -> None:
     journal = tmp_path / JOURNAL
     journal.write_text(MINE, encoding="utf-8")
     with pytest.raises(InputError, match="is no journal of tune"):

@@ -226,10 +226,9 @@ def test_interrupted_search_resumes_and_ends_with_the_same_values(
         '{"bag": 0, "values": [0.5], "score": {"log_likelihood": "high"}}',
     ],
 )
-def test_a_journal_with_values_of_other_types_is_refused(
+def test_journal_with_values_of_other_types_is_refused(
     drive: Callable[..., Any], tmp_path: Path, line: str
 ) -> None:
-    """They ended the search later, with a traceback."""
     plan, file = plan_of(tmp_path), tmp_path / "journal.jsonl"
     with Journal(file, [task_of(drive, 0)], plan.bounds):
         pass

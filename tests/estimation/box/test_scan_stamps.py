@@ -158,7 +158,7 @@ def test_scan_of_clockwise_beams_gives_the_same_fix():
     ids=len,
 )
 def test_object_that_touches_the_laser_is_not_the_box(ranges):
-    """The laser would be within the box: such a fix was NaN, or the end of the node."""
+    """The laser would be inside the box."""
     parameters = dataclasses.replace(PARAMETERS, initial_x=8.0, initial_reach=50.0)
     outcome = locate(BoxLocalizer(parameters, BOX), 1.0, np.array(ranges))
     assert outcome == Rejection(Reason.TOO_NEAR)

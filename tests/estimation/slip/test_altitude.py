@@ -117,7 +117,6 @@ def refused(reports: list[Report]) -> list[AttitudeRefusal]:
 
 
 def test_height_follows_the_receiver() -> None:
-    """It was 0 at the start, and 0.3 m too high 38 m later, with a receiver that knows it to 2 cm."""
     estimates, reports = run(drive())
     tilted = [e for e in estimates if e.stamp_ns > S]
     errors = np.array([height(e)[0] - true_height(e) for e in tilted])
@@ -185,7 +184,7 @@ def test_one_wrong_altitude_moves_nothing() -> None:
 
 @pytest.mark.parametrize("step", [-2.0, 0.6])
 def test_persistent_altitudes_are_accepted(step: float) -> None:
-    """A base that was moved: refused for three timeouts, then followed."""
+    """A base that was moved: rejected for three timeouts, then followed."""
     estimates, reports = run(drive(lambda t, z: (z + step if t >= 50.0 else z, STDDEV**2)))
     assert len(refused(reports)) == 6
     assert set(refused(reports)) == {AttitudeRefusal.ALTITUDE_GATED}
@@ -218,8 +217,8 @@ def test_an_unknown_height_is_reported_as_unknown() -> None:
     assert "height 12." in own.attitude
 
 
-def test_a_flat_pose_has_no_altitude() -> None:
-    """z is 0 in it, with the variance of what nobody observes."""
+def test_flat_pose_has_no_altitude() -> None:
+    """Its z is 0 with the variance of an unobserved state."""
     fix = PoseFix(FIX, S, np.zeros(3), np.eye(3))
     message = pose_with_covariance(make, fix, "map")
     found = pose_fix(message, FIX)

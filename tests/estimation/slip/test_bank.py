@@ -202,7 +202,7 @@ def test_position_is_kept_while_tracks_are_swapped() -> None:
 
 
 def test_first_fix_that_is_an_outlier_is_detected_by_the_next_ones() -> None:
-    """3 m off at a stated 2 cm, the receiver was called off for 20 s as it was right."""
+    """It is 3 m off with a stated 2 cm."""
     recording = drive(Machine(duration=20.0, track_error=0.05))
     first = next(m.stamp_ns for m in recording.measurements if isinstance(m, PoseFix))
     given_ = changed(recording, lambda m, t: moved(m, 3.0, 0.0) if m.stamp_ns == first else m)
@@ -212,7 +212,7 @@ def test_first_fix_that_is_an_outlier_is_detected_by_the_next_ones() -> None:
 
 @pytest.mark.parametrize("far", [8.0, 50.0, 500.0, 5000.0])
 @pytest.mark.parametrize("knows_heading", [True, False])
-def test_a_first_fix_that_is_far_off_is_forgotten(far: float, knows_heading: bool) -> None:
+def test_first_fix_far_off_has_no_effect_after_7_seconds(far: float, knows_heading: bool) -> None:
     recording = drive(Machine(duration=20.0, fix_noise=0.03, fix_stated=0.03))
     given = changed(recording, lambda m, t: moved(m, far, 0.0) if t < 0.1 else m)
     p = parameters(initial_yaw_stddev=0.05 if knows_heading else 0.0, **GNSS)
@@ -251,7 +251,7 @@ def test_machine_moved_while_fixes_scatter_is_found() -> None:
 
 
 def test_skidding_machine_follows_centimetre_fixes_within_two_seconds() -> None:
-    """0.25 m aside within a second: the receiver was called off for ten seconds, and the fixes not used."""
+    """0.25 m aside within a second."""
     recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=5))
     true = recording.poses.copy()
     true[:, 0] += 0.25 * np.clip(recording.t - 20.0, 0.0, 1.0)
@@ -265,7 +265,7 @@ def test_skidding_machine_follows_centimetre_fixes_within_two_seconds() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_centimetre_fixes_off_for_ten_seconds_are_no_certain_skid(seed: int) -> None:
-    """0.3 m between two fixes may be either; a machine was expected to skid once a minute."""
+    """0.3 m between two fixes may be either."""
     machine = Machine(duration=50.0, track_error=0.1, fix_noise=0.02, fix_stated=0.02, fix_rate=1, seed=seed)
     recording = drive(machine)
     off = changed(recording, lambda m, t: moved(m, 0.24, 0.18) if 20.0 <= t < 30.0 else m)
@@ -377,7 +377,7 @@ def test_failing_gyro_does_not_turn_the_estimate(seed: int) -> None:
 
 @pytest.mark.parametrize(("rate", "seed"), [(5, 1), (5, 2), (10, 0), (10, 2)])
 def test_change_of_gyro_bias_does_not_turn_the_estimate(rate: int, seed: int) -> None:
-    """It has turned the heading before a fix shows it; fixes that wander were the better explanation."""
+    """The bias turns the heading before a fix shows it; wandering fixes are a competing explanation."""
     recording = drive(
         Machine(duration=60.0, track_error=0.01, fix_noise=0.02, fix_stated=0.02, fix_rate=rate, seed=seed)
     )

@@ -116,8 +116,8 @@ def test_single_count_is_never_taken_for_a_jump(counts: int) -> None:
 
 
 @pytest.mark.parametrize("counts", COUNTS)
-def test_a_gyro_keeps_the_heading_beside_a_coarse_encoder(counts: int) -> None:
-    """Rounding counted as an error of the gyro: the heading was that of the tracks, with certainty."""
+def test_gyro_keeps_the_heading_beside_a_coarse_encoder(counts: int) -> None:
+    """Rounding must not count as an error of the gyro."""
     fine, coarse = (np.mean([run(n, seed=seed)[:3] for seed in range(4)], axis=0) for n in (100_000, counts))
     half_a_count = KINEMATICS.rolling_radius * math.pi / counts
     assert coarse[0] < 1.5 * fine[0] + half_a_count

@@ -113,8 +113,8 @@ def test_gyro_spikes(log: Log) -> None:
     assert found.during(BEGIN + 3.0) < GOOD
 
 
-def test_displaced_for_a_while(log: Log) -> None:
-    """Fixes 1 m off for 2 s, as of somebody taken for the box: they agree and are believed; it recovers."""
+def test_fixes_displaced_for_two_seconds_are_gated(log: Log) -> None:
+    """As of a person taken for the box: 1 m off."""
     found = run(
         log, changed(log, PoseFix, BEGIN + 2.0, lambda m: replace(m, pose=m.pose + np.array((1.0, 0.0, 0.0))))
     )
@@ -123,10 +123,10 @@ def test_displaced_for_a_while(log: Log) -> None:
 
 
 def test_stuck_encoder(log: Log) -> None:
-    """The left track seems to stand for 5 s while it drives: nobody can tell at first.
+    """The left track seems to be at standstill for 5 s while it drives.
 
-    Of a machine that turns about one track, and by its gyro hardly does, all speed is believed lost: 1.6 m.
-    Fixes contradict, and hold the error.
+    A machine that turns about one track, and hardly turns by its gyro, seems to lose all speed: 1.6 m.
+    Fixes contradict, and bound the error.
     """
     stuck: list[float] = []
 

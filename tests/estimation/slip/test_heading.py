@@ -89,7 +89,7 @@ def errors(poses: np.ndarray, truth: Recording) -> np.ndarray:
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 @pytest.mark.parametrize("angle", [0.0, 2.0, math.pi])
-def test_start_heading_is_that_of_the_source(angle: float, filter_: str) -> None:
+def test_start_heading_is_that_of_the_heading_source(angle: float, filter_: str) -> None:
     truth, measurements = seen(Machine(duration=20.0, seed=2), angle)
     poses, covariances, outcomes = run(measurements, with_headings(filter=filter_))
     found = errors(poses, truth)
@@ -255,7 +255,7 @@ def test_mounting_angle_of_a_pose_source_is_estimated_from_the_path(turned: floa
 
 
 def test_one_wrong_heading_after_an_outage_is_refused() -> None:
-    """The gate had widened with the silence, and one heading was believed that was off by a quarter turn."""
+    """The heading is off by a quarter turn; the gate must not widen with the silence."""
     truth, measurements = seen(Machine(duration=100.0))
     kept = [m for m in measurements if not isinstance(m, HeadingFix) or not 31 * S < m.stamp_ns < 91 * S]
     back = next(k for k, m in enumerate(kept) if isinstance(m, HeadingFix) and m.stamp_ns > 90 * S)

@@ -125,7 +125,7 @@ def test_orientation_alone_gives_the_attitude() -> None:
 
 
 def test_time_correlated_orientation_errors_do_not_average_out() -> None:
-    """As many samples in less time say no more."""
+    """More samples in the same time add no information."""
     brief, _, _ = run(drive(seconds=3.0), **REQUESTED)
     assert brief.outputs.tilt.covariance[1, 1] > 0.5 * STDDEV**2
 

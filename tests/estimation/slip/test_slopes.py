@@ -143,7 +143,7 @@ def test_height_follows_a_slide_during_a_turn_on_the_spot() -> None:
 
 
 def test_slip_variance_is_inflated_when_the_slope_reverses() -> None:
-    """A machine that spun up 15° of clayey soil was 0.37 m off as it rolled down."""
+    """A machine that spins up 15° of clayey soil rolls down with another slip."""
     k = 2.3
     state = np.zeros(1, STATE)[0]
     level, speeds = state["attitude"]["level"], state["speeds"]
@@ -241,8 +241,8 @@ def slide(seconds: float = 25.0) -> list[Measurement]:
     return found
 
 
-def test_a_slide_keeps_the_heading_of_the_compass() -> None:
-    """Fixes that went sideways while its tracks ran turned it by 90°; then its headings were refused."""
+def test_slide_keeps_the_heading_of_the_compass() -> None:
+    """Fixes move sideways while the tracks run; the headings of the compass are accepted."""
     own = estimator(heading_sources=["heading"], sources__box_pose__use_heading=False)
     reports = [report for report, _ in own.process_all(slide())]
     refused = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]

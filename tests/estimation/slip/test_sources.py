@@ -246,8 +246,8 @@ def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -
             assert np.linalg.eigvalsh(covariance)[0] > 0.0
 
 
-def test_an_uncertain_heading_is_not_a_measurement() -> None:
-    """The box may be seen the wrong way round; then its localizer says that it is in doubt."""
+def test_uncertain_heading_is_not_a_measurement() -> None:
+    """The localizer of the box states a large variance where the orientation is ambiguous."""
     c = config_of(FLOORS)[0]
     fixes = [
         PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2)))

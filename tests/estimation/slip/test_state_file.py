@@ -233,7 +233,7 @@ def test_vehicle_finds_its_file_after_another_one_used_the_path(
 
 
 def test_damaged_file_kept_aside_is_reported_and_kept(path: Path) -> None:
-    """It was kept aside while another machine's was in its place, and was replaced in turn."""
+    """It is kept aside while the file of another machine is in its place."""
     p = parameters(**{"vehicle.kinematics.tread": 0.8})
     written(path)
     estimator, visitor = SlipEstimator(p), StateFile(str(path))
