@@ -122,6 +122,7 @@ def test_sides_are_found_in_the_words_of_the_log(
     ("name", "value", "field", "entry"),
     [
         ("Gierrate", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
+        ("Drehrate_°/s", "0.1", "angular_velocity_z", {"unit": "°/s"}),
         ("Drehrate [°/s]", "0.1", "angular_velocity_z", {"unit": "°/s"}),
         ("imu_gz", "0.1", "angular_velocity_z", {"unit": "rad/s"}),
         ("GyrZ", "0.1", "angular_velocity_z", {"unit": "rad/s", "scale": -1.0}),

@@ -32,6 +32,11 @@ _SPELT = {"kmh": "km/h", "kph": "km/h", "mps": "m/s", "m_s": "m/s", "rad_s": "ra
 }  # fmt: skip
 
 
+_STATED = re.compile(
+    r"[\[(]\s*([^\])]+?)\s*[\])]|[\s_]([^\s_\[(]*[/°][^\s_\])]*)$"
+)  # in brackets, or at the end
+
+
 class _Kind(NamedTuple):
     """A field of a mapping, and the names that columns of it have."""
 
@@ -336,8 +341,9 @@ def _words(name: str) -> str:
 def _readings(name: str) -> Iterator[tuple[str, str]]:
     """A name without its unit, and the unit; then the whole name, which states none."""
     words = _words(name)
-    if in_brackets := re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", name):
-        yield _words(name[: in_brackets.start()]), _SPELT.get(in_brackets[1].lower(), in_brackets[1])
+    if stated := _STATED.search(name):
+        unit = stated[1] or stated[2]
+        yield _words(name[: stated.start()]), _SPELT.get(unit.lower(), unit)
     known = {**_SPELT, **{unit: unit for units in UNITS.values() for unit in units if unit.isalpha()}}
     for end, unit in known.items():
         if words.endswith(f"_{end}"):
