@@ -130,6 +130,15 @@ def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
         assert bag_parameters(bag) == {"encoder_resolution": 0.0}
 
 
+def test_speeds_that_no_counts_show_in_have_no_count(tmp_path: Path) -> None:
+    """The usual one of the vehicle stood for it."""
+    speeds = 180.0 + 90.0 * np.sin(np.arange(120.0))
+    rows = [f"{1000 + 50 * k},{v:.4f},{-v:.4f},0,0,90,{k},0,0,0,10,20" for k, v in enumerate(speeds)]
+    log = "\n".join((LOG.splitlines()[0], *rows))
+    with open_bag(import_text(tmp_path, log, mapping=changed(parameters=None))) as bag:
+        assert bag_parameters(bag) == {"encoder_resolution": 0.0}
+
+
 def test_no_parameters_no_message(tmp_path: Path) -> None:
     with open_bag(import_text(tmp_path, mapping=changed(parameters=None))) as bag:
         assert bag_parameters(bag) == {}

@@ -42,6 +42,7 @@ _Kinds = Mapping[Path, tuple[LogKind, str]]
 _NAMED = 3  # files in an error
 _OF_DEVICES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
 _OTHER_CLOCK_S = 10.0
+_ENOUGH = 100  # readings of speeds, in which counts would show
 _BEFORE_ZERO = "moved to before 0 s by time_offset"
 
 
@@ -201,7 +202,9 @@ def _files(path: Path) -> list[Path]:
 def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
     """What a bag begins with: its vehicle, and what the estimator is told."""
     resolution = encoder_resolution(samples)
-    found = {"encoder_resolution": resolution} if resolution else {}
+    positions = [one.values["position"] for one in samples if one.role == "sprockets"]
+    has_speeds_alone = any(len(one) >= _ENOUGH and not np.isfinite(one).any() for one in positions)
+    found = {"encoder_resolution": resolution} if resolution or has_speeds_alone else {}
     if mapping.vehicle is not None:
         yield VEHICLE, vehicle_text(mapping.vehicle)
     if parameters := {**found, **mapping.parameters}:
