@@ -3,6 +3,7 @@
 """The setup check of a running estimator: causes come within two minutes, and go once they are mended."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,6 +78,20 @@ def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
 def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> None:
     check = RunningCheck(parameters)
     assert causes_after(check, measurements(make_drive(1), 0.0, (1.0, 1.0), 1.0), NAMED_S) == set()
+
+
+def test_a_mistake_that_is_one_of_several_stands_once_it_was_seen_twice(
+    parameters: SlipEstimatorParameters,
+) -> None:
+    check, drive = RunningCheck(parameters), make_drive()
+    frozen = replace(
+        drive, compasses=(replace(drive.compasses[0], headings=0.0 * drive.compasses[0].headings),)
+    )
+    given = measurements(frozen, 0.0, (1.0, 1.0), 1.0)
+    assert causes_after(check, given, NAMED_S) == set()
+    assert check.result.is_plausible
+    assert causes_after(check, given, NAMED_S + 15.0) == set()
+    assert any("headings of" in question.what for question in check.result.open_questions)
 
 
 def test_before_anything_is_measured_there_is_no_cause(parameters: SlipEstimatorParameters) -> None:

@@ -3,13 +3,14 @@
 """The setup check of an estimator that runs: its last measurements, and causes that come and go with them.
 
 A cause is named by the last two minutes. It is withdrawn as soon as the newest part of them, of enough
-motion to
-decide, shows it no more; what is older is then forgotten.
+motion to decide, shows it no more; what is older is then forgotten. A mistake that is certain but one of
+several stands once two evaluations in a row show one: single ones come and go.
 """
 
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class RunningCheck:
         self._parameters = p
         self._lock = threading.Lock()
         self._rows: dict[tuple[int, str], deque[_Row]] = {}
+        self._was_open = False  # a question, at the evaluation before
         self.result = Result()
 
     def add(self, m: Measurement) -> None:
@@ -78,6 +80,11 @@ class RunningCheck:
             if len(kept) < len(result.causes) and _is_decided(recent):
                 self._forget(RECENT_S)
             result = Result(kept, result.undetermined, result.facts)
+        is_open = bool(result.open_questions)
+        if is_open and not self._was_open:
+            later = tuple(replace(one, is_wrong=False) for one in result.undetermined)
+            result = replace(result, undetermined=later)
+        self._was_open = is_open
         self.result = result
         return result
 
