@@ -113,7 +113,9 @@ def _frame(drive: Drive, unit: float) -> Cause | None:
         return None
     tracks = np.abs(drive.x).max(axis=1) * drive.machine.tread * unit / WINDOW
     way = drive.fix_ways / WINDOW
-    fast = (tracks > 0.3 * np.nanpercentile(tracks, 95)) & np.isfinite(way)
+    driven = tracks[np.isfinite(tracks)]
+    fastest = float(np.percentile(driven, 95)) if len(driven) else np.inf
+    fast = (tracks > 0.3 * fastest) & np.isfinite(way)
     if int(fast.sum()) < _LEAST_WINDOWS:
         return None
     of_fixes, of_tracks = float(np.median(way[fast])), float(np.median(tracks[fast]))
