@@ -133,7 +133,7 @@ def of_32_bits() -> list[str]:
 def test_positions_coarser_than_their_stddev_are_refused(rows: list[str], tmp_path: Path) -> None:
     """An estimator was led away by 25 m and 1.4 m with certainty: steps beside fixes that stay."""
     text = "\n".join(("t,lat,lon", *rows, ""))
-    with pytest.raises(InputError, match=r"log\.csv: column 'l\w\w' has steps of [\d.]+ m, and stddev of"):
+    with pytest.raises(InputError, match=r"log\.csv: column 'l\w\w' is rounded by [\d.]+ m, and stddev of"):
         import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
     as_coarse = {"stddev": {"x": 1.0, "y": 1.0}}
     _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **as_coarse}})

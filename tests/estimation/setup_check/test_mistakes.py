@@ -9,17 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.setup_drives import STRAIGHT, make_drive, without_fixes
+from fixtures.setup_drives import PROGRAMME, STRAIGHT, make_drive, without_fixes
 from fixtures.setup_mistakes import AMBIGUOUS, MISTAKES, change_headings, change_rates
 from fixtures.setup_variants import VARIANTS, piece
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.setup_check.check import check
+from trackslip_estimation.setup_check.collect import Columns, log_of_columns
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.frozen import frozen_spans
 from trackslip_estimation.setup_check.grid import integral
 from trackslip_estimation.setup_check.log import Counts, Log, Tracks
 from trackslip_estimation.setup_check.places import slides
+from trackslip_estimation.slip.parameters import load_slip_parameters
+from trackslip_estimation.slip.records import SPROCKETS
 
 LONG_TURNS = ((5.0, 0.0, 0.0), (20.0, 0.6, 0.4), (8.0, 0.8, 0.0), (20.0, 0.5, -0.3), (8.0, -0.7, 0.0))
 HEALTHY = {
@@ -464,12 +467,26 @@ def accelerations(rates: FloatArray) -> FloatArray:
     return np.gradient(rates, 0.02, axis=0)
 
 
+ON_THE_SPOT = (
+    (5.0, 0.0, 0.0),
+    *2 * ((12.0, 0.8, 0.0), (6.0, 0.0, 0.35), (10.0, 0.6, 0.0), (6.0, 0.0, -0.35)),
+)
 QUESTIONS = {  # the mistake, the sensors, words of the question
     "tracks without a direction": (without_direction, {}, "without a direction"),
     "the same without headings": (without_direction, {"has_heading": False}, "without a direction"),
     "the same, fixes once a second": (
         without_direction,
         {"has_heading": False, "fix_rate": 1.0},
+        "without a direction",
+    ),
+    "tracks without a direction that turn on the spot": (
+        without_direction,
+        {"programme": ON_THE_SPOT},
+        "without a direction",
+    ),
+    "the same, a receiver that wanders": (
+        without_direction,
+        {"programme": ON_THE_SPOT, "has_heading": False, "fix_stddev": 0.3, "fix_rate": 1.0, "wander": 2.0},
         "without a direction",
     ),
     "frozen fixes": (frozen_fixes, {}, "repeats its places"),
@@ -498,6 +515,73 @@ def test_a_tread_in_feet_is_not_passed_over() -> None:
     assert found.causes == ()
     (question,) = found.open_questions
     assert "tread" in question.what
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("source", ["tracks", "gyro", "fixes"])
+def test_a_source_with_one_reading_in_two_seconds_is_no_mistake(source: str) -> None:
+    log = make_drive()
+    (gyro,), (fixes,), tracks = log.gyros, log.fixes, log.tracks
+    every = slice(None, None, 10 if source == "fixes" else 100)
+    starved = {
+        "tracks": {"tracks": Tracks(tracks.t[every], tracks.speeds[every], tracks.angles[every])},
+        "gyro": {
+            "gyros": (
+                replace(
+                    gyro, t=gyro.t[every], rates=gyro.rates[every], accelerations=gyro.accelerations[every]
+                ),
+            )
+        },
+        "fixes": {
+            "fixes": (
+                replace(fixes, t=fixes.t[every], places=fixes.places[every], stddevs=fixes.stddevs[every]),
+            )
+        },
+    }
+    assert check(replace(log, **starved[source])).causes == ()
+
+
+@pytest.mark.parametrize("rate", [1.002, 0.998])
+def test_encoders_on_a_clock_that_is_fast_or_slow_are_named(rate: float) -> None:
+    log = make_drive(programme=3 * PROGRAMME)
+    tracks = replace(log.tracks, t=rate * log.tracks.t)
+    (cause,) = check(replace(log, tracks=tracks)).causes
+    assert (cause.cause, cause.source) == ("source_delay", "sprockets")
+    assert "drift" in cause.evidence
+
+
+@pytest.mark.parametrize("rate", [1.002, 0.998])
+def test_a_clock_that_is_fast_beside_one_other_is_an_open_question(rate: float) -> None:
+    log = make_drive(programme=3 * PROGRAMME, has_heading=False)
+    found = check(replace(log, tracks=replace(log.tracks, t=rate * log.tracks.t)))
+    assert found.causes == ()
+    assert any("drift apart" in question.what for question in found.open_questions)
+
+
+def cut_columns(log: Log, *, has_fractions: bool) -> Columns:
+    """Of the sprockets, stamps with or without their fractions."""
+    t = log.tracks.t if has_fractions else np.floor(log.tracks.t)
+    stamps = 1_700_000_000_000_000_000 + np.round(1e9 * t).astype(np.int64)
+    return {(SPROCKETS, "sprockets"): (stamps, np.hstack((log.tracks.speeds, log.tracks.angles)))}
+
+
+@pytest.mark.parametrize(("has_fractions", "expected"), [(True, []), (False, ["time_unit"])])
+def test_stamps_that_are_cut_to_whole_seconds_are_named(has_fractions: bool, expected: list[str]) -> None:
+    log = log_of_columns(cut_columns(drive(), has_fractions=has_fractions), load_slip_parameters({}))
+    assert log is not None
+    assert [cause.cause for cause in check(log).causes] == expected
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.001, []), (1.11, ["position_resolution"])])
+def test_fixes_that_are_coarser_than_they_state_are_named(step: float, expected: list[str]) -> None:
+    """As NavSatFix of five decimals."""
+    log = make_drive()
+    (fixes,) = log.fixes
+    places = step * np.round(fixes.places / step)
+    coarse = replace(fixes, places=places * (1.0 + 1e-6 * places[:, ::-1]))  # as degrees on a map
+    causes = {cause.cause: cause.remedy for cause in check(replace(log, fixes=(coarse,))).causes}
+    assert list(causes) == expected
+    assert all("position_floor=0.32" in remedy for remedy in causes.values())
 
 
 def test_fixes_whose_lag_varies_are_not_called_late() -> None:

@@ -21,13 +21,11 @@ from trackslip_bags.importing.times import LIMIT_NS, time_text, too_late
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
-from trackslip_estimation.setup_check.count_angle import least_change
+from trackslip_estimation.setup_check.count_angle import COARSER, MORE_DIGITS, rounding_of
 
 _COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # after which counters restart
 _SEVERAL = 3  # rows of one time, which are too many
-_EARTH, _DIGITS = 6.37e6, 6  # m in a radian of latitude; decimals of m that a 64 bit float has of it
-_ROUNDING = 12.0**0.5  # steps in a standard deviation of rounding
-_COARSER = 2.0  # times the standard deviation that is stated
+_EARTH = 6.37e6  # m in a radian of latitude
 _MOSTLY, _SPELLS = 0.75, 10  # share of zeros, and spells of other values between them, that are noted
 
 
@@ -161,12 +159,12 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
     for name, axis in (("x", "x"), ("y", "y"), ("latitude", "y"), ("longitude", "x")):
         if name not in columns:
             continue
-        places = np.round(metres[name] * columns[name], _DIGITS)
-        step, stated = least_change(np.diff(places)), float(np.sqrt(np.median(spreads[axis])))
-        if step / _ROUNDING > _COARSER * stated:
+        stated = float(np.sqrt(np.median(spreads[axis])))
+        rounding = rounding_of(metres[name] * columns[name], stated)
+        if rounding > COARSER * stated:
             place = f"{table.path}: column '{topic.columns[name].names[0]}'"
-            has = f"has steps of {step:.2g} m, and stddev of {axis} is {stated:.2g} m"
-            accepted = f"more digits (of degrees 8, no 32 bit floats), or {step / _ROUNDING:.2g} m or more"
+            has = f"is rounded by {rounding:.2g} m, and stddev of {axis} is {stated:.2g} m"
+            accepted = f"{MORE_DIGITS}, or {rounding:.2g} m or more"
             raise InputError(f"{place} {has}; accepted: {accepted}")
 
 

@@ -81,7 +81,8 @@ def _check(log: Log, found: _Found) -> list[str]:
     if not causes:  # those that are alone in another unit are left out of the log
         log, causes = with_common_clock(log)
         found.add(causes)
-    found.add(places.judge_places(log.fixes))
+    found.add(clocks.judge_fractions(log))
+    found.add([*places.judge_places(log.fixes), *places.judge_digits(log.fixes)])
     log = replace(log, fixes=tuple(with_shown_noise(one) for one in log.fixes))
     if make_grid(log, None) is None or not np.nansum(np.abs(np.diff(log.tracks.angles, axis=0))) > 0.0:
         found.add([], [_STILL])
@@ -92,7 +93,14 @@ def _check(log: Log, found: _Found) -> list[str]:
     drive = Drive(drive.log.with_tracks(np.eye(2) / unit))
     state = _inertial(drive, log, found, is_unit_known=bool(np.isfinite(rough)))
     drive = state.drive if state.unit != 1.0 or state.is_contradicted else _in_radians(state.drive, found)
+    causes, open_ones = clocks.judge_drift(drive)
+    found.add(causes, open_ones)
+    if causes or open_ones:  # what sources show of each other changes with it
+        return facts_of(log, drive, unit)
     found.add([], unmoved.judge_turns(drive))
+    if questions := unmoved.judge_counting(drive):  # what tracks show of the path is none
+        found.add([], questions)
+        return facts_of(log, drive, unit)
     sided = sides.Sides(None) if state.is_contradicted else sides.examine(drive, unit)
     if any(cause.cause == "frame" for cause in sided.causes):  # far away in their unit only
         found.causes = [cause for cause in found.causes if cause.cause != "datum"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.setup_check.delay import delay_of
+from trackslip_estimation.setup_check.delay import LATEST, delay_of
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.faults import time_factor
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, Undetermined, odds_of
@@ -28,6 +28,9 @@ _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
 _LEAST_SEGMENTS, _SHOWN = 5, 2.0  # of which each shows a delay by so much of ln likelihood
 TRACKS = "sprockets"
+_LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings at each, s
+_PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive, of which each shows a delay
+_LATEST = 0.8 * LATEST  # s, beyond which the next part may show none, or another turn's
 _NAMES = {1e-9: "ns, declared s", 1e-6: "µs, declared s", 1e-3: "ms, declared s"}
 _NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
 
@@ -48,9 +51,7 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
 
     One that is alone in that is left out: where its stamps begin is unknown.
     """
-    series: list[tuple[str, str, FloatArray]] = [(TRACKS, "tracks", log.tracks.t)]
-    series += [(g.name, "gyro", g.t) for g in log.gyros]
-    series += [(f.name, "fixes", f.t) for f in log.fixes]
+    series = _series(log)
     factors = {name: time_factor(t, kind) for name, kind, t in series}
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
@@ -75,6 +76,32 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
     return _scaled(log, factors), causes
 
 
+def _series(log: Log) -> list[tuple[str, str, FloatArray]]:
+    """Topic, kind and stamps (n,) of each source, s."""
+    series: list[tuple[str, str, FloatArray]] = [(TRACKS, "tracks", log.tracks.t)]
+    series += [(g.name, "gyro", g.t) for g in log.gyros]
+    return series + [(f.name, "fixes", f.t) for f in log.fixes]
+
+
+def judge_fractions(log: Log) -> list[Cause]:
+    """Several readings at each of some stamps, which are whole seconds."""
+    causes = []
+    for name, _, t in _series(log):
+        seconds, per_stamp = np.diff(t), log.per_stamp.get(name, 1.0)
+        is_whole = bool((np.abs(seconds - np.round(seconds)) < _EXACT).all())
+        if len(t) < _LEAST_STAMPS or per_stamp < _SEVERAL or not is_whole:
+            continue
+        evidence = (
+            f"stamps of {name} are whole seconds, of {per_stamp:.0f} readings each: fractions are cut off"
+        )
+        remedy = (
+            "Record the fractions too (mapping: time: {column: [secs, nsecs], unit: [s, ns]}), or stamp "
+            "readings as they come (stamp: log, or received)"
+        )
+        causes.append(Cause("time_unit", name, evidence, odds_of(float(len(t))), remedy))
+    return causes
+
+
 def _scaled(log: Log, factors: dict[str, float]) -> Log:
     start, common = float(log.tracks.t[0]), factors[TRACKS]
 
@@ -95,18 +122,71 @@ def _scaled(log: Log, factors: dict[str, float]) -> Log:
 
 def lates_of(drive: Drive) -> list[Late]:
     """Of each pair of tracks, gyro, headings and fixes of which the drive shows one."""
+    found: list[Late] = []
+    rates = _turn_rates(drive)
+    for first, second in itertools.combinations(rates, 2):
+        delay = delay_of(rates[first], rates[second], drive.grid.cell)
+        if delay is not None:
+            found.append(Late(first, second, delay.value, delay.stddev))
+    return found + ([] if drive.fixes is None else _of_path(drive, drive.fixes, found))
+
+
+def _turn_rates(drive: Drive) -> dict[str, FloatArray]:
+    """(m,) of each source that shows them, rad/s."""
     cell, (left, right) = drive.grid.cell, drive.grid.tracks.T
     rates = {TRACKS: (right - left) / drive.machine.tread / cell}
     if drive.gyro is not None:
         rates[drive.gyro.name] = drive.gyro_turn / cell
     if drive.compass is not None:
         rates.setdefault(drive.compass.name, np.clip(np.diff(drive.headings) / cell, -5.0, 5.0))
-    found: list[Late] = []
-    for first, second in itertools.combinations(rates, 2):
-        delay = delay_of(rates[first], rates[second], cell)
-        if delay is not None:
-            found.append(Late(first, second, delay.value, delay.stddev))
-    return found + ([] if drive.fixes is None else _of_path(drive, drive.fixes, found))
+    return rates
+
+
+def judge_drift(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
+    """A clock that is fast or slow: a source that is later against all others, the longer the drive lasts."""
+    rates = _turn_rates(drive)
+    drifts = {
+        pair: drift
+        for pair in itertools.combinations(rates, 2)
+        if (drift := _drift(rates[pair[0]], rates[pair[1]], drive.grid.cell)) is not None
+    }
+    off = {pair: value for pair, (value, is_off) in drifts.items() if is_off}
+    if not off:
+        return [], []
+    suspects = [one for one in rates if all((one in pair) == (pair in off) for pair in drifts)]
+    (first, second), value = next(iter(off.items()))
+    apart = f"by {abs(value) * 1e3:.1f} ms in each second, evenly"
+    remedy = (
+        "stamp its readings as they come (mapping: stamp: log, or received), or set its clock by NTP or PTP"
+    )
+    if len(suspects) != 1:
+        return [], [
+            Undetermined(f"stamps of {first} and {second} drift apart {apart}", remedy, is_wrong=True)
+        ]
+    (name,) = suspects
+    evidence = f"stamps of {name} drift from those of the other sources {apart}: its clock is fast or slow"
+    return [Cause("source_delay", name, evidence, odds_of(12.0), remedy[0].upper() + remedy[1:])], []
+
+
+def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, bool] | None:
+    """Of the second of two rates (m,) after the first, s/s, by delays of parts; whether it is certain."""
+    count = min(int(len(first) * cell / _PART), _MOST_PARTS)
+    if count < _LEAST_PARTS:
+        return None
+    size = len(first) // count
+    parts = [slice(k * size, (k + 1) * size) for k in range(count)]
+    delays = [delay_of(first[part], second[part], cell) for part in parts]
+    shown = [(k * size * cell, delay.value) for k, delay in enumerate(delays) if delay is not None]
+    gone = next((k for k, (_, value) in enumerate(shown) if abs(value) > _LATEST), len(shown))
+    if gone < _LEAST_PARTS:
+        return None
+    t, values = np.array(shown[:gone]).T
+    own = t - t.mean()
+    slope = float(own @ values / (own @ own))
+    rest = np.hypot(np.std(values - slope * own, ddof=2), 0.02)
+    span, stddev = float(np.ptp(t)), float(rest / np.sqrt(own @ own))
+    least = max(LEAST_DELAY + _SURE * stddev * span, 2.0 * _CERTAIN * stddev * span)
+    return slope, abs(slope) * span > least
 
 
 def _of_path(drive: Drive, fixes: Fixes, found: list[Late]) -> list[Late]:

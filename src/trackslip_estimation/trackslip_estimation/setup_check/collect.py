@@ -66,15 +66,17 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
         return None
     start = int(tracks.min())
     left_out: dict[str, int] = {}
+    per_stamp: dict[str, float] = {}
     ready: dict[Key, tuple[FloatArray, FloatArray]] = {}
     for key, (stamps, values) in columns.items():
         t, sound, lost = _sound(stamps, _refined(key[0], values), start, key[0])
         left_out |= {key[1]: lost} if lost else {}
         if len(t):
             ready[key] = t, sound
+            per_stamp[key[1]] = (len(stamps) - lost) / len(t)
     if not any(kind == SPROCKETS for kind, _ in ready):
         return None
-    return _log(ready, p, left_out)
+    return replace(_log(ready, p, left_out), per_stamp=per_stamp)
 
 
 def _values(kind: int, rows: Rows) -> FloatArray:

@@ -20,6 +20,11 @@ _LEAST_CHANGES = 5
 _ROUNDED = 0.1  # share of readings whose change is another than that before
 _COARSE = 5e-3  # rad: a finer count hides in the noise of any speed
 _TOO_SMALL = 5.0  # times
+_LEAST_STEP = 1e-6  # m, that 64 bit floats have of a place on the earth
+COARSER = (
+    2.0  # times the standard deviation that is stated: steps of such a rounding are motion to an estimator
+)
+MORE_DIGITS = "more digits (of degrees 8, no 32 bit floats)"
 
 
 def angle_of_count(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> float:
@@ -52,6 +57,15 @@ def least_change(changes: FloatArray) -> float:
     are_counts = np.count_nonzero(is_whole) > _SHARE * len(is_whole) and rounded > _ROUNDED * next_to.sum()
     is_known = len(is_whole) >= _LEAST_CHANGES and are_counts
     return float(np.median(changes[shown] / counts[shown])) if is_known else 0.0
+
+
+def rounding_of(places: FloatArray, stated: float) -> float:
+    """Standard deviation of the rounding of places (n,), m; 0 where their changes show no last digit.
+
+    Changes of less than a tenth of what they state are none: degrees that are metres on a map have some.
+    """
+    least = max(0.1 * stated, _LEAST_STEP)
+    return least_change(np.diff(least * np.round(places / least))) / float(np.sqrt(12.0))
 
 
 def judge_counts(counts: Counts) -> Cause | None:

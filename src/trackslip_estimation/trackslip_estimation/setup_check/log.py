@@ -112,6 +112,7 @@ class Log:
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
     left_out: dict[str, int] = field(default_factory=dict)  # topic → readings that are no numbers
     counts: Counts = Counts()
+    per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
 
     def with_tracks(self, matrix: FloatArray) -> "Log":
         """The same with (2, 2) ``matrix`` applied to left and right."""

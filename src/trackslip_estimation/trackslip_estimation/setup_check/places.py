@@ -8,6 +8,7 @@ import numpy as np
 
 from trackslip_common.arrays import BoolArray
 from trackslip_estimation.setup_check import remedies
+from trackslip_estimation.setup_check.count_angle import COARSER, MORE_DIGITS, rounding_of
 from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import LEAST_LOG, Cause, Measured, Undetermined, odds_of
 from trackslip_estimation.setup_check.fit import Lever, fit_lever
@@ -222,6 +223,31 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
             )
             causes.append(Cause("datum", one.name, evidence, odds_of(12.0), remedy))
     return causes + _apart(fixes)
+
+
+def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
+    """Places whose last digit is coarser than what they state."""
+    causes = []
+    for one in fixes:
+        rounding = max(
+            (rounding_of(column[np.isfinite(column)], one.noise) for column in one.places.T), default=0.0
+        )
+        if rounding <= COARSER * one.noise:
+            continue
+        evidence = (
+            f"its places are rounded by {rounding:.2g} m, and state a standard deviation of {one.noise:.2g} m"
+        )
+        floor = remedies.parameter(f"{group_of(one.name)}.position_floor", float(f"{rounding:.2g}"))
+        causes.append(
+            Cause(
+                "position_resolution",
+                one.name,
+                evidence,
+                odds_of(20.0),
+                f"Record {MORE_DIGITS}, or set {floor}",
+            )
+        )
+    return causes
 
 
 def _apart(fixes: Sequence[Fixes]) -> list[Cause]:

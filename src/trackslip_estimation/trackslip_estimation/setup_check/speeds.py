@@ -39,7 +39,7 @@ _UNITS = {
 }
 _FEET = 1.0 / 0.3048  # fixes in feet, declared m
 _USUAL_TURN, _TURN_SPREAD = 0.6, 0.45  # κ of most machines and grounds, spread of its logarithm
-_MOST_TURN, _TURN_NOISE = 1.15, 0.1  # κ that no machine exceeds
+MOST_TURN, _TURN_NOISE = 1.15, 0.1  # κ that no machine exceeds
 _LEAST_WINDOWS = 5
 _STRAIGHT = 0.9  # chord over path
 _ENOUGH = 20  # straight pieces
@@ -102,7 +102,7 @@ def _turn_log(turned: float) -> float:
     """Ln density of ln κ; 0 where it is unknown."""
     if not np.isfinite(turned):
         return 0.0
-    above = max(turned - _MOST_TURN, 0.0) / _TURN_NOISE
+    above = max(turned - MOST_TURN, 0.0) / _TURN_NOISE
     return -0.5 * ((float(np.log(turned / _USUAL_TURN)) / _TURN_SPREAD) ** 2 + above**2)
 
 

@@ -11,6 +11,7 @@ from trackslip_estimation.setup_check.grid import WINDOW
 from trackslip_estimation.setup_check.log import Fixes
 from trackslip_estimation.setup_check.quantities import explained_share
 from trackslip_estimation.setup_check.sides import FASTEST
+from trackslip_estimation.setup_check.speeds import MOST_TURN
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
 _LEAST_WAY = 10.0  # m, by the tracks
@@ -22,6 +23,7 @@ _LONGEST_HOLD = 5.0  # s, for which a log may hold the last fix
 _LEAST_RATIO = 0.01  # of the way: tracks that slip by more stand, or dig in, and the machine does not follow
 _FOLLOWS, _FOLLOWS_NOT = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
+_ROUNDING = 1e-9  # m
 _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
 
 
@@ -100,3 +102,25 @@ def judge_turns(drive: Drive) -> list[Undetermined]:
         found.append(f"headings of {compass.name} that do not turn as gyro and tracks do")
     needed = "look at its column as it comes, while the machine turns left and right by 90°"
     return [Undetermined(what, needed, is_wrong=True) for what in found]
+
+
+def judge_counting(drive: Drive) -> list[Undetermined]:
+    """Tracks that never count backwards, while the machine turns by more than their difference.
+
+    No machine turns so; one whose tracks run against each other does.
+    """
+    counted = drive.grid.tracks[drive.grid.is_driven]
+    turn = np.abs(drive.heading_turn if drive.gyro is None else drive.unbiased_turn)
+    is_hidden = drive.gyro is not None and drive.gyro.is_above and drive.log.swing is None
+    if is_hidden or not len(counted) or float(counted.min()) < -_ROUNDING:
+        return []
+    apart, both = np.pad(np.abs(drive.x[:, 1] - drive.x[:, 0]), 1), drive.x.sum(axis=1)
+    apart = np.maximum(np.maximum(apart[:-2], apart[2:]), apart[1:-1])  # or soon: a source may be late
+    on_the_spot = (turn > 2.0 * _TURNING) & (turn > 2.0 * MOST_TURN * apart) & (turn < MOST_TURN * both)
+    if on_the_spot.sum() < _LEAST_TURNING:
+        return []
+    what = (
+        f"machine that turns by {np.degrees(turn[on_the_spot].sum()):.0f}° while both tracks count forward "
+        "by the same: encoders without a direction"
+    )
+    return [Undetermined(what, "turn on the spot: one track must count backwards", is_wrong=True)]
