@@ -78,7 +78,7 @@ def written(recorded: Recorded) -> Iterator[Path]:
 
 def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
     """As the stretches give them, in log order."""
-    wanted = [topic for topic in bag.topics if topic in {f"/{t.removeprefix('/')}" for t in topics}]
+    requested = [topic for topic in bag.topics if topic in {f"/{t.removeprefix('/')}" for t in topics}]
     found: Found = []
     try:
         for stretch in read_stretches(bag, topics, *span):
@@ -87,7 +87,7 @@ def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
             assert (stretch.log_times_ns < stretch.until_ns).all()
             columns = (stretch.topics, stretch.log_times_ns, stretch.starts)
             for topic, time_ns, start, end in zip(*(c.tolist() for c in columns), ends, strict=True):
-                found.append((wanted[topic], time_ns, content[start:end]))
+                found.append((requested[topic], time_ns, content[start:end]))
     except InputError as error:
         return str(error)
     return found

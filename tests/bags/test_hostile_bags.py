@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from trackslip_bags.importing.csv_table import Wanted, read_table
+from trackslip_bags.importing.csv_table import Requested, read_table
 from trackslip_bags.messages import make, serialize
 from trackslip_bags.metadata import METADATA
 from trackslip_bags.reader import open_bag
@@ -177,7 +177,7 @@ def test_named_pipe_is_refused_without_blocking(
 
 def test_named_pipe_as_a_csv_log_is_refused_without_blocking(pipe: Callable[[str], Path]) -> None:
     with pytest.raises(InputError, match="no regular file"):
-        read_table(pipe("log.csv"), Wanted((), (), ()))
+        read_table(pipe("log.csv"), Requested((), (), ()))
 
 
 def test_metadata_above_16_mb_is_not_parsed(tmp_path: Path) -> None:
@@ -200,5 +200,5 @@ def test_huge_fields_of_a_csv_log(tmp_path: Path, content: str, expected: str) -
     file = tmp_path / "log.csv"
     file.write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=expected) as refused:
-        read_table(file, Wanted(("a", "b"), (), ()))
+        read_table(file, Requested(("a", "b"), (), ()))
     assert len(str(refused.value)) < 1000

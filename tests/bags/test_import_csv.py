@@ -76,7 +76,7 @@ def test_odometry_of_a_log_has_no_variance(tmp_path: Path) -> None:
     assert not m.twist.covariance.any()
 
 
-def test_a_directory_stands_for_its_files(tmp_path: Path) -> None:
+def test_directory_is_imported_as_its_files(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "wheels.csv").write_text("t,l,r\n1,2,3\n", encoding="utf-8")
     (tmp_path / "logs" / "notes.md").write_text("nothing", encoding="utf-8")
@@ -216,7 +216,7 @@ def test_quaternions_give_the_yaw(tmp_path: Path) -> None:
     assert covariance(messages["reference_pose"][1])[2, 2] == 1e6
 
 
-def test_when_a_row_was_received_is_kept(tmp_path: Path) -> None:
+def test_receive_time_of_a_row_is_kept(tmp_path: Path) -> None:
     """Stamps may then go back; the bag is in the order of arrival."""
     pose = {**XY, "stddev": CERTAIN, "received": {"column": "rx", "unit": "s"}}
     log = "t,rx,x,y\n1,1.5,1,0\n3,3.1,2,0\n2,3.2,3,0\n"
@@ -366,7 +366,7 @@ def test_rows_that_share_a_time_are_counted(tmp_path: Path) -> None:
     assert found.notes == ["sprockets: 48 of 60 rows share a time with the row before"]
 
 
-def test_a_value_may_stand_for_a_missing_one(tmp_path: Path) -> None:
+def test_stated_values_are_read_as_missing(tmp_path: Path) -> None:
     log = "t,l,r\n" + "".join(
         f"{k},{2 if k % 5 == 0 else 0},{3 if k % 5 == 0 else -999}\n" for k in range(100)
     )

@@ -45,7 +45,7 @@ def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
     return run
 
 
-def test_a_datum_of_the_other_hemisphere_made_a_map_6000_km_away(of_places: Any, tmp_path: Path) -> None:
+def test_datum_in_another_hemisphere_is_refused(of_places: Any, tmp_path: Path) -> None:
     """One sign of the datum is wrong: the import fails, and names both positions."""
     with pytest.raises(InputError) as caught:
         of_places(NEAR, datum=WRONG_SIGN)
@@ -97,7 +97,7 @@ def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
     assert len(messages) == len(NEAR)
 
 
-def test_one_fix_without_covariance_refused_a_whole_bag(tmp_path: Path) -> None:
+def test_fix_without_covariance_does_not_refuse_the_bag(tmp_path: Path) -> None:
     """In a CSV log such a row was left out and counted."""
     fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
     fixes[5].position_covariance[4] = math.nan
@@ -107,7 +107,7 @@ def test_one_fix_without_covariance_refused_a_whole_bag(tmp_path: Path) -> None:
     assert messages[0].pose.covariance[0] == pytest.approx(4e-4)
 
 
-def test_a_bag_in_which_no_fix_has_a_covariance_wants_one(tmp_path: Path) -> None:
+def test_bag_of_fixes_without_covariance_needs_a_stddev(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", (("/fix", fix(0.2 * k, *at, kind=0)) for k, at in enumerate(NEAR)))
     with pytest.raises(InputError, match=r"/fix states no variance of x that is above 0; accepted: stddev"):
         import_topics(tmp_path, log, {"gnss_pose": {"from": "/fix"}})

@@ -40,7 +40,9 @@ def of_bag(folder: Path, angles: Any, speeds: list[float]) -> list[Any]:
 
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("speeds", [[], SPEEDS.tolist()])
-def test_positions_that_wrap_were_jumps_of_a_bag(first: float, speeds: list[float], tmp_path: Path) -> None:
+def test_wrapping_positions_of_a_bag_are_continuous(
+    first: float, speeds: list[float], tmp_path: Path
+) -> None:
     """Each joint jumps at a moment of its own, before the mean of its side and the ratio."""
     found = of_bag(tmp_path, wrapped(first), speeds)
     np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, 2.0), (len(T), 1)), atol=1e-9)
@@ -55,7 +57,7 @@ def test_continuous_positions_of_a_bag_stay_as_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("unit", "turn"), [("rad", math.tau), ("deg", 360.0), ("rev", 1.0)])
-def test_positions_that_wrap_were_jumps_of_a_csv_log(unit: str, turn: float, tmp_path: Path) -> None:
+def test_wrapping_positions_of_a_csv_log_are_continuous(unit: str, turn: float, tmp_path: Path) -> None:
     """A gear is behind the encoder; one cell is blank."""
     cells = (wrapped(-math.pi)[:, (0, 2)] / math.tau * turn).tolist()
     rows = [f"{t},{left:.12g},{right:.12g}" for t, (left, right) in zip(T.tolist(), cells, strict=True)]

@@ -63,7 +63,7 @@ def test_each_function_exists(name: str) -> None:
     assert is_importable(name)
 
 
-def test_a_function_that_is_gone_is_seen() -> None:
+def test_missing_function_is_detected() -> None:
     assert not is_importable("strength.thrust_limits")
     assert not is_importable("soil.dynamics_kernel.predict")
 

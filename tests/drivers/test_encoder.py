@@ -28,7 +28,7 @@ def encoder(window=5, max_speed=5.0):
     return Encoder(window, max_speed)
 
 
-def test_wraps_both_ways():
+def test_positions_wrap_in_both_directions():
     unit = encoder()
     assert unit.update(4090, 0) is EncoderEvent.STARTED
     forward = unit.update(4, 1)

@@ -62,7 +62,7 @@ def start_link(received):
         assert not link._thread.is_alive()
 
 
-def test_bytes_both_ways_over_a_pty(pty_port, received, start_link):
+def test_bytes_pass_a_pty_in_both_directions(pty_port, received, start_link):
     every_byte = bytes(range(256))
     link = start_link(partial(SerialPort, str(pty_port.link), 9600, "N"))
     wait_for(lambda: link.state().connected)

@@ -82,7 +82,7 @@ def test_a_four_wheel_robot_goes_through(bag: Path, found: dict[str, Any]) -> No
     assert "NEES of the position" not in page.read_text(encoding="utf-8")
 
 
-def test_the_page_on_imports_stated_figures_of_an_older_filter(found: dict[str, Any]) -> None:
+def test_figures_on_the_page_on_imports_are_those_of_a_replay(found: dict[str, Any]) -> None:
     """To half a millimetre: the last digit is the processor's."""
     page = PAGE.read_text(encoding="utf-8")
     stated = {
@@ -125,7 +125,7 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
 @pytest.mark.parametrize("write", [pytest.param(write_ros1, marks=pytest.mark.slow), write_ros2])
-def test_the_heading_of_two_antennas_came_from_no_bag(write: Any, topic: str, tmp_path: Path) -> None:
+def test_heading_of_two_antennas_is_imported_from_a_bag(write: Any, topic: str, tmp_path: Path) -> None:
     """RTK on a robot of others, by the mapping on the page."""
     antenna = Gnss((-0.2, 0.1), np.pi / 2.0)
     log = write(tmp_path / "robot.bag", TRUTH, antenna)
@@ -190,7 +190,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("reason", REFUSED)
-def test_what_was_refused_is_counted_in_the_reason(bag: Path, reason: str) -> None:
+def test_refused_measurements_are_counted_in_the_reason(bag: Path, reason: str) -> None:
     given, invalid = REFUSED[reason]
     rejected = Tally()
     for source, count in invalid.items():
@@ -206,7 +206,7 @@ def test_a_withheld_source_is_named(bag: Path, capsys: pytest.CaptureFixture[str
     assert "no estimate: no fix came: mocap_pose is withheld" in capsys.readouterr().out
 
 
-def test_a_heading_that_was_never_found_fails(
+def test_heading_never_found_fails(
     ros2_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It stands for the first second, and one antenna has no heading."""
@@ -217,7 +217,7 @@ def test_a_heading_that_was_never_found_fails(
     assert replayed(made)["rmse"]["heading"] < 0.3
 
 
-def test_what_was_refused_is_never_called_used(bag: Path, tmp_path: Path) -> None:
+def test_refused_measurements_are_never_reported_as_used(bag: Path, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     options = ["--withhold", "mocap_pose", "--output", str(page)]
     assert main(["report", str(bag), *options]) == ExitCode.FAILED

@@ -359,7 +359,7 @@ def test_fixes_at_zero_among_few_are_named(zeros: tuple[int, ...]) -> None:
     assert names_of(far_fixes(*zeros)) == {"missing_value"}
 
 
-def test_one_wrong_fix_that_is_sent_again_stands_for_no_missing_value() -> None:
+def test_one_repeated_wrong_fix_is_no_missing_value() -> None:
     assert names_of(far_fixes(20, 21, 22, 23)) == set()
 
 
@@ -616,9 +616,7 @@ def test_a_count_that_is_stated_far_too_small_is_named(counts: Counts, expected:
 
 
 @pytest.mark.parametrize(("slide", "expected"), [(1.4, True), (0.3, True), (0.0, False)])
-def test_a_machine_that_goes_across_its_heading_whichever_way_its_tracks_run_slides(
-    slide: float, *, expected: bool
-) -> None:
+def test_machine_that_moves_across_its_heading_in_both_gears_slides(slide: float, *, expected: bool) -> None:
     """On a side slope of clay it had a wrong radius, and a wrong heading, with certainty."""
     log = make_drive(programme=STRAIGHT, slide=slide)
     found = slides(Drive.of(log, log.gyros[0], log.fixes[0], log.compasses[0]))

@@ -80,7 +80,7 @@ def test_a_healthy_machine_has_no_cause(parameters: SlipEstimatorParameters) -> 
     assert causes_after(check, measurements(make_drive(1), 0.0, (1.0, 1.0), 1.0), NAMED_S) == set()
 
 
-def test_a_mistake_that_is_one_of_several_stands_once_it_was_seen_twice(
+def test_mistake_that_is_one_of_several_is_reported_from_the_second_check(
     parameters: SlipEstimatorParameters,
 ) -> None:
     check, drive = RunningCheck(parameters), make_drive()

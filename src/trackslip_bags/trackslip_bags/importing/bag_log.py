@@ -88,8 +88,8 @@ class _Collector:
         self._frames: list[str] = []
         self._left_out: Counter[str] = Counter()
         self._seen: dict[str, None] = {}  # joints of messages that did not serve
-        wanted = {name for side in sides_of(topic) for name in side.names} if type_name == JOINTS else set()
-        self._joints = JointsByStamp(wanted)
+        sides = sides_of(topic) if type_name == JOINTS else ()
+        self._joints = JointsByStamp({name for side in sides for name in side.names})
 
     def add(self, message: Logged) -> None:
         """One message of its topic.
@@ -150,12 +150,12 @@ class _Collector:
         """Why there is not one sample."""
         topic = self.topic
         if self._seen:
-            wanted = [name for joints in sides_of(topic) for name in joints.names]
-            like = next((text for name in wanted if (text := did_you_mean(name, self._seen))), "")
+            requested = [name for joints in sides_of(topic) for name in joints.names]
+            like = next((text for name in requested if (text := did_you_mean(name, self._seen))), "")
             keys = JOINT if topic.role == "swing" else " and ".join(SIDES)
-            asked = ", ".join(wanted) + ("" if topic.joints else f" (no {keys} in the mapping)")
+            asked = ", ".join(requested) + ("" if topic.joints else f" (no {keys} in the mapping)")
             there = ", ".join(self._seen)
-            if self._left_out[PARTIAL] and set(wanted) <= self._seen.keys():
+            if self._left_out[PARTIAL] and set(requested) <= self._seen.keys():
                 what = f"no message of {topic.source}, and no messages of one stamp, hold {asked} together"
                 return f"{topic.where}: {what}; accepted: joints in one message, or with one stamp"
             return f"{topic.where}: {topic.source} has no joints {asked}{like}; accepted: {there}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from trackslip_bags.importing.columns import FIRST, Column, Spread, TimeColumn
 from trackslip_bags.importing.csv_fields import place_of, values_of
-from trackslip_bags.importing.csv_table import NO_TIME, Table, Wanted, read_table
+from trackslip_bags.importing.csv_table import NO_TIME, Requested, Table, read_table
 from trackslip_bags.importing.local import LocalFrame
 from trackslip_bags.importing.mapping_topics import SIDES, CsvTopic
 from trackslip_bags.importing.roles import QUATERNION, ROLES
@@ -39,7 +39,7 @@ def read_csv_logs(
     """
     files = {topic.name: _file_of(topic, paths) for topic in topics}
     tables = {
-        path: read_table(path, _wanted([topic for topic in topics if files[topic.name] == path]))
+        path: read_table(path, _requested([topic for topic in topics if files[topic.name] == path]))
         for path in dict.fromkeys(files.values())
     }
     found = [_samples(tables[files[topic.name]], topic, start_ns, local) for topic in topics]
@@ -60,7 +60,7 @@ def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
     return found[0]
 
 
-def _wanted(topics: Sequence[CsvTopic]) -> Wanted:
+def _requested(topics: Sequence[CsvTopic]) -> Requested:
     """Every column of one file, once."""
     numbers: list[str] = []
     times: list[TimeColumn] = []
@@ -72,7 +72,7 @@ def _wanted(topics: Sequence[CsvTopic]) -> Wanted:
         texts += [topic.new_when_changes] if topic.new_when_changes else []
         if topic.dialect != topics[0].dialect:
             raise InputError(f"{topic.where}.csv: another than {topics[0].where} has; accepted: one a file")
-    return Wanted(
+    return Requested(
         tuple(dict.fromkeys(numbers)),
         tuple(dict.fromkeys(times)),
         tuple(dict.fromkeys(texts)),

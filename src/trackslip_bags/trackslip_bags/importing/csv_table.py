@@ -60,7 +60,7 @@ _HEAD = 200  # lines
 _SHOWN = 40  # characters of a bad cell
 
 
-class Wanted(NamedTuple):
+class Requested(NamedTuple):
     """What is to be read of a file."""
 
     numbers: tuple[str, ...]
@@ -86,7 +86,7 @@ class Table:
     notes: list[str] = field(default_factory=list)  # what was left out
 
 
-def read_table(path: Path, wanted: Wanted) -> Table:
+def read_table(path: Path, requested: Requested) -> Table:
     """The wanted columns of a file.
 
     Raises:
@@ -99,7 +99,7 @@ def read_table(path: Path, wanted: Wanted) -> Table:
         refuse_other_kinds(path)
         encoding = encoding_of(path)
         with path.open(encoding=encoding, newline=None) as stream:
-            reader = _Reader(path, lines_of(path, stream), wanted)
+            reader = _Reader(path, lines_of(path, stream), requested)
             if encoding == "cp1252":
                 reader.notes.append(f"{path.name}: not UTF-8; read as cp1252")
             if ends_in_zeros(path):
@@ -121,23 +121,23 @@ class _Block(NamedTuple):
 class _Reader:
     """One pass over a file."""
 
-    def __init__(self, path: Path, lines: Iterator[str], wanted: Wanted) -> None:
+    def __init__(self, path: Path, lines: Iterator[str], requested: Requested) -> None:
         self.notes: list[str] = []
-        self._path, self._wanted = path, wanted
+        self._path, self._requested = path, requested
         first = list(islice(lines, _HEAD))
-        self._head: Head = find_head(path, first, wanted.dialect, wanted.names)
+        self._head: Head = find_head(path, first, requested.dialect, requested.names)
         self._numbered = enumerate(chain(first[self._head.line :], lines), self._head.line + 1)
         self._short: tuple[int, str] | None = None
-        for name in wanted.names:
+        for name in requested.names:
             self._require(name)
 
     def table(self) -> Table:
         """All rows."""
-        wanted = self._wanted
+        requested = self._requested
         lines: list[IntArray] = []
-        times: dict[TimeColumn, list[IntArray]] = {column: [] for column in wanted.times}
-        numbers: dict[str, list[FloatArray]] = {name: [] for name in wanted.numbers}
-        texts: dict[str, list[NDArray[Any]]] = {name: [] for name in wanted.texts}
+        times: dict[TimeColumn, list[IntArray]] = {column: [] for column in requested.times}
+        numbers: dict[str, list[FloatArray]] = {name: [] for name in requested.numbers}
+        texts: dict[str, list[NDArray[Any]]] = {name: [] for name in requested.texts}
         for block in self._blocks():
             lines.append(np.array(block.lines, np.int64))
             for column, times_ns in times.items():
@@ -209,19 +209,19 @@ class _Reader:
             raise self._no_table(lines, " ".join(str(error).split(".")[0].split())) from error
         if cells.height != len(lines):
             raise self._no_table(lines, "a quote does not close")
-        places = {name: self._head.names.index(name) for name in dict.fromkeys(self._wanted.names)}
-        wanted = [
+        places = {name: self._head.names.index(name) for name in dict.fromkeys(self._requested.names)}
+        requested = [
             pl.col(f"{k}").fill_null("").str.strip_chars().str.strip_chars('"').str.strip_chars().alias(name)
             for name, k in places.items()
         ]
-        return _Block(lines, cells.select(wanted))
+        return _Block(lines, cells.select(requested))
 
     def _numbers(self, block: _Block, name: str) -> FloatArray:
         """(rows,) finite numbers, nan of blank cells."""
         cells = block.cells[name]
         is_blank = cells.str.to_lowercase().is_in(_BLANK)
         plain = cells.str.strip_prefix("+")
-        plain = plain.str.replace(",", ".", literal=True) if self._wanted.dialect.decimal_comma else plain
+        plain = plain.str.replace(",", ".", literal=True) if self._requested.dialect.decimal_comma else plain
         values = plain.cast(pl.Float64, strict=False)
         bad = (~is_blank & ~values.is_finite().fill_null(value=False)).arg_true()
         if len(bad):
@@ -243,7 +243,7 @@ class _Reader:
         return found
 
     def _pointed(self, cells: Sequence[str]) -> Sequence[str]:
-        return [cell.replace(",", ".") for cell in cells] if self._wanted.dialect.decimal_comma else cells
+        return [cell.replace(",", ".") for cell in cells] if self._requested.dialect.decimal_comma else cells
 
     def _is_units(self, text: str) -> bool:
         """Below the names: no cell that is wanted holds a value, and some hold a word."""
@@ -253,15 +253,15 @@ class _Reader:
             return False
         if len(row) < len(self._head.names):
             return False
-        at = {name: row[self._head.names.index(name)] for name in self._wanted.names}
-        for column in self._wanted.times:
+        at = {name: row[self._head.names.index(name)] for name in self._requested.names}
+        for column in self._requested.times:
             cells = [at[name] for name in column.names]
             if cells[0].lower() not in _BLANK and _holds(lambda c: time_ns(c, column), cells):  # noqa: B023
                 return False
-        cells = [at[name] for name in self._wanted.numbers]
+        cells = [at[name] for name in self._requested.numbers]
         if any(cell.lower() not in _BLANK and _holds(float, cell) for cell in cells):
             return False
-        words = [*cells, *(at[name] for column in self._wanted.times for name in column.names)]
+        words = [*cells, *(at[name] for column in self._requested.times for name in column.names)]
         return any(words) and not any(re.search(r"\d,\d", cell) for cell in words)
 
     def _bad(self, line: int, name: str, cell: str, instead: str) -> InputError:

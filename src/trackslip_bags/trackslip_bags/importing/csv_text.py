@@ -119,7 +119,7 @@ def lines_of(path: Path, stream: Any) -> Iterator[str]:
             yield text
 
 
-def find_head(path: Path, lines: list[str], dialect: Dialect, wanted: Collection[str]) -> Head:
+def find_head(path: Path, lines: list[str], dialect: Dialect, requested: Collection[str]) -> Head:
     """Where the names of a table are: the first line that has all that are wanted.
 
     Where none has, the first line that is no comment, or the comment above rows.
@@ -138,7 +138,7 @@ def find_head(path: Path, lines: list[str], dialect: Dialect, wanted: Collection
         is_comment = line.lstrip().startswith(COMMENT)
         delimiter = stated or _guess(line, dialect.decimal_comma)
         names = split(line.lstrip().lstrip(COMMENT), delimiter)
-        if wanted and set(wanted) <= set(names):
+        if requested and set(requested) <= set(names):
             return Head(names, delimiter, k, is_comment)
     return _likely_head(path, lines, first, stated)
 

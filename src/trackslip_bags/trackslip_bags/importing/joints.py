@@ -18,8 +18,8 @@ class JointsByStamp:
         wanted: names of joints.
     """
 
-    def __init__(self, wanted: set[str]) -> None:
-        self._wanted = wanted
+    def __init__(self, requested: set[str]) -> None:
+        self._requested = requested
         self._parts: dict[int, dict[str, tuple[float, float]]] = {}  # stamp → joint → position, velocity
         self.dropped = 0  # messages whose rest did not come
 
@@ -28,15 +28,15 @@ class JointsByStamp:
 
         None while some are missing.
         """
-        here = self._wanted.intersection(message.name)
-        if not here or here == self._wanted:
+        here = self._requested.intersection(message.name)
+        if not here or here == self._requested:
             return message
         stamp = message.header.stamp
         key = int(stamp.sec) * 10**9 + int(stamp.nanosec)
         part = self._parts.setdefault(key, {})
         for k, name in enumerate(message.name):
             part[name] = (_at(message.position, k), _at(message.velocity, k))
-        if self._wanted <= part.keys():
+        if self._requested <= part.keys():
             del self._parts[key]
             positions, velocities = zip(*part.values(), strict=True)
             return SimpleNamespace(

@@ -277,8 +277,8 @@ def facts_of(log: Log, drive: Drive, unit: float) -> list[str]:
     ``unit``: of the speeds, which is undone in ``drive``: shown is what was recorded.
     """
     left, right = unit * drive.grid.tracks.T
-    way = float(np.nansum(np.abs(window_sums(drive.grid, (left + right) / 2.0))))
-    lines = [f"distance: {way:.1f} m by the tracks"]
+    distance = float(np.nansum(np.abs(window_sums(drive.grid, (left + right) / 2.0))))
+    lines = [f"distance: {distance:.1f} m by the tracks"]
     if drive.fixes is not None:
         lines[0] += f", {drive.distance_by_fixes:.1f} m by {drive.fixes.name}"
     turns = {"the tracks": window_sums(drive.grid, right - left) / log.machine.tread}

@@ -22,7 +22,7 @@ from trackslip_estimation.setup_check.log import Fixes, Log, Tracks
 from trackslip_estimation.setup_check.path import thinned
 
 LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
-_SURE, _CERTAIN = 2.0, 4.0  # standard deviations, by which a delay is longer than that, and than none
+_LONGER, _CERTAIN = 2.0, 4.0  # standard deviations, by which a delay is longer than that, and than none
 _FINE = 0.15  # s, of a delay by turn rates
 _LATES = np.arange(-2.0, 2.01, 0.1)  # s
 _LENGTHS = (10.0, 20.0)  # s
@@ -60,8 +60,8 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
         other = (common - {1.0}).pop()
         spans = {name: float(t[-1] - t[0]) for name, _, t in series if len(t) > 1}
         longest = max(spans[n] for n in spans if factors[n] == other)
-        alike = [n for n in spans if factors[n] == 1.0 and 0.2 < spans[n] / longest < 5.0]
-        factors |= dict.fromkeys(alike, other)
+        similar = [n for n in spans if factors[n] == 1.0 and 0.2 < spans[n] / longest < 5.0]
+        factors |= dict.fromkeys(similar, other)
     causes = []
     whole = len(set(factors.values())) == 1
     for name, _, t in series:
@@ -112,10 +112,10 @@ def _scaled(log: Log, factors: dict[str, float]) -> Log:
     angles, speeds = log.tracks.angles, log.tracks.speeds
     if common != 1.0 and np.isfinite(speeds).all():
         angles = angles_of(t, speeds, np.full(speeds.shape, np.nan))
-    alike = {name for name, factor in factors.items() if factor == common}
-    gyros = tuple(replace(g, t=right(g.t)) for g in log.gyros if g.name in alike)
-    fixes = tuple(replace(f, t=right(f.t)) for f in log.fixes if f.name in alike)
-    known = alike | ({c.name for c in log.compasses} - factors.keys())
+    similar = {name for name, factor in factors.items() if factor == common}
+    gyros = tuple(replace(g, t=right(g.t)) for g in log.gyros if g.name in similar)
+    fixes = tuple(replace(f, t=right(f.t)) for f in log.fixes if f.name in similar)
+    known = similar | ({c.name for c in log.compasses} - factors.keys())
     compasses = tuple(replace(c, t=right(c.t)) for c in log.compasses if c.name in known)
     return replace(log, tracks=Tracks(t, speeds, angles), gyros=gyros, fixes=fixes, compasses=compasses)
 
@@ -177,15 +177,15 @@ def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, b
     parts = [slice(k * size, (k + 1) * size) for k in range(count)]
     delays = [delay_of(first[part], second[part], cell) for part in parts]
     shown = [(k * size * cell, delay.value) for k, delay in enumerate(delays) if delay is not None]
-    gone = next((k for k, (_, value) in enumerate(shown) if abs(value) > _LATEST), len(shown))
-    if gone < _LEAST_PARTS:
+    end = next((k for k, (_, value) in enumerate(shown) if abs(value) > _LATEST), len(shown))
+    if end < _LEAST_PARTS:
         return None
-    t, values = np.array(shown[:gone]).T
+    t, values = np.array(shown[:end]).T
     own = t - t.mean()
     slope = float(own @ values / (own @ own))
     rest = np.hypot(np.std(values - slope * own, ddof=2), 0.02)
     span, stddev = float(np.ptp(t)), float(rest / np.sqrt(own @ own))
-    least = max(LEAST_DELAY + _SURE * stddev * span, 2.0 * _CERTAIN * stddev * span)
+    least = max(LEAST_DELAY + _LONGER * stddev * span, 2.0 * _CERTAIN * stddev * span)
     return slope, abs(slope) * span > least
 
 
@@ -193,8 +193,8 @@ def _of_path(drive: Drive, fixes: Fixes, found: list[Late]) -> list[Late]:
     """Fixes against dead reckoning by tracks; by tracks and gyro where these agree."""
     gyro = drive.gyro.name if drive.gyro is not None else ""
     apart = next((one for one in found if (one.first, one.second) == (TRACKS, gyro)), None)
-    is_alike = apart is not None and abs(apart.value) < LEAST_DELAY
-    path, thin = drive.path if is_alike else drive.track_path, thinned(fixes, 0.3)
+    is_common = apart is not None and abs(apart.value) < LEAST_DELAY
+    path, thin = drive.path if is_common else drive.track_path, thinned(fixes, 0.3)
     own = [_by_segments(path_delay(path, thin, length, _LATES), fixes) for length in _LENGTHS]
     best = min((late for late in own if late is not None), key=lambda late: late.stddev, default=None)
     if best is None:
@@ -209,7 +209,7 @@ def _by_segments(of_segments: FloatArray, fixes: Fixes) -> Late | None:
     """By (d, s) likelihoods; None where the top lies beyond, or is not certain."""
     logs = of_segments.sum(axis=1)
     k = int(np.argmax(logs))
-    if k in (0, len(_LATES) - 1) or not _is_shown_alike(of_segments, k):
+    if k in (0, len(_LATES) - 1) or not _is_consistent(of_segments, k):
         return None
     gain = float(logs[k] - logs[int(np.argmin(np.abs(_LATES)))])
     if abs(_LATES[k]) > LEAST_DELAY and gain < LEAST_LOG + PRIOR:
@@ -219,7 +219,7 @@ def _by_segments(of_segments: FloatArray, fixes: Fixes) -> Late | None:
     return Late(TRACKS, fixes.name, float(_LATES[k]), max(stddev, _jackknife(of_segments, k)), gain)
 
 
-def _is_shown_alike(of_segments: FloatArray, best: int) -> bool:
+def _is_consistent(of_segments: FloatArray, best: int) -> bool:
     """Whether segments of (d, s) likelihoods show a delay, and half of them this one: stamps have but one."""
     shown = of_segments[:, np.ptp(of_segments, axis=0) > _SHOWN]
     if shown.shape[1] < _LEAST_SEGMENTS:
@@ -244,7 +244,7 @@ def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
     off = {
         key: (value, stddev)
         for key, (value, stddev) in values.items()
-        if abs(value) > max(LEAST_DELAY + _SURE * stddev, _CERTAIN * stddev)
+        if abs(value) > max(LEAST_DELAY + _LONGER * stddev, _CERTAIN * stddev)
     }
     if not off:
         return [], []

@@ -102,11 +102,11 @@ def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     if not LATEST + max(period - _WINDOW, 0.0) <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST:
         return None
     of_tracks, of_fixes = (_correlations(one, one, steps)[0] for one in (by_tracks, by_fixes))
-    alike = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings that tell the same (Bartlett)
+    effective = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings that tell the same (Bartlett)
     without = float(r[np.abs(shifts) <= _STEP].max())
     second = float(r[np.abs(shifts - shifts[best]) > _WIDTH].max())
     gain, over_second = (
-        0.5 * counts[best] / alike * np.log((1.0 - max(other, 0.0) ** 2) / (1.0 - r[best] ** 2))
+        0.5 * counts[best] / effective * np.log((1.0 - max(other, 0.0) ** 2) / (1.0 - r[best] ** 2))
         for other in (without, second)
     )
     gain -= PRIOR + np.log(len(shifts))

@@ -20,7 +20,7 @@ from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 _CLEAR = float(np.log(1e4))  # odds that need no three turns
 _LEAST_TURNED = np.radians(25.0)  # but so much in all
 _TURNING = np.radians(2.0)  # in a window
-_LEAST_WAY = 2.0  # m, times what the tread is over 1 m
+_LEAST_DISTANCE = 2.0  # m, times what the tread is over 1 m
 MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
 _TURN = "turn left and right by 90° once each, and drive 10 m straight"
 
@@ -69,16 +69,16 @@ def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
         causes = [c for c in causes if c.cause != signs.GYRO]
         causes.append(inertial.upside_down(gyro, likely[signs.GYRO]))
     open_ones = []
-    doubtful = decision.any_odds > 0.0 and not likely
-    if doubtful:
+    is_open = decision.any_odds > 0.0 and not likely
+    if is_open:
         sets = [_named(decision), *decision.rivals]
         what = " or ".join(" and ".join(sorted(one)) or "none" for one in sets)
         open_ones.append(Undetermined(what, _missing_sensor(evidence), decision.any_odds > LEAST_LOG))
-    untested = set(decision.untested) if not likely and not doubtful else set()
+    untested = set(decision.untested) if not likely and not is_open else set()
     if untested:
         what = f"{', '.join(sorted(untested))}: neither shown nor excluded"
         open_ones.append(Undetermined(what, _TURN if untested != {signs.BOTH} else _missing_sensor(evidence)))
-    return replace(found, is_decided=not doubtful, causes=tuple(causes), undetermined=tuple(open_ones))
+    return replace(found, is_decided=not is_open, causes=tuple(causes), undetermined=tuple(open_ones))
 
 
 def _missing_motion(drive: Drive, decision: Decision) -> list[Undetermined]:
@@ -88,14 +88,14 @@ def _missing_motion(drive: Drive, decision: Decision) -> list[Undetermined]:
     if drive.gyro is None:
         count = max(turns_of(0.5 * (right - left)), turns_of(0.5 * (right + left)))
         count = min(count, turns_of(drive.heading_turn)) if drive.compass is not None else count
-    ways = [np.abs(window_sums(drive.grid, drive.grid.tracks @ one / 2.0)) for one in signs.DISTANCES]
-    way = max(float(np.nansum(one)) for one in ways)
+    distances = [np.abs(window_sums(drive.grid, drive.grid.tracks @ one / 2.0)) for one in signs.DISTANCES]
+    distance = max(float(np.nansum(one)) for one in distances)
     needs = []
     is_clear = turned > _LEAST_TURNED and max(decision.log_odds.values(), default=-1.0) > _CLEAR
     if count < LEAST_TURNS and not is_clear:
         needs.append(Undetermined(f"signs of tracks, gyro, fixes and headings ({count} turns of 15°)", _TURN))
-    if way < _LEAST_WAY * max(drive.machine.tread, 0.3):
-        needs.append(Undetermined(f"signs of the tracks ({way:.1f} m driven)", _TURN))
+    if distance < _LEAST_DISTANCE * max(drive.machine.tread, 0.3):
+        needs.append(Undetermined(f"signs of the tracks ({distance:.1f} m driven)", _TURN))
     return needs
 
 
@@ -122,8 +122,8 @@ def _kinds(drive: Drive, decision: Decision) -> tuple[int, int]:
     steps = drive.courses
     if drive.compass is None or not len(steps.courses):
         return 0, 0
-    ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
-    reverse = np.where(ways @ decision.assignment.distance < 0.0, np.pi, 0.0)
+    distances = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
+    reverse = np.where(distances @ decision.assignment.distance < 0.0, np.pi, 0.0)
     courses = unmirrored(steps, is_mirrored=decision.is_mirrored)
     headings = _headings(steps, decision.heading, 2.0 * drive.compass.offset)
     logs = np.array([[direction_log(c - h - reverse) for h in headings] for c in courses])

@@ -96,7 +96,7 @@ class Drive:
         return np.diff(self.headings[:: max(round(WINDOW / self.grid.cell), 1)])
 
     @cached_property
-    def fix_ways(self) -> FloatArray:
+    def fix_distances(self) -> FloatArray:
         """(w,) m by the fixes; nan where there is none."""
         if self.fixes is None:
             return np.full(len(self.x), np.nan)
@@ -104,9 +104,10 @@ class Drive:
 
     @property
     def distance_by_fixes(self) -> float:
-        """In steps that stand out of their noise, m."""
-        ways = self.fix_ways
-        return float(np.nansum(ways[ways > 3.0 * self.fixes.noise])) if self.fixes is not None else 0.0
+        """Distance by the fixes, in steps that exceed their noise, m; 0 without fixes."""
+        if self.fixes is None:
+            return 0.0
+        return float(np.nansum(self.fix_distances[self.fix_distances > 3.0 * self.fixes.noise]))
 
     @cached_property
     def fit(self) -> TurnFit:

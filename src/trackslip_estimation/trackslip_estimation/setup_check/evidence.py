@@ -66,12 +66,12 @@ def _courses(drive: Drive) -> FloatArray:
     found, steps = np.zeros((len(ASSIGNMENTS), 2, 2)), drive.courses
     if len(steps.courses) < _LEAST_COURSES:
         return found
-    ways = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
+    distances = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
     of_distance: dict[tuple[float, ...], FloatArray] = {}  # of which pairs of assignments have the same
     for a, assignment in enumerate(ASSIGNMENTS):
         key = tuple(assignment.distance.tolist())
         if key not in of_distance:
-            reverse = np.where(ways @ assignment.distance < 0.0, np.pi, 0.0)
+            reverse = np.where(distances @ assignment.distance < 0.0, np.pi, 0.0)
             of_distance[key] = _course_logs(steps, reverse)
         found[a] = of_distance[key]
     return found
@@ -111,7 +111,7 @@ def forward_shares(tracks: FloatArray) -> FloatArray:
     known = tracks[np.isfinite(tracks).all(axis=1)]
     shares = []
     for assignment in ASSIGNMENTS:
-        way = known @ assignment.distance / 2.0
-        ahead, back = float(way[way > 0.0].sum()), float(-way[way < 0.0].sum())
+        distance = known @ assignment.distance / 2.0
+        ahead, back = float(distance[distance > 0.0].sum()), float(-distance[distance < 0.0].sum())
         shares.append((ahead + 1.0) / (ahead + back + 2.0))
     return np.array(shares)

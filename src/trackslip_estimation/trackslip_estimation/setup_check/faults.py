@@ -89,8 +89,8 @@ def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest
     found, counts = np.unique(heads[jumps], return_counts=True)
     top = found[np.argmax(counts)]
     there = jumps & (heads == top)
-    alike = jumps & (size > 0.5 * np.median(size[there]))  # what jumps as far
-    if there.sum() < 0.5 * alike.sum():
+    similar = jumps & (size > 0.5 * np.median(size[there]))  # what jumps as far
+    if there.sum() < 0.5 * similar.sum():
         return None
     return _Jumps(top, np.repeat(there, lengths), int(there.sum()))
 

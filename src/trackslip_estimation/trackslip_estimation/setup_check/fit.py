@@ -56,14 +56,14 @@ def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
     extent = np.sqrt(of_q / moments.counts)
     begin, end = parts[:, 0], parts[:, 1] - 1
     distance = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.places)))))
-    way = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
-    wide = (np.sqrt(of_z / moments.counts) > max(6.0 * fixes.noise, 0.25)) & (way > 0.3)
+    distance = np.interp(fixes.t[end], path.edges, distance) - np.interp(fixes.t[begin], path.edges, distance)
+    wide = (np.sqrt(of_z / moments.counts) > max(6.0 * fixes.noise, 0.25)) & (distance > 0.3)
     wide &= np.abs(c) * np.sqrt(of_q) > _FOLLOWS * np.sqrt(of_z)
     if not wide.any():
         return None
     variances = (fixes.noise**2 + 1e-6) / of_q + (0.02 * np.abs(c)) ** 2
     middle = (fixes.t[begin] + fixes.t[end]) / 2.0
-    straight = np.abs(q[end] - q[begin]) / np.maximum(way, 1e-9)
+    straight = np.abs(q[end] - q[begin]) / np.maximum(distance, 1e-9)
     found = (np.abs(c), np.angle(c), 1.0 / variances, middle, straight, extent)
     return Scales(*(column[wide] for column in found))
 

@@ -84,9 +84,9 @@ def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
 def straight_courses(grid: Grid, turn: FloatArray, fixes: Fixes, compass: Compass) -> Courses:
     """Steps between fixes over windows in which the machine hardly turns; ``turn`` (m,) rad of the cells."""
     edges, steps = window_edges(grid), steps_of(fixes, grid)
-    turns, way = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
+    turns, distance = np.abs(window_sums(grid, turn)), np.hypot(*steps.T)
     middle = heading_at(compass, (edges[1:] + edges[:-1]) / 2.0)
-    is_far = way > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
+    is_far = distance > max(_LEAST_STEP, _LEAST_NOISES * fixes.noise)
     index = np.flatnonzero(is_far & (turns < _STRAIGHT) & np.isfinite(middle))
     return Courses(np.arctan2(steps[index, 1], steps[index, 0]), middle[index], index)
 

@@ -21,7 +21,7 @@ from trackslip_estimation.setup_check.signs import HEADING
 _LENGTHS = (5.0, 10.0, 20.0)  # s
 _ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
 _LEAST_LEVER = 0.08  # m
-_SURE = 4.0  # standard deviations
+_SIGNIFICANT = 4.0  # standard deviations
 _ON_TIME, _LATE = 0.05, 0.5  # s, standard deviation of a delay that headings exclude, or do not
 _TURN = "turn on the spot by 180° to the left and to the right"
 _EXACT = 0.06  # of the tread, standard deviation of a lever arm that is known
@@ -57,24 +57,25 @@ def judge_lever(
     if lever is None or lever.turned < _LEAST_TURN or min(lever.stddevs) > 0.5 * machine.tread + 0.3:
         return [], [Undetermined(f"lever arm of {fixes.name}", _TURN)]
     off = np.array((lever.value.real, lever.value.imag))
-    sure = np.array(lever.stddevs)
+    stddevs = np.array(lever.stddevs)
     allowed = np.array(
         (_ICR_SHARE * machine.contact_length + _LEAST_LEVER, 0.1 * machine.tread + _LEAST_LEVER)
     )
-    is_off = np.abs(off) > allowed + _SURE * sure
+    is_off = np.abs(off) > allowed + _SIGNIFICANT * stddevs
     if not is_off.any() or lever.log_ratio < LEAST_LOG:
-        if max(sure) < _EXACT * machine.tread:
+        if max(stddevs) < _EXACT * machine.tread:
             return [], []
-        what = f"lever arm of {fixes.name}, which turns show to ± {_SURE * max(sure):.2g} m only"
+        what = f"lever arm of {fixes.name}, which turns show to ± {_SIGNIFICANT * max(stddevs):.2g} m only"
         return [], [Undetermined(what, _TURN)]
     value = np.array(fixes.lever) + off
-    if np.hypot(*fixes.lever) > _LEAST_LEVER and (np.abs(value + fixes.lever) < allowed + _SURE * sure).all():
+    is_mirrored = (np.abs(value + fixes.lever) < allowed + _SIGNIFICANT * stddevs).all()
+    if np.hypot(*fixes.lever) > _LEAST_LEVER and is_mirrored:
         return [], [
             Undetermined(f"lever arm of {fixes.name} of the other sign, {_FRONT}", _AHEAD, is_wrong=True)
         ]
     group = group_of(fixes.name)
-    known = [k for k in (0, 1) if is_off[k] or sure[k] < _EXACT * machine.tread]
-    shown = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * sure[k]:.2f}" for k in known)
+    known = [k for k in (0, 1) if is_off[k] or stddevs[k] < _EXACT * machine.tread]
+    shown = ", ".join(f"{'xy'[k]} {value[k]:.2f} ± {2.0 * stddevs[k]:.2f}" for k in known)
     evidence = (
         f"in turns the fixes are those of a sensor at {shown} m; "
         f"stated: {fixes.lever[0]:g}, {fixes.lever[1]:g} m"
@@ -102,15 +103,15 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
     if len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
         return [], [Undetermined(f"offset of the heading of {compass.name}", needed)], None
-    ways = drive.x.sum(axis=1)[steps.windows]
-    differences = wrapped(steps.courses - steps.headings - np.where(ways < 0.0, np.pi, 0.0))
+    distances = drive.x.sum(axis=1)[steps.windows]
+    differences = wrapped(steps.courses - steps.headings - np.where(distances < 0.0, np.pi, 0.0))
     middle = mean_direction(differences)
     rest = wrapped(differences - middle)
     scatter = 1.4826 * float(np.median(np.abs(rest)))
     stddev = float(np.hypot(1.25 * scatter / np.sqrt(len(rest)), 0.01))
     basis = f"{len(rest)} straight pieces, course less heading"
     measured = Measured("yaw_offset", compass.name, middle, 2.0 * stddev, "rad", basis)
-    causes, open_ones = _judge_reverse(compass, ways < 0.0, np.abs(rest) > np.pi - _HALF_TURN)
+    causes, open_ones = _judge_reverse(compass, distances < 0.0, np.abs(rest) > np.pi - _HALF_TURN)
     if causes or open_ones:
         return causes, open_ones, None
     usual = np.abs(rest) < 0.5

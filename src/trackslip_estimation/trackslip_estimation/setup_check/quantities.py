@@ -114,9 +114,9 @@ def _misfit(drive: Drive) -> float:
 
 
 def _explained(drive: Drive) -> _Found:
-    ways = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))  # with the same sign, or the other
+    distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))  # with the same sign, or the other
     pairs = (
-        max(explained_share(drive.fix_ways, ways[:, k : k + 1]) for k in (0, 1)),
+        max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1)),
         explained_share(drive.turn, drive.x),
         explained_share(drive.heading_turn, drive.x),
         explained_share(drive.heading_turn, drive.turn[:, np.newaxis]),

@@ -59,11 +59,11 @@ def _same(drive: Drive) -> Cause | None:
 
 
 def _sides(drive: Drive, unit: float) -> Sides:
-    tracks, way, turn = _windows(drive, unit)
-    if len(way) < _LEAST_WINDOWS or not np.percentile(turn, 20) < _STRAIGHT > -np.percentile(turn, 80):
+    tracks, distance, turn = _windows(drive, unit)
+    if len(distance) < _LEAST_WINDOWS or not np.percentile(turn, 20) < _STRAIGHT > -np.percentile(turn, 80):
         return Sides(drive)
     logs = np.log((tracks[:, 0] + _NOTHING) / (tracks[:, 1] + _NOTHING))
-    curve = turn / way
+    curve = turn / distance
     bent = curve - curve.mean()
     logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # as without a turn
     least = float(np.log(_LEAST_RATIO))
@@ -71,7 +71,7 @@ def _sides(drive: Drive, unit: float) -> Sides:
     less = int(shares[1] > shares[0])  # the side that goes less far
     if shares[less] < _USUAL_SHARE:
         return Sides(drive)
-    ahead = np.median(way[:, np.newaxis] / (tracks + _NOTHING), axis=0)
+    ahead = np.median(distance[:, np.newaxis] / (tracks + _NOTHING), axis=0)
     wrong = [k for k, one in enumerate(ahead.tolist()) if not _SLIPS[0] < one < _SLIPS[1]]
     q = float(np.exp(-abs(np.median(logs))))
     name, other = _SIDES[less], _SIDES[1 - less]
@@ -80,8 +80,8 @@ def _sides(drive: Drive, unit: float) -> Sides:
         needed = "count the turns of both sprockets by hand"
         return Sides(None, (), (Undetermined(evidence, needed, is_wrong=True),))
     side = _SIDES[wrong[0]]
-    evidence += f", and fixes agree with the {_SIDES[1 - wrong[0]]} one ({len(way)} windows)"
-    odds = odds_of(2.0 * len(way))
+    evidence += f", and fixes agree with the {_SIDES[1 - wrong[0]]} one ({len(distance)} windows)"
+    odds = odds_of(2.0 * len(distance))
     if q < _DEAD:
         remedy = f"Check the {name} encoder, and its name in the mapping or roles file"
         return Sides(None, (Cause("missing_value", "sprockets", evidence, odds, remedy),))
@@ -96,15 +96,16 @@ def _sides(drive: Drive, unit: float) -> Sides:
 
 def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Windows in which the machine goes: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad."""
-    tracks, way = np.abs(drive.x) * drive.machine.tread * unit, drive.fix_ways
+    tracks, distance = np.abs(drive.x) * drive.machine.tread * unit, drive.fix_distances
     turn = drive.heading_turn if drive.gyro is None else drive.unbiased_turn
-    goes = np.isfinite(way) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1) & (np.abs(turn) < _TURNS)
+    goes = np.isfinite(distance) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1)
+    goes &= np.abs(turn) < _TURNS
     if drive.fixes is not None and goes.any():
-        goes &= way > max(0.3 * float(np.percentile(way[goes], 95)), 3.0 * drive.fixes.noise)
+        goes &= distance > max(0.3 * float(np.percentile(distance[goes], 95)), 3.0 * drive.fixes.noise)
     if goes.any():
         most = tracks.max(axis=1)
         goes &= most > 0.3 * float(np.percentile(most[goes], 95))
-    return tracks[goes], way[goes], turn[goes]
+    return tracks[goes], distance[goes], turn[goes]
 
 
 def _frame(drive: Drive, unit: float) -> Cause | None:
@@ -112,14 +113,14 @@ def _frame(drive: Drive, unit: float) -> Cause | None:
     if drive.fixes is None:
         return None
     tracks = np.abs(drive.x).max(axis=1) * drive.machine.tread * unit / WINDOW
-    way = drive.fix_ways / WINDOW
+    distance = drive.fix_distances / WINDOW
     driven = tracks[np.isfinite(tracks)]
     fastest = float(np.percentile(driven, 95)) if len(driven) else np.inf
-    fast = (tracks > 0.3 * fastest) & np.isfinite(way)
+    fast = (tracks > 0.3 * fastest) & np.isfinite(distance)
     if int(fast.sum()) < _LEAST_WINDOWS:
         return None
-    of_fixes, of_tracks = float(np.median(way[fast])), float(np.median(tracks[fast]))
-    is_steady = float(np.percentile(way[fast], 20)) > of_fixes / 3.0  # fixes that leap are not
+    of_fixes, of_tracks = float(np.median(distance[fast])), float(np.median(tracks[fast]))
+    is_steady = float(np.percentile(distance[fast], 20)) > of_fixes / 3.0  # fixes that leap are not
     if of_fixes < FASTEST or of_tracks > FASTEST or not is_steady:
         return None
     evidence = (

@@ -53,24 +53,24 @@ _GEAR = (1.4, 3.0)  # ratio of displacements
 _LEAST_IN_GEAR = 4  # pieces
 _LEAST_AHEAD = 3  # pieces in which no slip explains the fixes
 _LEAST_HARD = 0.9  # ρ on the best ground, below which there is slip on all of it, or none
-_ALIKE = float(np.log(10.0))  # between units of which slip may decide
+_EQUAL = float(np.log(10.0))  # between units of which slip may decide
 _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
 def rough_scale(drive: Drive) -> float:
     """ρ on the fastest straights, whatever the signs of the tracks; nan: too little motion."""
-    way, tracks = drive.fix_ways, drive.x * drive.machine.tread
-    sound = np.isfinite(way) & np.isfinite(tracks).all(axis=1)
+    distance, tracks = drive.fix_distances, drive.x * drive.machine.tread
+    sound = np.isfinite(distance) & np.isfinite(tracks).all(axis=1)
     if sound.sum() < _LEAST_WINDOWS:
         return float("nan")
-    way, tracks = way[sound], tracks[sound]
+    distance, tracks = distance[sound], tracks[sound]
     own = np.maximum(np.abs(tracks.sum(axis=1)), np.abs(tracks[:, 1] - tracks[:, 0])) / 2.0
     fast = own > 0.6 * np.percentile(own, 95)
     fast &= own > 0.0
     noise = 0.0 if drive.fixes is None else drive.fixes.noise
-    if fast.sum() < 3 or float(np.median(way[fast])) < max(3.0 * noise, 0.05):
+    if fast.sum() < 3 or float(np.median(distance[fast])) < max(3.0 * noise, 0.05):
         return float("nan")
-    return float(np.percentile(way[fast] / own[fast], 70))
+    return float(np.percentile(distance[fast] / own[fast], 70))
 
 
 def units_of(log: Log) -> Mapping[str, float]:
@@ -182,8 +182,9 @@ def judge(
             what = f"fixes go {whole:.3g} times as far as the tracks: fixes in feet, or speeds ({best})"
             needed = "measure 10 m by tape and drive them; turn left and right by 90°"
             return [], [Undetermined(what, needed, is_wrong=True)]
-        alike = " or ".join(name for name, log in names.items() if log > names[best] - _ALIKE)
-        evidence = f"fixes go {whole:.3g} times as far as the tracks; as {alike}, {whole * value:.2f} times"
+        possible = " or ".join(name for name, log in names.items() if log > names[best] - _EQUAL)
+        evidence = f"fixes go {whole:.3g} times as far as the tracks"
+        evidence += f"; as {possible}, {whole * value:.2f} times"
         remedy = (
             "State the unit in which the speeds are (mapping: left_velocity "
             "and right_velocity: unit; roles file: "

@@ -14,7 +14,7 @@ from trackslip_estimation.setup_check.sides import FASTEST
 from trackslip_estimation.setup_check.speeds import MOST_TURN
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
-_LEAST_WAY = 10.0  # m, by the tracks
+_LEAST_DISTANCE = 10.0  # m, by the tracks
 _QUIETEST = 5e-3  # m, by which fixes of any receiver differ within minutes
 _STILL = 1e-4  # of the way: no path is so narrow
 _LEAST_PLACES = 10
@@ -32,51 +32,51 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     fixes = drive.fixes
     if fixes is None or len(fixes.t) < _LEAST_PLACES:
         return [], []
-    name, repeated = fixes.name, _way_repeated(drive, fixes)
-    way = float(np.nansum(np.abs(drive.grid.tracks).max(axis=1)))
-    if way < _LEAST_WAY:
+    name, repeated = fixes.name, _repeated_distance(drive, fixes)
+    distance = float(np.nansum(np.abs(drive.grid.tracks).max(axis=1)))
+    if distance < _LEAST_DISTANCE:
         return [], []
-    if repeated > max(_REPEATED * way, _LEAST_WAY):
+    if repeated > max(_REPEATED * distance, _LEAST_DISTANCE):
         what = (
             f"{name} repeats its places while the tracks go {repeated:.0f} m: a receiver that is frozen, or "
             "another column"
         )
         needed = "look at the places as they come, while the machine drives"
         return [], [Undetermined(what, needed, is_wrong=True)]
-    if (ratio := _followed(drive, way)) > 0.0:
+    if (ratio := _followed(drive, distance)) > 0.0:
         evidence = (
             f"its places move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
         remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
         return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
     extent = float(np.ptp(fixes.places, axis=0).max())
-    if extent > min(_QUIETEST, _STILL * way):
+    if extent > min(_QUIETEST, _STILL * distance):
         return [], []
     evidence = (
-        f"its places differ by {extent:.2g} m while the tracks go {way:.0f} m: no receiver is so quiet, so "
-        "they are in another unit"
+        f"its places differ by {extent:.2g} m while the tracks go {distance:.0f} m: no receiver is so quiet, "
+        "so they are in another unit"
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
     return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
 
 
-def _followed(drive: Drive, way: float) -> float:
+def _followed(drive: Drive, distance: float) -> float:
     """Share of the way by the tracks that fixes in another unit go; 0 where they are in none, or stay."""
     speeds = np.abs(drive.x).max(axis=1) * drive.machine.tread / WINDOW
-    ways = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))
-    share, windows = max(explained_share(drive.fix_ways, ways[:, k : k + 1]) for k in (0, 1))
-    ratio = float(np.nansum(drive.fix_ways)) / way
+    distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))
+    share, windows = max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
+    ratio = float(np.nansum(drive.fix_distances)) / distance
     is_other = ratio < _LEAST_RATIO and share > _FOLLOWS and float(np.nanpercentile(speeds, 95)) < FASTEST
     return ratio if is_other and windows >= _LEAST_WINDOWS else 0.0
 
 
-def _way_repeated(drive: Drive, fixes: Fixes) -> float:
+def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
     """By the tracks while fixes were bit for bit the same, for longer than a logger holds them, m."""
-    ways = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
+    distances = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
     runs = equal_runs(fixes.z)
     first, last = fixes.t[runs.first], fixes.t[runs.last]
     held = last - first > _LONGEST_HOLD
-    begin, end = (np.interp(t[held], drive.grid.edges, ways) for t in (first, last))
+    begin, end = (np.interp(t[held], drive.grid.edges, distances) for t in (first, last))
     return float(np.sum(end - begin))
 
 
