@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise finds its size: of the tracks, of the gyro, of the fixes; and the gyro its scale."""
+"""Adaptation of the noise of tracks, gyro and fixes to its true size; estimation of the gyro scale."""
 
 from typing import Any
 
@@ -38,7 +38,7 @@ def test_track_error_is_estimated(share: float) -> None:
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0.0, 0.04), (0.05, 0.02, 0.1)])
 def test_track_error_is_estimated_from_fixes_without_a_gyro(share: float, least: float, most: float) -> None:
-    """It stayed at what it is at the start, 10 %."""
+    """Without a gyro, fixes alone correct the track error from its prior of 10 %."""
     recorded = drive(Machine(duration=100.0, track_error=share))
     estimator = SlipEstimator(parameters(yaw_rate_sources=[""]))
     steps = estimator.process_all([m for m in recorded.measurements if not isinstance(m, YawRate)])
@@ -62,19 +62,19 @@ def test_noise_factor_of_a_gyro_as_stated_is_1() -> None:
 def test_noise_factor_of_a_worse_gyro_is_estimated() -> None:
     worse = run(Machine(gyro_noise=0.02))
     assert 8.0 < worse["adaptation"]["rate_factor"] <= 16.0
-    assert track_error(worse) < 0.03  # and not taken for an error of the tracks
+    assert track_error(worse) < 0.03  # the fix noise is not attributed to the tracks
 
 
 @pytest.mark.parametrize(("noise", "least", "most"), [(0.02, 0.6, 1.6), (0.04, 2.0, 6.0), (0.2, 50.0, 134.5)])
 def test_noise_factor_of_worse_fixes_is_estimated(noise: float, least: float, most: float) -> None:
     factors = run(Machine(fix_noise=noise))["adaptation"]["fix_factors"]
     assert least < factors[0] < most
-    assert np.all(factors[1:] == 1.0)  # sources that gave none
+    assert np.all(factors[1:] == 1.0)  # sources without fixes
 
 
 @pytest.mark.slow
 def test_estimate_is_consistent_with_fixes_ten_times_worse_than_stated() -> None:
-    """The noise factor may reach 100 and more, and a wrong pose does not count as fix noise."""
+    """The noise factor may reach 100 and more; a wrong pose must not count as fix noise."""
     nees = []
     for seed in range(3):
         recorded = drive(Machine(duration=120.0, fix_noise=0.2, fix_rate=5, track_error=0.02, seed=seed))
@@ -87,7 +87,7 @@ def test_estimate_is_consistent_with_fixes_ten_times_worse_than_stated() -> None
 
 
 def test_noise_factor_of_gaussian_fixes_is_not_below_1() -> None:
-    # Student's t alone takes Gaussian noise for 0.83 of its variance, and the pose is then overconfident.
+    # Student's t alone underestimates Gaussian noise: 0.83 of its variance. The pose is then overconfident.
     factors = [run(Machine(seed=seed))["adaptation"]["fix_factors"][0] for seed in range(8)]
     assert np.mean(factors) == pytest.approx(1.0, abs=0.08)
 
@@ -112,12 +112,12 @@ def test_turn_caused_by_a_side_slope_is_not_learned_as_asymmetry() -> None:
 def test_the_scale_of_the_gyro_is_found(scale: float) -> None:
     state = run(Machine(gyro_scale=scale, duration=120.0))
     deviation = np.sqrt(state["covariance"][GYRO_SCALE, GYRO_SCALE])
-    assert deviation < 0.01  # 0.02 before
+    assert deviation < 0.01  # prior: 0.02
     assert abs(1.0 + state["mean"][GYRO_SCALE] - scale) < 3.0 * deviation
 
 
 def test_yaw_rates_alone_do_not_correct_the_scale_of_the_gyro() -> None:
-    """κ and ε explain the same: what cannot be seen stays at its prior."""
+    """κ and ε have the same effect as the scale: without fixes the scale stays at its prior."""
     recorded = drive(Machine(gyro_scale=0.97)).measurements
     first = next(k for k, m in enumerate(recorded) if isinstance(m, PoseFix))
     kept = [m for k, m in enumerate(recorded) if k <= first or not isinstance(m, PoseFix)]
@@ -150,4 +150,4 @@ def test_one_wild_yaw_rate_hardly_changes_the_noise() -> None:
     outcomes = [report.outcome for report, _ in estimator.process_all(wild)]
     state = estimator.window.best[estimator.window.count - 1]
     assert outcomes[k] is Outcome.GATED
-    assert track_error(state) < 0.03  # its NIS counts up to a limit
+    assert track_error(state) < 0.03  # the NIS that adapts the noise is capped

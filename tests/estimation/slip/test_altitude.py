@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Altitudes of fixes: they hold the height, with the antenna where it is, and are refused by name."""
+"""Altitudes of fixes: they correct the height through the lever arm; invalid ones are rejected by reason."""
 
 import math
 from collections.abc import Callable
@@ -30,8 +30,8 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.transforms import blank_transforms, fill_transforms
 
 S, R, FIX = 1_000_000_000, 0.159, "box_pose"
-ROLL, PITCH = -0.05, -0.15  # rad: it climbs
-BIAS = 0.1  # m/s² of the accelerometer along x: 0.6°, which over 40 m are 0.4 m
+ROLL, PITCH = -0.05, -0.15  # rad: uphill
+BIAS = 0.1  # m/s² of the accelerometer along x: 0.6°, which are 0.4 m of height over 40 m
 BEGIN = 12.0  # m, height of C at the start
 STDDEV = 0.02  # m, of altitudes
 ANTENNA = (1.2, -0.4, 2.5)
@@ -50,9 +50,10 @@ def as_it_is(_: float, altitude: float) -> tuple[float, float]:
 def drive(
     shown: Shown = as_it_is, seconds: float = 100.0, tilt: tuple[float, float] = (ROLL, PITCH)
 ) -> list[Measurement]:
-    """Stands for 5 s on the slope, then climbs at 0.4 m/s; fixes at 2 Hz.
+    """5 s of standstill on the slope, then uphill at 0.4 m/s; fixes at 2 Hz.
 
-    ``shown``: seconds and altitude of the antenna → what the fix has, and its variance.
+    ``shown`` maps seconds and the true altitude of the antenna to the altitude of the fix and its
+    variance.
     """
     rng, found = np.random.default_rng(5), list[Measurement]()
     turn = Rotation.from_euler("ZYX", (0.4, tilt[1], tilt[0]))
@@ -76,13 +77,13 @@ def drive(
 
 
 def with_time_correlated_errors(rate: int, seed: int) -> list[Measurement]:
-    """A drive on the flat with fixes of a receiver, half of whose variance lasts for 10 s."""
+    """A drive on level ground with fixes of a receiver; half of their variance is correlated over 10 s."""
     rng, found, error = np.random.default_rng(seed), list[Measurement](), np.zeros(3)
     left, stddevs = math.exp(-0.1 / rate), np.array((0.01, 0.01, STDDEV))
     turn = Rotation.from_euler("ZYX", (0.4, 0.0, 0.0))
     for k, m in enumerate(m for m in drive(tilt=(0.0, 0.0)) if not isinstance(m, PoseFix)):
         found.append(m)
-        if k % (40 // rate) == 1:  # sprockets and the IMU come at 20 Hz
+        if k % (40 // rate) == 1:  # sprockets and IMU have 20 Hz
             distance = 0.4 * max(m.stamp_ns / S - 5.05, 0.0)
             error = left * error + rng.normal(0.0, math.sqrt(0.5 * (1.0 - left**2)), 3) * stddevs
             white = rng.normal(0.0, math.sqrt(0.5), 3) * stddevs
@@ -102,7 +103,7 @@ def run(
 
 
 def height(estimate: Estimate) -> tuple[float, float]:
-    """m, and its standard deviation."""
+    """Height, m, and its standard deviation."""
     tilt = estimate.outputs.tilt
     assert tilt is not None
     return float(tilt.tilt[HEIGHT]), math.sqrt(tilt.covariance[HEIGHT, HEIGHT])
@@ -156,7 +157,7 @@ def test_altitudes_halve_the_pitch_error() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("rate", [1, 10])  # Hz
 def test_time_correlated_altitude_errors_keep_the_pitch_consistent(rate: int, seed: int) -> None:
-    """Ten altitudes a second with one common error count as one measurement."""
+    """Altitudes with a common error must not make the pitch overconfident, at any rate of fixes."""
     estimates, _ = run(with_time_correlated_errors(rate, seed), RECEIVER)
     nees = []
     for e in estimates:
@@ -184,7 +185,7 @@ def test_one_wrong_altitude_moves_nothing() -> None:
 
 @pytest.mark.parametrize("step", [-2.0, 0.6])
 def test_persistent_altitudes_are_accepted(step: float) -> None:
-    """A base that was moved: rejected for three timeouts, then followed."""
+    """After the base station is moved, altitudes are rejected for three timeouts and accepted then."""
     estimates, reports = run(drive(lambda t, z: (z + step if t >= 50.0 else z, STDDEV**2)))
     assert len(refused(reports)) == 6
     assert set(refused(reports)) == {AttitudeRefusal.ALTITUDE_GATED}
@@ -218,7 +219,7 @@ def test_an_unknown_height_is_reported_as_unknown() -> None:
 
 
 def test_flat_pose_has_no_altitude() -> None:
-    """Its z is 0 with the variance of an unobserved state."""
+    """z is 0 and has the variance of an unobserved state."""
     fix = PoseFix(FIX, S, np.zeros(3), np.eye(3))
     message = pose_with_covariance(make, fix, "map")
     found = pose_fix(message, FIX)
@@ -233,7 +234,7 @@ def test_flat_pose_has_no_altitude() -> None:
 
 
 def test_the_first_altitude_does_not_move_odom() -> None:
-    """z of odom → base_link goes on; map → odom has the rest."""
+    """z of odom → base_link is continuous; map → odom takes the correction."""
     estimates, _ = run(drive(seconds=30.0))
     local, heights = LocalOdometry(), []
     message = blank_transforms(make, Frames("map", "odom", "base_link"))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state is a function of the set of measurements: order, repeats and rubbish change nothing."""
+"""The state depends on the set of measurements only: not on order, repeats or invalid ones."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,9 +30,10 @@ def parameters(start: str, model: str = "turning") -> SlipEstimatorParameters:
 
 
 def measurements(drive: Callable[..., Any], start: str, positions: bool = True) -> list[Measurement]:
-    """3 s with a turn, fixes of which some are wide of the mark, the start first.
+    """3 s with a turn: the start first, and some fixes that are outliers.
 
-    Gyro and fixes lie between the sprocket samples: what drives there is known only with the next one.
+    Gyro readings and fixes lie between the sprocket samples. The speed at their stamps is known only with
+    the next sample.
     """
     segments = [
         (1.0, 2.0, 2.0, 0.05, 0.1, 0.0),
@@ -65,7 +66,7 @@ def assert_same(one: Estimate, other: Estimate) -> None:
 
 
 def delayed(found: list[Measurement], seed: int) -> list[Measurement]:
-    """The start first, all else late by up to the window (a sample that closes an interval: less that)."""
+    """The start first; all others delayed by up to the window, samples that close an interval by less."""
     rng = np.random.default_rng(seed)
     late = rng.integers(0, WINDOW_MS - STEP_MS, len(found)) * MS * (rng.random(len(found)) < rng.random())
     late[0] = -1
@@ -101,7 +102,7 @@ def test_final_state_does_not_depend_on_the_order_of_arrival(
 def test_silence_and_jumps_do_not_depend_on_the_order_of_arrival(
     drive: Callable[..., Any], model: str, seed: int
 ) -> None:
-    """Gaps of up to 250 ms without sprockets, 120 ms of them silence; the sample that ends one is in time."""
+    """Gaps of up to 250 ms between sprockets, 120 ms past the timeout; samples that end one are in time."""
     rng = np.random.default_rng(seed)
     found = []
     for m in measurements(drive, "initial_pose"):
@@ -211,7 +212,7 @@ def test_invalid_measurements_never_change_the_state(drive: Callable[..., Any], 
 def test_a_first_fix_with_an_asymmetric_covariance_is_invalid(
     drive: Callable[..., Any], other: float
 ) -> None:
-    """Whichever triangle one looks at: it starts nothing, and the next fix does."""
+    """An asymmetric first fix is invalid by either triangle; the next fix starts the estimate."""
     found = measurements(drive, "first_fix")
     first = found[0]
     assert isinstance(first, PoseFix)
@@ -229,7 +230,7 @@ def test_a_first_fix_with_an_asymmetric_covariance_is_invalid(
 
 
 def test_sample_with_the_stamp_of_the_start_may_arrive_after_it(drive: Callable[..., Any]) -> None:
-    """A sample and a fix of one stamp in either order end in the same bits."""
+    """A sample and a fix with one stamp give the same bits in either order."""
     found = measurements(drive, "first_fix")
     fix, sample = found[0], found[1]
     assert isinstance(fix, PoseFix)
@@ -246,7 +247,7 @@ def test_sample_with_the_stamp_of_the_start_may_arrive_after_it(drive: Callable[
 
 
 def arrivals_of(drive: Callable[..., Any]) -> list[Measurement]:
-    """Late, repeated and bad ones, a manual pose, silent sprockets, and a second round of it all."""
+    """Delayed, repeated and invalid measurements, a manual pose, a gap of the sprockets; then all again."""
     found = [
         m
         for m in delayed(measurements(drive, "first_fix"), 3)
@@ -269,7 +270,7 @@ def arrivals_of(drive: Callable[..., Any]) -> list[Measurement]:
 def test_batches_give_the_same_bits_as_single_measurements(
     drive: Callable[..., Any], changes: dict[str, Any]
 ) -> None:
-    """A replay hands over thousands at a time, the live node one."""
+    """A replay passes thousands of measurements at once, the live node one."""
     short = {"history_window": WINDOW_MS * 1e-3, "jump_confirmations": 5, **changes}
     p, given = load_slip_parameters(short), arrivals_of(drive)
     single = SlipEstimator(p)
@@ -297,7 +298,7 @@ def test_batches_give_the_same_bits_as_single_measurements(
 
 
 def test_full_window_is_enlarged_without_effect_on_the_estimate(drive: Callable[..., Any]) -> None:
-    """More arrivals within the history than there are entries at first."""
+    """At first, more measurements arrive within the history than the window has entries."""
     found = drive([(6.0, 1.0, 2.0, 0.0, 0.2, 0.0)], step_ms=5, gyro_every=1).measurements
     long = {"history_window": 4.5}
     estimator, single = SlipEstimator(load_slip_parameters(long)), SlipEstimator(load_slip_parameters(long))
@@ -313,7 +314,7 @@ def test_states_older_than_the_window_are_trimmed_except_the_last(drive: Callabl
     found = measurements(drive, "first_fix")
     estimator = SlipEstimator(parameters("first_fix"))
     capacity = len(estimator.window.best)
-    for _ in range(4):  # many a drive, each after the other
+    for _ in range(4):  # four drives one after the other
         processed(estimator, found)
         found = [replace(m, stamp_ns=m.stamp_ns + 3_100 * MS) for m in found]
     trim(estimator.window, estimator.config[0])

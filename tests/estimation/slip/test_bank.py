@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Competing explanations: which event is found, how certain it is; the order of arrival does not matter."""
+"""The hypothesis bank: the most probable event, its probability, and independence of the order of arrival."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ S = 1_000_000_000
 
 
 def changed(recording: Recording, change: Callable[[PoseFix, float], PoseFix]) -> list[Measurement]:
-    """The drive with other fixes; ``change`` gets each with its time, s."""
+    """The measurements of the drive with changed fixes; ``change`` gets each fix and its time, s."""
     return [change(m, m.stamp_ns / S - 1.0) if isinstance(m, PoseFix) else m for m in recording.measurements]
 
 
@@ -38,7 +38,7 @@ def moved(fix: PoseFix, east: float, north: float) -> PoseFix:
 def errors(
     measurements: list[Measurement], recording: Recording, p: SlipEstimatorParameters
 ) -> tuple[FloatArray, FloatArray, SlipEstimator]:
-    """(k,) error of the place, m, and (k,) its NEES, at the sprocket samples; the estimator at the end."""
+    """(k,) position errors, m, and (k,) their NEES at the sprocket samples; the estimator at the end."""
     estimator = SlipEstimator(p)
     found = [e for _, e in estimator.process_all(measurements) if e is not None]
     times = np.array([e.stamp_ns / S - 1.0 for e in found])
@@ -52,7 +52,7 @@ def errors(
 def heading_errors(
     measurements: list[Measurement], recording: Recording, p: SlipEstimatorParameters
 ) -> FloatArray:
-    """(k,) rad, at the sprocket samples."""
+    """(k,) heading errors, rad, at the sprocket samples."""
     found = [e for _, e in SlipEstimator(p).process_all(measurements) if e is not None]
     times = np.array([e.stamp_ns / S - 1.0 for e in found])
     off = np.array([e.pose[2] for e in found]) - np.interp(times, recording.t, recording.poses[:, 2])
@@ -60,7 +60,7 @@ def heading_errors(
 
 
 def events(estimator: SlipEstimator) -> list[Event]:
-    """Of the most probable branch at the end."""
+    """Events of the most probable branch at the end."""
     branch = estimator.window.branches[0, estimator.window.count - 1]
     return [Event(branch["history"][n % 16]["event"]) for n in range(int(branch["events"]))]
 
@@ -106,7 +106,7 @@ def test_explanation_of_frozen_fixes_states_its_duration() -> None:
 
 
 def test_covariance_spans_both_explanations_of_a_jump() -> None:
-    """One source alone cannot show whether it is off or the machine was moved."""
+    """One source alone cannot show whether its fixes are displaced or the machine was moved."""
     recording = drive(Machine(duration=90.0, fix_noise=0.03, fix_stated=0.03))
     jumped = changed(recording, lambda m, t: moved(m, 2.0, 1.0) if t >= 20.0 else m)
     estimator = SlipEstimator(parameters(**GNSS))
@@ -140,7 +140,7 @@ def test_a_wrong_start_heading_is_found_within_metres(turned: float) -> None:
 
 
 def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
-    """RMS error of the place, m, and its NEES, as fixes go off by 1 m, into one of twelve directions."""
+    """RMS position error, m, and mean NEES while fixes are 1 m off in direction ``part`` of twelve."""
     noise = Machine(duration=47.0, fix_noise=0.03, fix_stated=0.03, track_error=0.05)
     recording = drive(replace(noise, seed=part, heading_noise=heading_noise))
     off = [15.0, 21.0, 31.0, 37.0], [0.0, 1.0, 1.0, 0.0]
@@ -153,7 +153,7 @@ def off_evenly(part: int, heading_noise: float = 10.0) -> tuple[float, float]:
 
 @pytest.mark.parametrize("heading_noise", [10.0, 0.02])  # rad; of one antenna, and of two
 def test_fixes_that_drift_off_do_not_pull_the_estimate(heading_noise: float) -> None:
-    """The fixes drift within 6 s, stay off for 10 s, and return."""
+    """The displacement of the fixes grows within 6 s, lasts for 10 s, and ends."""
     rms, nees = np.median([off_evenly(part, heading_noise) for part in range(12)], axis=0)
     assert rms < 0.15
     assert nees < 3.0
@@ -202,7 +202,7 @@ def test_position_is_kept_while_tracks_are_swapped() -> None:
 
 
 def test_first_fix_that_is_an_outlier_is_detected_by_the_next_ones() -> None:
-    """It is 3 m off with a stated 2 cm."""
+    """The first fix is 3 m off and states 2 cm."""
     recording = drive(Machine(duration=20.0, track_error=0.05))
     first = next(m.stamp_ns for m in recording.measurements if isinstance(m, PoseFix))
     given_ = changed(recording, lambda m, t: moved(m, 3.0, 0.0) if m.stamp_ns == first else m)
@@ -229,7 +229,7 @@ def test_moved_machine_is_found_at_any_distance(far: float) -> None:
     error, nees, _ = errors(given, there, parameters(**GNSS))
     times = np.linspace(0.0, 60.0, len(error))
     assert error[times > 50.0].max() < 0.2
-    assert np.mean(nees[times > 21.0] > 13.8) < 0.02  # until then both explanations are in the covariance
+    assert np.mean(nees[times > 21.0] > 13.8) < 0.02  # until then the covariance spans both explanations
 
 
 def test_machine_moved_while_fixes_scatter_is_found() -> None:
@@ -251,7 +251,7 @@ def test_machine_moved_while_fixes_scatter_is_found() -> None:
 
 
 def test_skidding_machine_follows_centimetre_fixes_within_two_seconds() -> None:
-    """0.25 m aside within a second."""
+    """The machine skids sideways by 0.25 m within a second."""
     recording = drive(Machine(duration=40.0, track_error=0.05, fix_noise=0.02, fix_stated=0.02, fix_rate=5))
     true = recording.poses.copy()
     true[:, 0] += 0.25 * np.clip(recording.t - 20.0, 0.0, 1.0)
@@ -265,7 +265,7 @@ def test_skidding_machine_follows_centimetre_fixes_within_two_seconds() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_centimetre_fixes_off_for_ten_seconds_are_no_certain_skid(seed: int) -> None:
-    """0.3 m between two fixes may be either."""
+    """A jump of 0.3 m between two fixes may be a skid or a fault of the receiver."""
     machine = Machine(duration=50.0, track_error=0.1, fix_noise=0.02, fix_stated=0.02, fix_rate=1, seed=seed)
     recording = drive(machine)
     off = changed(recording, lambda m, t: moved(m, 0.24, 0.18) if 20.0 <= t < 30.0 else m)
@@ -274,7 +274,7 @@ def test_centimetre_fixes_off_for_ten_seconds_are_no_certain_skid(seed: int) -> 
 
 
 def test_fixes_off_after_an_outage_are_no_skid() -> None:
-    """Whoever drives without fixes for 20 s may have skidded, but not by a share of all that way."""
+    """A machine may skid during 20 s without fixes, but not by a share of the distance driven."""
     recorded = drive(Machine(duration=80.0, fix_rate=5))
     off = changed(recorded, lambda fix, t: moved(fix, 0.8, 0.6) if 50.0 <= t < 60.0 else fix)
     spoilt = [m for m in off if not isinstance(m, PoseFix) or not 31 * S <= m.stamp_ns < 51 * S]
@@ -284,7 +284,7 @@ def test_fixes_off_after_an_outage_are_no_skid() -> None:
 
 
 def test_impossible_slip_is_taken_for_a_wrong_heading() -> None:
-    """A slip of 2 and a heading off by half a turn predict the same motion."""
+    """A slip of 2 and a heading that is wrong by half a turn predict the same motion."""
     recording = drive(Machine(duration=60.0, track_error=0.05))
     p = parameters(**GNSS, initial_yaw=math.pi, initial_yaw_stddev=0.3)
     error, _, estimator = errors(recording.measurements, recording, p)
@@ -314,7 +314,7 @@ def test_estimate_follows_fixes_while_encoders_fail(shown: tuple[float, float]) 
     assert np.mean(nees[t > begin] > 13.8) < 0.1
 
 
-@pytest.mark.parametrize("fastest", [5.0, 20.0])  # rad/s, that a sprocket is said to reach
+@pytest.mark.parametrize("fastest", [5.0, 20.0])  # rad/s, the configured maximum of a sprocket
 def test_estimate_follows_fixes_while_every_other_count_is_lost(fastest: float) -> None:
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.05, fix_stated=0.05, fix_rate=1))
     begin, end = 20.0, 35.0
@@ -335,7 +335,7 @@ def test_estimate_follows_fixes_while_every_other_count_is_lost(fastest: float) 
 
 @pytest.mark.parametrize("share", [0.45, 0.5])
 def test_lost_counts_beside_fixes_with_headings_keep_the_estimate_consistent(share: float) -> None:
-    """Lost counts must win against a wandering receiver plus a slip."""
+    """The explanation of lost counts must win against a wandering receiver with slip."""
     machine = Machine(seed=9, fix_rate=5, heading_noise=0.01, track_error=0.1, gyro_noise=0.002)
     recording = drive(machine)
     lost = [
@@ -362,7 +362,7 @@ def test_motion_is_unknown_while_counts_are_lost() -> None:
 
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_failing_gyro_does_not_turn_the_estimate(seed: int) -> None:
-    """It has turned the heading before a fix shows it; half a radian of that stayed while it failed."""
+    """The gyro turns the heading before fixes contradict it; the estimate must not keep that error."""
     recording = drive(Machine(duration=50.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
     broken = [
         replace(m, rate=-m.rate) if isinstance(m, YawRate) and 20.0 <= m.stamp_ns / S - 1.0 < 35.0 else m
@@ -377,7 +377,7 @@ def test_failing_gyro_does_not_turn_the_estimate(seed: int) -> None:
 
 @pytest.mark.parametrize(("rate", "seed"), [(5, 1), (5, 2), (10, 0), (10, 2)])
 def test_change_of_gyro_bias_does_not_turn_the_estimate(rate: int, seed: int) -> None:
-    """The bias turns the heading before a fix shows it; wandering fixes are a competing explanation."""
+    """The bias turns the heading before fixes contradict it; wandering fixes are a competing explanation."""
     recording = drive(
         Machine(duration=60.0, track_error=0.01, fix_noise=0.02, fix_stated=0.02, fix_rate=rate, seed=seed)
     )
@@ -397,7 +397,7 @@ def test_change_of_gyro_bias_does_not_turn_the_estimate(rate: int, seed: int) ->
 def test_wandering_fixes_do_not_pull_the_estimate(
     turn: float, rate: int, noise: float, track_error: float
 ) -> None:
-    """Slow wandering resembles tracks that slip, fast wandering resembles noise; both are covered."""
+    """Slow wandering resembles slip and fast wandering resembles noise; the covariance covers both."""
     machine = Machine(
         duration=50.0, track_error=track_error, fix_noise=noise, fix_stated=noise, fix_rate=rate
     )
@@ -414,7 +414,7 @@ def test_wandering_fixes_do_not_pull_the_estimate(
 
 
 def test_noisy_frozen_fixes_leave_no_error_once_they_resume() -> None:
-    """They cannot be distinguished from a stuck machine until they resume."""
+    """Frozen fixes with noise cannot be distinguished from a stuck machine until they resume."""
     recording = drive(Machine(duration=70.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     random = np.random.default_rng(1)
     held = next(m for m in recording.measurements if isinstance(m, PoseFix))
@@ -439,7 +439,7 @@ def test_stuck_machine_follows_its_fixes() -> None:
 
 
 def faulty(seed: int) -> list[Measurement]:
-    """8 s with multipath, an outlier, frozen fixes and spinning tracks."""
+    """A drive with 8 s of multipath, an outlier, frozen fixes and spinning tracks."""
     recording = drive(Machine(duration=8.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03, seed=seed))
     random = np.random.default_rng(seed)
     begin, end = sorted(random.uniform(2.0, 7.0, 2))
@@ -478,7 +478,7 @@ def test_branches_do_not_depend_on_the_order_of_arrival(seed: int, random: Any, 
 
 
 def test_empty_script_stays_finite_over_a_long_log_with_a_wandering_receiver() -> None:
-    """The weight of the only branch is never reset there; its exponential must stay finite."""
+    """Without events the weight of the only branch is never reset; its exponential must stay finite."""
     recording = drive(Machine(duration=100.0, fix_noise=0.01, fix_stated=0.9, fix_rate=10))
     p = parameters(**GNSS)
     log = make_log(to_records(recording.measurements, SlipEstimator(p).sources), p)
@@ -489,7 +489,7 @@ def test_empty_script_stays_finite_over_a_long_log_with_a_wandering_receiver() -
 
 @pytest.mark.parametrize("seed", range(6))
 def test_run_by_its_own_script_ends_in_the_best_branch(seed: int) -> None:
-    """Except for the receiver errors, which follow the branch that is best at the time."""
+    """The final states are equal except for receiver errors, which follow the best branch of their time."""
     p = parameters(**GNSS, **{"receivers.white_odds": 1e3})
     log = make_log(to_records(faulty(seed), SlipEstimator(p).sources), p)
     script = script_of(log, p)

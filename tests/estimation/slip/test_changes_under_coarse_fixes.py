@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Slip or gyro bias change while only a receiver that wanders by metres shows the place."""
+"""Slip or gyro bias changes while the only fixes wander by metres."""
 
 import math
 from collections.abc import Callable
@@ -21,7 +21,7 @@ Change = Callable[[Measurement], Measurement]
 
 
 def slips(m: Measurement) -> Measurement:
-    """The tracks run at twice the speed over the ground."""
+    """The measurement while the tracks run at twice the ground speed."""
     if isinstance(m, Sprockets):
         return replace(m, left_speed=2.0 * m.left_speed, right_speed=2.0 * m.right_speed)
     return m
@@ -32,7 +32,7 @@ def biased(m: Measurement) -> Measurement:
 
 
 def run(change: Change, seed: int, stddev: float = 1.0) -> tuple[np.ndarray, np.ndarray, SlipEstimator]:
-    """Error of the place, m, and its NEES after the change; the estimator at the end."""
+    """Position errors, m, and their NEES after the change; the estimator at the end."""
     recording = drive(Machine(duration=END, seed=seed, track_error=0.02))
     coarse = with_coarse_fixes(recording, stddev, 60.0, seed=seed)
     changed = [change(m) if m.stamp_ns > S + CHANGE * S else m for m in coarse]
@@ -60,7 +60,7 @@ def test_slip_is_found_from_coarse_fixes_within_90_s() -> None:
         estimator = run(slips, seed)[2]
         assert Event.SLIPPED in {e.event for e in estimator.read_events()}
         slip.append(estimator.window.best[estimator.window.count - 1]["mean"][COMMON_SLIP])
-    assert 0.25 < np.mean(slip) < 0.55  # from 0 ± 0.25, within 90 s
+    assert 0.25 < np.mean(slip) < 0.55  # prior 0 ± 0.25; within 90 s
 
 
 @pytest.mark.parametrize("stddev", [1.0, 2.5])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks that jump: one bad stamp is refused, another time is believed once enough samples agree on it."""
+"""Clock jumps: a single wrong stamp is rejected; another time is accepted once enough samples agree on it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ def found(drive: Callable[..., Any]) -> list[Measurement]:
 
 @pytest.mark.parametrize("start", ["first_fix", "initial_pose"])
 def test_bag_loop_repeats_the_same_estimates(found: list[Measurement], start: str) -> None:
-    """After the samples that confirm the restart the estimates are those of a new node."""
+    """After the samples that confirm the restart, the estimates are those of a new node."""
     once = moved(found, S)
     estimator, outcomes, twice = run([*once, *once], start=start)
     assert estimator.restarts == 1
@@ -66,19 +66,19 @@ def test_published_stamps_decrease_only_at_a_restart(found: list[Measurement]) -
 
 @pytest.mark.parametrize("back_ms", [203, 740, 1990])
 def test_clock_set_back_by_less_than_the_window_is_detected(found: list[Measurement], back_ms: int) -> None:
-    """What comes then looks late, but its positions are new: seen within the confirmations and a few more."""
+    """Samples then look late, but with new positions; a few after the confirmations detect the jump."""
     at = next(k for k, m in enumerate(found) if m.stamp_ns > 4 * S)
     after = moved(found[at:], -back_ms * 1_000_000)
     estimator, outcomes, published = run([*found[:at], *after])
     assert estimator.restarts == 1
     sprockets = [o for m, o in zip(after, outcomes[at:], strict=True) if isinstance(m, Sprockets)]
-    assert sprockets.index(Outcome.RESTARTED) <= 15  # of 10 confirmations
+    assert sprockets.index(Outcome.RESTARTED) <= 15  # with 10 confirmations
     fresh = run(after[outcomes.index(Outcome.RESTARTED) - at :])[2]
     assert same(published[-len(fresh) :], fresh)
 
 
 def test_late_burst_is_not_taken_for_another_clock(found: list[Measurement]) -> None:
-    """A stalled link: the sprockets of a second and a half come after those that follow them."""
+    """A stalled link delivers 1.5 s of sprocket samples after those that follow them."""
     stalled = [m for m in found if isinstance(m, Sprockets) and 4 * S < m.stamp_ns < 5.5 * S]
     prompt = [m for m in found if m not in stalled]
     at = next(k for k, m in enumerate(prompt) if m.stamp_ns > 5.8 * S)
@@ -91,7 +91,7 @@ def test_late_burst_is_not_taken_for_another_clock(found: list[Measurement]) -> 
 @pytest.mark.parametrize("kind", [Sprockets, YawRate, PoseFix])
 @pytest.mark.parametrize("k", [0, 200])
 def test_one_stamp_far_ahead_has_no_effect(found: list[Measurement], kind: type, k: int) -> None:
-    """In the midst of the drive, or before anything else has come."""
+    """The stamp comes during the drive or before all others."""
     once = moved(found, S)
     bad = replace(next(m for m in once[k:] if isinstance(m, kind)), stamp_ns=HOUR_NS)
     estimator, outcomes, published = run([*once[:k], bad, *once[k:]])
@@ -104,7 +104,7 @@ def test_one_stamp_far_ahead_has_no_effect(found: list[Measurement], kind: type,
 
 
 def test_clock_set_forward_keeps_the_learned_states(found: list[Measurement]) -> None:
-    """From 1970 to now, as when the network comes up: no restart, and the next fix gives the pose."""
+    """The clock jumps from 1970 to now when the network connects: no restart; the next fix sets the pose."""
     before, after = moved(found, S), moved(found, 1_700_000_000 * S)
     estimator, outcomes, published = run([*before, *after[: len(after) // 2]])
     assert estimator.restarts == 0
@@ -121,7 +121,7 @@ def test_clock_set_forward_keeps_the_learned_states(found: list[Measurement]) ->
 def test_one_stamp_of_another_source_ahead_makes_no_sprocket_sample_too_late(
     found: list[Measurement], kind: type, ahead: float
 ) -> None:
-    """2.2 to 5 s ahead: beyond the window, but within the gap. The horizon is that of the sprockets alone."""
+    """Stamps 2.2 to 5 s ahead are beyond the window but within the gap; only sprockets set the horizon."""
     k = next(k for k, m in enumerate(found) if isinstance(m, kind) and m.stamp_ns > 3 * S)
     wrong = [*found[:k], replace(found[k], stamp_ns=found[k].stamp_ns + round(ahead * S)), *found[k + 1 :]]
     estimator, outcomes, published = run(wrong)

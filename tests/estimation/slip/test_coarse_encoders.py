@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Encoders of few counts: proximity switches at the teeth of a sprocket, or hall sensors in its motor."""
+"""Encoders with few counts: proximity switches at the teeth of a sprocket, or hall sensors in its motor."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,12 +24,12 @@ from trackslip_estimation.slip.models.turning import EFFICIENCY
 
 S = 1_000_000_000
 END = 120.0  # s
-COUNTS = (16, 100, 1000)  # a turn of the sprocket
+COUNTS = (16, 100, 1000)  # per turn of the sprocket
 KINEMATICS = parameters().vehicle.kinematics
 
 
 def counted(recording: Recording, resolution: float, *, has_positions: bool) -> list[Measurement]:
-    """With positions in whole counts of ``resolution`` rad, and speeds that are their differences."""
+    """Measurements with positions in whole counts of ``resolution`` rad; speeds are their differences."""
     before, angles, found = np.zeros(2), np.zeros(2), []
     for m in recording.measurements:
         if isinstance(m, Sprockets):
@@ -84,7 +84,7 @@ def run(
     beside: str = "",
     has_positions: bool = True,
 ) -> tuple[float, float, float, int]:
-    """RMSE of place, m, and heading, rad, mean NEES of the pose, and how many measurements were refused."""
+    """RMSE of position, m, and heading, rad, mean NEES of the pose, and number of rejected measurements."""
     recording = drive(Machine(duration=END, seed=seed))
     resolution = math.tau / counts
     more, chosen = BESIDE[beside](recording) if beside else ([], {})
@@ -111,13 +111,13 @@ def run(
 
 @pytest.mark.parametrize("counts", COUNTS)
 def test_single_count_is_never_taken_for_a_jump(counts: int) -> None:
-    """One count between two samples at 20 Hz may exceed the fastest sprocket."""
+    """One count between two samples at 20 Hz may exceed the maximum sprocket speed."""
     assert run(counts)[3] == 0
 
 
 @pytest.mark.parametrize("counts", COUNTS)
 def test_gyro_keeps_the_heading_beside_a_coarse_encoder(counts: int) -> None:
-    """Rounding must not count as an error of the gyro."""
+    """Rounding of counts must not inflate the noise of the gyro."""
     fine, coarse = (np.mean([run(n, seed=seed)[:3] for seed in range(4)], axis=0) for n in (100_000, counts))
     half_a_count = KINEMATICS.rolling_radius * math.pi / counts
     assert coarse[0] < 1.5 * fine[0] + half_a_count
@@ -142,7 +142,7 @@ def test_coarse_counts_give_the_distance_without_fixes(counts: int) -> None:
 @pytest.mark.parametrize("beside", BESIDE)
 @pytest.mark.parametrize("counts", [16, 100])
 def test_velocity_and_odometry_improve_coarse_encoders_beside_a_gyro(counts: int, beside: str) -> None:
-    """Neither has the gyro refused."""
+    """Gyro readings stay accepted beside either source."""
     half_a_count = KINEMATICS.rolling_radius * math.pi / counts
     for until in (END, 60.0):
         alone, both = (
@@ -158,7 +158,7 @@ def test_velocity_and_odometry_improve_coarse_encoders_beside_a_gyro(counts: int
 @pytest.mark.parametrize("beside", ["", *BESIDE])
 @pytest.mark.parametrize("counts", COUNTS)
 def test_speeds_from_count_differences_equal_the_counts(counts: int, beside: str) -> None:
-    """A driver that publishes no positions."""
+    """Such a driver publishes no positions."""
     for until in (END, 60.0):
         of_counts, of_speeds = (
             run(counts, fixes_until=until, beside=beside, has_positions=given) for given in (True, False)
@@ -168,7 +168,7 @@ def test_speeds_from_count_differences_equal_the_counts(counts: int, beside: str
 
 @pytest.mark.parametrize("counts", [100, 1000, 12_288])
 def test_rounding_on_a_straight_leaves_the_turning_efficiency(counts: int) -> None:
-    """The tracks differ only by rounding; κ stays at its prior."""
+    """The track speeds differ only by rounding; κ stays at its prior."""
     p = parameters(encoder_resolution=math.tau / counts)
     estimator, random = SlipEstimator(p), np.random.default_rng(1)
     shown: list[Measurement] = []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a user may ask while the estimator runs, and what the watch over its sources says."""
+"""Commands while the estimator runs, and the watch over its sources."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -60,7 +60,7 @@ def after(found: list[Measurement], seconds: float) -> list[Measurement]:
 
 def test_reset_restarts_the_estimate(found: list[Measurement]) -> None:
     estimator = running(found)
-    fresh = SlipEstimator(load_slip_parameters(), learned=estimator.learned)  # which a reset keeps
+    fresh = SlipEstimator(load_slip_parameters(), learned=estimator.learned)  # the reset keeps learned states
     assert estimator.process(Command(RESET)) == (Report(RESET, 0, Outcome.ACCEPTED), None)
     assert not estimator.started
     assert estimator.restarts == 0
@@ -90,7 +90,7 @@ def test_frozen_estimator_dead_reckons_and_ignores_poses(found: list[Measurement
 
 @pytest.mark.parametrize("stamp_s", [0.0, 7.5])
 def test_set_pose_replaces_the_estimated_pose(found: list[Measurement], stamp_s: float) -> None:
-    """At its stamp, or now. The slips stay, even where fixes are frozen."""
+    """The pose is set at its stamp, or at the newest time. Slips stay, also while fixes are frozen."""
     estimator = running(found, start="initial_pose")
     before = estimator.estimate()
     estimator.process(Command(FREEZE))
@@ -107,7 +107,7 @@ def test_set_pose_replaces_the_estimated_pose(found: list[Measurement], stamp_s:
 
 def test_set_pose_starts_the_estimate(found: list[Measurement]) -> None:
     estimator = SlipEstimator(load_slip_parameters())
-    assert estimator.process(manual_pose())[0].outcome is Outcome.WAITING  # now is not known yet
+    assert estimator.process(manual_pose())[0].outcome is Outcome.WAITING  # no newest time yet
     assert estimator.process(found[0])[0].outcome is Outcome.WAITING
     sprockets = next(m for m in found if isinstance(m, Sprockets) and m.stamp_ns > 0)
     assert estimator.process(sprockets)[0].outcome is Outcome.WAITING
@@ -116,7 +116,7 @@ def test_set_pose_starts_the_estimate(found: list[Measurement]) -> None:
 
 
 def test_set_pose_without_a_stamp_counts_as_now_after_a_reset(found: list[Measurement]) -> None:
-    """A reset keeps the clock: stamp 0 does not count as 1.8e9 s of silence."""
+    """A reset keeps the clock: stamp 0 does not count as a silence of 1.8e9 s."""
     later = [replace(m, stamp_ns=m.stamp_ns + EPOCH_NS) for m in found]
     estimator = SlipEstimator(load_slip_parameters())
     watch = SourceWatch(estimator.parameters.timeouts_ns())
@@ -162,7 +162,7 @@ def test_the_gate_changes_while_it_runs(found: list[Measurement]) -> None:
     assert estimator.parameters.gate_probability == 0.5
 
 
-# The watch
+# Watch over the sources
 
 
 def processed(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = Outcome.ACCEPTED) -> Report:
@@ -171,7 +171,7 @@ def processed(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = 
 
 def test_source_without_accepted_measurements_is_lost() -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": 5 * S})
-    assert watch.lost(100 * S) == {}  # nothing is due before the start
+    assert watch.lost(100 * S) == {}  # no source is lost before the start
     for at_s in (10.0, 10.1):
         watch.add(processed("imu/data_raw", at_s))
     for k in range(10):
@@ -184,13 +184,13 @@ def test_source_without_accepted_measurements_is_lost() -> None:
 
 
 def test_a_source_slower_than_its_timeout_is_lost_after_three_periods() -> None:
-    """A receiver of 1 Hz: nearly every second fix comes a little after its timeout of 1 s."""
+    """A 1 Hz receiver: nearly every second fix arrives just after its timeout of 1 s."""
     watch, at_s = SourceWatch({"gnss_pose": S}), 10.0
     for k in range(240):
         outcome = Outcome.GATED if k % 100 == 50 else Outcome.ACCEPTED
         watch.add(processed("gnss_pose", at_s, outcome=outcome))
         at_s += 1.06 if k % 2 else 0.97
-        assert watch.lost(round(at_s * S)) == {}  # just before the next one
+        assert watch.lost(round(at_s * S)) == {}  # just before the next fix
     assert watch.lost(round((at_s + 1.8) * S)) == {}
     assert list(watch.lost(round((at_s + 2.2) * S))) == ["gnss_pose"]
 
@@ -215,7 +215,7 @@ def test_the_mean_innovation_is_stated_with_its_bounds() -> None:
 def test_commands_are_no_source_of_measurements(name: str) -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": S})
     watch.add(Report(name, 0, Outcome.ACCEPTED))
-    assert watch.lost(EPOCH_NS) == {}  # nothing is due before the start
+    assert watch.lost(EPOCH_NS) == {}  # no source is lost before the start
     watch.add(processed("box_pose", 1.8e9))
     watch.add(Report(name, 0, Outcome.ACCEPTED))
     assert watch.lost(EPOCH_NS + S // 2) == {}

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What users of such filters complain of, one test each; the numbers are those of the field notes.
+"""Common problems of localization filters, one test each; the numbers are those of the field notes.
 
-Number 5, the output rate, is one sprocket sample, one estimate; number 9, replay, has the graph tests too.
+Number 5 is the output rate: one estimate per sprocket sample. Number 9, replay, has graph tests too.
 """
 
 import json
@@ -21,7 +21,7 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_tools.cli.main import main
 
 S, MS = 1_000_000_000, 1_000_000
-Log = Any  # conftest's
+Log = Any  # a type of conftest.py
 
 
 def run(given: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[Estimate], SlipEstimator]:
@@ -31,7 +31,7 @@ def run(given: list[Measurement], **changes: Any) -> tuple[list[Outcome], list[E
 
 
 def test_complaint_1_late_and_out_of_order_data(log: Log) -> None:
-    """Every source with a delay of its own, up to 1.9 s: the last state is that of the ordered data."""
+    """Each source has its own delay, up to 1.9 s: the last state is that of the ordered data."""
     delays = {"sprockets": 0, "imu/data_raw": 700 * MS, "box_pose": 1900 * MS}
     ordered = sorted(log.measurements, key=lambda m: m.stamp_ns)
     start = next(k for k, m in enumerate(ordered) if isinstance(m, PoseFix))
@@ -47,7 +47,7 @@ def test_complaint_1_late_and_out_of_order_data(log: Log) -> None:
 
 
 def test_complaint_2_nan_or_covariance_blow_up(log: Log) -> None:
-    """The worst numbers that messages can hold, between good ones: no NaN comes out, P stays in bounds."""
+    """Extreme values of message fields, between good messages: no NaN is published, and P stays bounded."""
     worst = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300)
     given: list[Measurement] = []
     for k, m in enumerate(log.measurements):
@@ -73,7 +73,7 @@ def test_complaint_2_nan_or_covariance_blow_up(log: Log) -> None:
 
 
 def test_complaint_3_the_gate_is_a_probability_and_lets_the_filter_recover(log: Log) -> None:
-    """It refuses of consistent innovations about one in a hundred at 0.99; and follows a real jump."""
+    """With a gate of 0.99 about one in a hundred consistent innovations is rejected; jumps are followed."""
     outcomes, _, _ = run(log.measurements, gate_probability=0.99)
     refused = sum(o is Outcome.GATED for o in outcomes) / sum(
         not isinstance(m, Sprockets) for m in log.measurements
@@ -94,7 +94,7 @@ def test_complaint_3_the_gate_is_a_probability_and_lets_the_filter_recover(log: 
 
 
 def test_complaint_4_bag_loop_and_clock_jump(log: Log) -> None:
-    """The log twice over: restarted once, and as good the second time."""
+    """The log is played twice: one restart, and the same accuracy the second time."""
     outcomes, published, estimator = run([*log.measurements, *log.measurements])
     assert estimator.restarts == outcomes.count(Outcome.RESTARTED) == 1
     back = int(np.argmin(np.diff([e.stamp_ns for e in published]))) + 1
@@ -103,20 +103,20 @@ def test_complaint_4_bag_loop_and_clock_jump(log: Log) -> None:
 
 
 def test_complaint_5_the_output_keeps_the_rate_of_the_sprockets(log: Log) -> None:
-    """One estimate for each sample once it has begun, whatever else comes or does not."""
+    """After the start each sprocket sample gives one estimate, whatever other measurements arrive."""
     given = [m for m in log.measurements if isinstance(m, Sprockets)]
     _, published, _ = run(given, start="initial_pose")
     assert [e.stamp_ns for e in published] == [m.stamp_ns for m in given]
 
 
 def test_complaint_6_pose_jumps_and_duplicate_stamps(log: Log) -> None:
-    """Two sources with one stamp are both used; the same source twice is not; estimates do not jump."""
+    """Fixes of two sources with one stamp are both used, repeats are not, and estimates do not jump."""
     other = [replace(m, source="gnss") for m in log.measurements if isinstance(m, PoseFix)]
     given = sorted([*log.measurements, *other, *other], key=lambda m: m.stamp_ns)
     outcomes, published, _ = run(given, pose_sources=["box_pose", "gnss"])
     assert outcomes.count(Outcome.DUPLICATE) == len(other)
     steps = np.diff([e.pose[:2] for e in published[200:]], axis=0)
-    assert np.hypot(*steps.T).max() < 0.05  # 10 ms of driving are 4 mm, the rest is what a fix corrects
+    assert np.hypot(*steps.T).max() < 0.05  # 4 mm of motion in 10 ms, the rest is the correction by a fix
 
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
@@ -140,7 +140,7 @@ def test_complaint_7_angle_wrap_inside_the_gate(drive: Callable[..., Any], model
 
 
 def test_complaint_8_one_bad_input_does_not_end_it(log: Log) -> None:
-    """An hour ahead, an hour back, not a number, absurdly sure: each is answered, and the drive goes on."""
+    """Stamps an hour ahead or back and zero covariances get an outcome; the estimate stays accurate."""
     given: list[Measurement] = []
     for k, m in enumerate(log.measurements):
         given.append(m)
@@ -156,7 +156,7 @@ def test_complaint_8_one_bad_input_does_not_end_it(log: Log) -> None:
 
 
 def test_complaint_9_replay_is_deterministic(emulated_bag: Path, tmp_path: Path) -> None:
-    """Twice the same bag, twice the same numbers; and what a replay cannot know is null."""
+    """Two replays of one bag give the same numbers; real-time quantities are null."""
     found = []
     for name in ("one.json", "two.json"):
         assert main(["replay", str(emulated_bag), "--json", str(tmp_path / name)]) == ExitCode.DONE

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes whose errors are correlated in time: found from the fixes, held by an offset, and never given away.
+"""Fixes with time-correlated errors: estimated from the fixes, and modelled by an offset.
 
 An offset is a state (``source_offsets``); R of a sensor on the upper structure is inflated
 (``adaptation.correlated_inflation``).
@@ -48,7 +48,7 @@ PLACE, OFFSET = slice(0, Y + 1), slice(SENSOR_ERRORS, SENSOR_ERRORS + 2)
 
 
 def cap(P: float, R: float) -> float:
-    """Of one axis, as of two that are alike."""
+    """The limit of the inflation for one axis, from two equal ones."""
     return largest_correlated_inflation(P * np.eye(2), R * np.eye(2))
 
 
@@ -95,7 +95,7 @@ def made_up() -> Gaussian:
 
 
 def given_offset(known: Gaussian, variance: float, g: float = 4.0, time: float = 30.0) -> Any:
-    """A record of ``STATE`` with an offset of the source that fixes of 1 m showed last."""
+    """A record of ``STATE`` with an offset of the source, whose last fixes stated 1 m."""
     state = state_of(known)[0]
     offset = state["offsets"][0]
     errors = offset["errors"]
@@ -125,7 +125,7 @@ def test_transformation_to_the_offset_position_is_invertible() -> None:
 
 
 def test_first_coarse_fix_splits_its_error_between_position_and_offset() -> None:
-    """In the coordinates of the receiver its error is white."""
+    """In coordinates of the measured position its error is white and independent of the offset."""
     R = np.array(((0.9, 0.1), (0.1, 1.1)))
     state = given_offset(Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE))), 0.0)
     state["covariance"][PLACE, PLACE] = R
@@ -140,7 +140,7 @@ def test_first_coarse_fix_splits_its_error_between_position_and_offset() -> None
 
 @given(st.floats(0.3, 10.0), st.floats(0.3, 10.0))
 def test_new_prior_of_an_offset_acts_as_if_set_at_the_start(before: float, g: float) -> None:
-    """Also where the prior widens, and after other states are corrected with it."""
+    """Also if the new prior is wider, and if other states are correlated with the offset."""
 
     def informed(variance: float) -> FloatArray:
         P = np.eye(SIZE)
@@ -158,7 +158,7 @@ def test_new_prior_of_an_offset_acts_as_if_set_at_the_start(before: float, g: fl
 
 @pytest.mark.parametrize(("stddev", "variance"), [(0.02, 0.0), (0.4, 4.0 * 0.4**2), (3.0, 36.0)])
 def test_change_of_fix_quality_resets_the_offset(stddev: float, variance: float) -> None:
-    """The offset of one solution is independent of that of another; a precise one has none."""
+    """Offsets of different solutions are independent; a precise solution has none."""
     state = given_offset(made_up(), 4.0)
     update, prior, requested = np.zeros(1, UPDATE)[0], prior_of(state), state["covariance"].copy()
     prepare_offset(state, update, prior, SOURCE, stddev**2 * np.eye(2), False, C)
@@ -184,7 +184,7 @@ def test_an_offset_fades_as_a_first_order_process(dt: float, time: float) -> Non
 @pytest.mark.parametrize("size", [1.0, 2.0])
 @pytest.mark.parametrize("rate", [1, 5, 10])  # Hz
 def test_time_correlated_errors_of_precise_fixes_keep_the_estimate_consistent(rate: int, size: float) -> None:
-    """A correlation time of ten seconds, with once and twice the stated standard deviation."""
+    """The errors have a correlation time of ten seconds, and once or twice the stated standard deviation."""
     nees = []
     for seed in range(3):
         recorded, noise = drive(Machine(duration=120.0, seed=seed)), np.random.default_rng(seed)
@@ -209,7 +209,7 @@ def test_time_correlated_errors_of_precise_fixes_keep_the_estimate_consistent(ra
 
 
 def found(fixes: FloatArray, stddev: float, period: float) -> Any:
-    """Record of what fixes of a machine that stands, and of this quality, err by."""
+    """Estimated error model of fixes at standstill with the stated ``stddev``, m, at every ``period``, s."""
     receiver, masses = np.zeros(1, RECEIVER), np.zeros(1, MASSES)
     reset_receiver(receiver[0], C)
     for k, fix in enumerate(fixes):
@@ -253,7 +253,7 @@ def test_errors_of_precise_fixes_count_as_white_until_shown_correlated(period: f
 
 @pytest.mark.parametrize("jump", [0.5, 2.0, 100.0])
 def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
-    """Fixes of a moved machine must keep their weight."""
+    """Fixes after a jump of the machine must keep their weight."""
     fixes = 0.02 * np.random.default_rng(1).normal(size=(300, 2))
     fixes[100:] += jump
     assert found(fixes, 0.02, 0.1)["white"] > 0.9
@@ -262,7 +262,7 @@ def test_jump_is_not_taken_for_a_time_correlated_error(jump: float) -> None:
 @pytest.mark.parametrize("seed", [2, 3, 4])
 @pytest.mark.parametrize("off", [1.0, math.pi])
 def test_wrong_start_heading_is_not_attributed_to_the_receiver(off: float, seed: int) -> None:
-    """Fixes that leave the predicted path must not count as time-correlated."""
+    """Fixes beside the predicted path must not count as time-correlated errors."""
     recording = drive(Machine(duration=60.0, seed=seed, fix_noise=0.05, fix_stated=0.05))
     given = {"initial_yaw": float(recording.poses[0, 2]) + off, "initial_yaw_stddev": 0.02}
     estimator = SlipEstimator(parameters(**given, **{"sources.box_pose.standing_share": 0.0}))

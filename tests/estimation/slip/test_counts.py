@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speeds of sprockets from whole counts: no count is lost, and little of their rounding is left."""
+"""Sprocket speeds from whole counts: no count is lost, and rounding is reduced."""
 
 import math
 
@@ -15,7 +15,7 @@ from trackslip_estimation.slip.counts import COUNTS, begin_counts, follow, keep
 
 
 def speeds_of(positions: FloatArray, periods: FloatArray, resolution: float) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) speeds of both sprockets and (n,) their variances, from (n + 1, 2) positions."""
+    """(n, 2) speeds of both sprockets and (n,) variances of their mean, from (n + 1, 2) positions."""
     c, counts = config_of(encoder_resolution=resolution)[0], np.zeros(1, COUNTS)[0]
     found, variances = np.zeros((len(periods), 2)), np.zeros(len(periods))
     begin_counts(counts, c)
@@ -27,7 +27,7 @@ def speeds_of(positions: FloatArray, periods: FloatArray, resolution: float) -> 
 
 
 def turned(speeds: FloatArray, dt: float, resolution: float) -> FloatArray:
-    """(n + 1, 2) whole counts at the ends of (n, 2) speeds."""
+    """(n + 1, 2) positions in whole counts at the ends of intervals with (n, 2) speeds."""
     angles = np.array((0.2, 0.7)) + np.vstack((np.zeros(2), np.cumsum(speeds, axis=0) * dt))
     counts: FloatArray = np.floor(angles / resolution) * resolution
     return counts

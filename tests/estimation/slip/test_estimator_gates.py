@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator makes of surprises: spikes are refused, what insists is believed, NIS is consistent."""
+"""Gates of the estimator: outliers are rejected, persistent changes are accepted, the NIS is consistent."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ Run = Callable[..., Any]
 
 
 def spiked(measurements: list[Measurement], which: range, jump: float = 5.0) -> list[Measurement]:
-    """Fixes number ``which`` moved by ``jump`` m."""
+    """The measurements with the fixes numbered ``which`` moved by ``jump`` m."""
     fixes = [m for m in measurements if isinstance(m, PoseFix)]
     moved = {id(fixes[k]) for k in which}
     return [
@@ -47,13 +47,13 @@ def test_spike_is_gated_without_effect(drive: Callable[..., Any], thesis_run: Ru
 def test_persistent_jump_of_fixes_moves_the_estimate_after_some_seconds(
     drive: Callable[..., Any], model: str, jump: float, thesis_run: Run
 ) -> None:
-    """Until then the source is rejected. The covariance spans both explanations; the learned slip stays."""
+    """Until then the source is rejected, and the covariance spans both; the learned slip stays."""
     driven = drive([(15.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     fixes = sum(isinstance(m, PoseFix) for m in driven.measurements)
     steps = thesis_run(spiked(driven.measurements, range(20, fixes), jump), model=model)
     outcomes = [r.outcome for r in steps.reports if r.source == "box_pose"]
     gated = [k for k, outcome in enumerate(outcomes) if outcome is Outcome.GATED]
-    assert gated == list(range(20, 20 + len(gated)))  # in a row, and none once it is accepted
+    assert gated == list(range(20, 20 + len(gated)))  # consecutive, and none after the first that is accepted
     assert 2 <= len(gated) <= 20
     first_ns = next(m.stamp_ns for m in driven.measurements if isinstance(m, PoseFix))
     moved_ns, accepted_ns = (first_ns + int(k * 0.2 * S) for k in (20, 20 + len(gated)))
@@ -67,7 +67,7 @@ def test_persistent_jump_of_fixes_moves_the_estimate_after_some_seconds(
 
 
 def test_silence_widens_no_gate(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """One wrong reading of a gyro or a heading after an outage must be rejected."""
+    """One wrong gyro reading or heading after an outage must be rejected."""
     driven = drive([(12.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     outage = [m for m in driven.measurements if isinstance(m, Sprockets) or not 4 * S < m.stamp_ns < 8 * S]
     reports = thesis_run(outage, gate_relaxation=7.0, **{"sources.imu_data_raw.timeout": 1.0}).reports
@@ -90,7 +90,7 @@ def test_one_wrong_reading_after_an_outage_is_refused(drive: Callable[..., Any],
 
 
 def test_gyro_rejected_for_long_gets_a_new_bias(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """A step of 0.3 rad/s: refused for the timeout and a little more, then learned in one go."""
+    """A bias step of 0.3 rad/s is rejected for the timeout and a little more, then the bias is reset once."""
     driven = drive([(20.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     stepped = [
         replace(m, rate=m.rate + 0.3) if isinstance(m, YawRate) and m.stamp_ns > 10 * S else m
@@ -105,17 +105,17 @@ def test_gyro_rejected_for_long_gets_a_new_bias(drive: Callable[..., Any], thesi
 
 
 KAPPA = 0.45
-RATE = KAPPA * 0.159 * 1.0 / 0.73  # rad/s, that of the turn
+RATE = KAPPA * 0.159 * 1.0 / 0.73  # rad/s, yaw rate in the turn
 
 
 def on_one_ground(drive: Callable[..., Any]) -> Any:
-    """10 s straight on and 15 s of a turn, in which κ is 0.45; without slip it would turn at 0.218 rad/s."""
+    """10 s straight on and 15 s of a turn with κ = 0.45; without slip the yaw rate would be 0.218 rad/s."""
     slips = (1.0 - (1.5 - 0.5 * KAPPA), 1.0 - (1.5 + 0.5 * KAPPA) / 2.0)
     return drive([(10.0, 2.0, 2.0, 0.0, 0.0, 0.0), (15.0, 1.0, 2.0, *slips, 0.0)])
 
 
 def with_rates(found: list[Measurement], added: Sequence[float], begin_s: float = 20.0) -> list[Measurement]:
-    """The gyro readings from ``begin_s`` on with these rates added, rad/s."""
+    """The measurements with ``added`` rad/s on the gyro readings from ``begin_s`` on."""
     late = [k for k, m in enumerate(found) if isinstance(m, YawRate) and m.stamp_ns > begin_s * S]
     changed = dict(zip(late, added, strict=False))
     return [
@@ -125,7 +125,7 @@ def with_rates(found: list[Measurement], added: Sequence[float], begin_s: float 
 
 
 def kappas(found: list[Measurement], **changes: Any) -> tuple[FloatArray, list[Outcome]]:
-    """κ after each gyro reading from 20 s on, and what became of them."""
+    """κ after each gyro reading from 20 s on, and the outcomes of the readings."""
     estimator = SlipEstimator(load_slip_parameters(changes))
     learned, outcomes = [], []
     for m in found:
@@ -140,7 +140,7 @@ def kappas(found: list[Measurement], **changes: Any) -> tuple[FloatArray, list[O
 def test_one_plausible_gyro_spike_in_a_turn_keeps_the_turning_efficiency(
     drive: Callable[..., Any], spike: float
 ) -> None:
-    """+0.10 rad/s is 20 σ and is also what other ground would cause."""
+    """A deviation of +0.10 rad/s is 20 σ; other ground would cause the same."""
     clean, _ = kappas(on_one_ground(drive).measurements)
     assert clean == pytest.approx(KAPPA, abs=0.03)
     found, outcomes = kappas(with_rates(on_one_ground(drive).measurements, [spike]))
@@ -151,9 +151,9 @@ def test_one_plausible_gyro_spike_in_a_turn_keeps_the_turning_efficiency(
 @pytest.mark.parametrize(
     "added",
     [
-        [0.10, 0.10, 0.0, 0.10, 0.10, 0.0, 0.10, 0.10],  # never enough in a row
-        [0.10, 0.06, 0.10, 0.06, 0.10, 0.06],  # that do not agree
-        [-0.30] * 6,  # against the tracks
+        [0.10, 0.10, 0.0, 0.10, 0.10, 0.0, 0.10, 0.10],  # never enough consecutive ones
+        [0.10, 0.06, 0.10, 0.06, 0.10, 0.06],  # mutually inconsistent
+        [-0.30] * 6,  # opposite to the tracks
     ],
 )
 def test_inconsistent_gyro_readings_keep_the_turning_efficiency(
@@ -170,9 +170,9 @@ def test_inconsistent_gyro_readings_keep_the_turning_efficiency(
 def test_confirmed_gyro_readings_change_the_turning_efficiency(
     drive: Callable[..., Any], confirmations: int
 ) -> None:
-    """The readings before the last confirmation have little weight; then κ is that of the new ground.
+    """Readings before the last confirmation have little weight; after it κ is that of the new ground.
 
-    There are no fixes, which would show that it is the gyro.
+    Fixes, which would attribute the change to the gyro, end before it.
     """
     given = [
         m for m in on_one_ground(drive).measurements if not isinstance(m, PoseFix) or m.stamp_ns < 20 * S
@@ -201,7 +201,7 @@ def test_reports_state_the_gate(drive: Callable[..., Any], thesis_run: Run) -> N
 
 
 def test_nis_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """300 fixes of three numbers, drawn with the noise they claim: the mean within 10⁻⁴ tails of χ²."""
+    """300 fixes of three numbers with their stated noise: the mean NIS is within the 10⁻⁴ tails of χ²."""
     driven = drive([(60.0, 2.0, 2.0, 0.1, 0.1, 0.0)], seed=5)
     nis = np.array([r.nis for r in thesis_run(driven.measurements).reports if r.source == "box_pose"])
     nis = nis[np.isfinite(nis)]

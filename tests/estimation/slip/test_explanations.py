@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Competing explanations in a user's words: on /diagnostics, in reports, on the live page."""
+"""Texts of the competing explanations: on /diagnostics, in reports, on the live page."""
 
 from dataclasses import replace
 

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Drives with injected faults, scored beside a baseline; ``make cases`` prints all scores.
+"""Drives with injected faults, compared with a baseline; ``make cases`` prints all scores.
 
-The tests marked ``slow`` run every case. The others run some of them, and check what the scores rest on.
+Tests marked ``slow`` run every case. The others run some of them, and check the scores.
 """
 
 import math
@@ -154,7 +154,7 @@ def test_unknown_heading_is_found(name: str, baseline: dict[str, Score]) -> None
 
 @pytest.fixture(scope="module")
 def scores() -> dict[str, Score]:
-    """Of every case whose log is present."""
+    """Scores of all cases whose log is present."""
     return dict(score_cases(named_cases(), jobs=2))
 
 
@@ -164,7 +164,7 @@ def found(scores: dict[str, Score], baseline: dict[str, Score]) -> Mapping[str, 
 
 
 def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
-    """Each of the bars is met; without their log the test is skipped."""
+    """Assert that each of the bars is met; skip the test where their log is missing."""
     present = [found[key] for key in keys if key in found]
     if not present:
         pytest.skip("no log of the cases")
@@ -172,7 +172,7 @@ def assert_met(found: Mapping[str, Bar], *keys: str) -> None:
 
 
 class TestEveryCase:
-    """The bars over all cases."""
+    """Bars over all cases."""
 
     pytestmark = slow
 

@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One emulated drive × what sensors may do wrong: each fault with its expected result.
+"""One emulated drive with each fault of a sensor, and the expected result.
 
-Of order, repeats, rubbish and clocks: ``test_arrival_order``, ``test_clock_jumps``.
-
-A fault begins at ``BEGIN`` s of data, in the midst of a turn. ``during`` is the largest error of position
-while it lasts and for a second after, ``recovery`` the time from which the error then stays below ``GOOD``.
+``test_arrival_order`` and ``test_clock_jumps`` have order, repeats, invalid measurements and clocks. A
+fault begins at ``BEGIN`` s of data, during a turn. ``during`` is the largest position error from its begin
+to a second after its end, ``recovery`` the time after its end from which the error stays below ``GOOD``.
 """
 
 from collections import Counter
@@ -21,34 +20,34 @@ from trackslip_estimation.slip.measurements import Measurement, Outcome, PoseFix
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
-BEGIN = 25.0  # s, from the first stamp
+BEGIN = 25.0  # s, since the first stamp
 GOOD = 0.04  # m
-Log = Any  # conftest's
+Log = Any  # a type of conftest.py
 Given = list[Measurement]
 Counts = Counter[tuple[str, str]]
 
 
 @dataclass
 class Run:
-    """What came of a log."""
+    """Estimates, outcomes and errors of a run."""
 
     published: list[Estimate]
-    counts: Counts  # of (source, outcome)
-    seconds: np.ndarray[Any, np.dtype[np.float64]]  # of each estimate, since the first stamp
+    counts: Counts  # by (source, outcome)
+    seconds: np.ndarray[Any, np.dtype[np.float64]]  # stamps of the estimates, since the first stamp
     errors: np.ndarray[Any, np.dtype[np.float64]]  # (n, 3) m, m, rad
 
     @property
     def position(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """(n,) m."""
+        """(n,) position errors, m."""
         return np.hypot(self.errors[:, 0], self.errors[:, 1])
 
     def during(self, end: float) -> float:
-        """Largest error of position from the begin of a fault to a second after its end, m."""
+        """Largest position error from the begin of a fault to a second after its end, m."""
         inside = (self.seconds >= BEGIN) & (self.seconds <= end + 1.0)
         return float(self.position[inside].max())
 
     def recovery(self, end: float) -> float:
-        """When after the end of a fault the position was bad for the last time, s."""
+        """Time from the end of a fault to the last position error above ``GOOD``, s."""
         bad = self.seconds[(self.position > GOOD) & (self.seconds > end)]
         return float(bad.max()) - end if bad.size else 0.0
 
@@ -58,7 +57,7 @@ def seconds_of(log: Log, m: Measurement) -> float:
 
 
 def run(log: Log, given: Iterable[Measurement], **changes: Any) -> Run:
-    """All that is published must be numbers."""
+    """Run the estimator and assert that all published values are finite."""
     estimator = SlipEstimator(load_slip_parameters(changes))
     steps = [estimator.process(m) for m in given]
     published = [e for _, e in steps if e is not None]
@@ -77,7 +76,7 @@ def run(log: Log, given: Iterable[Measurement], **changes: Any) -> Run:
 
 
 def changed(log: Log, kind: type, end: float, change: Callable[[Any], Measurement | None]) -> Given:
-    """The measurements of a kind between ``BEGIN`` and ``end``, changed or, for None, left out."""
+    """The measurements with those of ``kind`` between ``BEGIN`` and ``end`` changed, or left out for None."""
     made = [
         change(m) if isinstance(m, kind) and BEGIN <= seconds_of(log, m) < end else m
         for m in log.measurements
@@ -94,14 +93,14 @@ def test_without_a_fault(log: Log) -> None:
 
 @pytest.mark.parametrize("jump", [(3.0, -2.0, 0.5), (0.5, 0.0, 0.0), (0.0, 0.0, np.pi), (9e7, 0.0, 0.0)])
 def test_spike(log: Log, jump: tuple[float, float, float]) -> None:
-    """One fix wide of the mark: gated, no trace."""
+    """One fix is an outlier: it is rejected and has no effect."""
     found = run(log, changed(log, PoseFix, BEGIN + 0.2, lambda m: replace(m, pose=m.pose + np.array(jump))))
     assert found.counts == {("box_pose", "GATED"): 1}
     assert found.during(BEGIN + 0.2) < GOOD
 
 
 def test_gyro_spikes(log: Log) -> None:
-    """3 s of a loose plug, ±99 rad/s every third sample: gated, no trace."""
+    """A loose plug for 3 s, ±99 rad/s in every third sample: all are rejected and have no effect."""
     turns = iter(range(10**6))
 
     def loose(m: YawRate) -> YawRate:
@@ -114,7 +113,7 @@ def test_gyro_spikes(log: Log) -> None:
 
 
 def test_fixes_displaced_for_two_seconds_are_gated(log: Log) -> None:
-    """As of a person taken for the box: 1 m off."""
+    """A person is taken for the box: 1 m off."""
     found = run(
         log, changed(log, PoseFix, BEGIN + 2.0, lambda m: replace(m, pose=m.pose + np.array((1.0, 0.0, 0.0))))
     )
@@ -123,10 +122,10 @@ def test_fixes_displaced_for_two_seconds_are_gated(log: Log) -> None:
 
 
 def test_stuck_encoder(log: Log) -> None:
-    """The left track seems to be at standstill for 5 s while it drives.
+    """The left encoder reports standstill for 5 s while its track drives.
 
-    A machine that turns about one track, and hardly turns by its gyro, seems to lose all speed: 1.6 m.
-    Fixes contradict, and bound the error.
+    With a small yaw rate and a turn about one track, the speed seems to be zero: 1.6 m of error. Fixes
+    bound the error.
     """
     stuck: list[float] = []
 
@@ -136,13 +135,13 @@ def test_stuck_encoder(log: Log) -> None:
         return replace(m, positions=(stuck[0], m.positions[1]), left_speed=0.0)
 
     found = run(log, changed(log, Sprockets, BEGIN + 5.0, hold))
-    assert found.counts["sprockets", "JUMPED"] == 1  # when it comes free
+    assert found.counts["sprockets", "JUMPED"] == 1  # when the encoder works again
     assert found.during(BEGIN + 5.0) < 1.3
     assert found.recovery(BEGIN + 5.0) < 15.0
 
 
 def test_gyro_with_its_sign_flipped(log: Log) -> None:
-    """For the whole drive: heading suffers in turns, fixes hold the position; the right sign cures it."""
+    """Heading is wrong in turns, fixes keep the position; the parameter ``sign`` restores the estimate."""
     flipped = [replace(m, rate=-m.rate) if isinstance(m, YawRate) else m for m in log.measurements]
     wrong = run(log, flipped)
     assert wrong.position[wrong.seconds > 5.0].max() < 0.1
@@ -153,7 +152,7 @@ def test_gyro_with_its_sign_flipped(log: Log) -> None:
 
 @pytest.mark.parametrize("kind", [YawRate, PoseFix])
 def test_outage(log: Log, kind: type) -> None:
-    """10 s without gyro, or without fixes."""
+    """10 s without gyro or without fixes."""
     found = run(log, changed(log, kind, BEGIN + 10.0, lambda _: None))
     assert found.counts == {}
     assert found.during(BEGIN + 10.0) < (GOOD if kind is YawRate else 0.15)
@@ -162,7 +161,7 @@ def test_outage(log: Log, kind: type) -> None:
 
 @pytest.mark.parametrize("seconds", [2.0, 10.0])
 def test_sprockets_silent(log: Log, seconds: float) -> None:
-    """After their timeout the others carry it on, coasting; its covariance covers that; soon it is right."""
+    """After the timeout the estimate coasts on the other sources; its covariance covers the error."""
     end = BEGIN + seconds
     found = run(log, changed(log, Sprockets, end, lambda _: None))
     assert found.counts == {}
@@ -179,17 +178,17 @@ def test_sprockets_silent(log: Log, seconds: float) -> None:
 
 
 def test_everything_silent(log: Log) -> None:
-    """A cable for all, 10 s: the first fixes after it give the pose back."""
+    """All sources are silent for 10 s; the first fixes after it restore the pose."""
     end = BEGIN + 10.0
     given = [m for m in log.measurements if not BEGIN <= seconds_of(log, m) < end]
     found = run(log, given)
-    assert found.counts["sprockets", "AHEAD"] == 19  # until another time is believed
+    assert found.counts["sprockets", "AHEAD"] == 19  # until the new time is accepted
     assert found.recovery(end) < 1.0
 
 
 @pytest.mark.parametrize("start", [12.0, 16.0, 27.0])
 def test_started_mid_drive(log: Log, start: float) -> None:
-    """In a turn or straight on: right from the first fix, and soon as good as ever."""
+    """In a turn or straight on: accurate from the first fix, and fully accurate within 5 s."""
     found = run(log, [m for m in log.measurements if seconds_of(log, m) > start])
     assert found.seconds[0] < start + 1.0
     assert found.position.max() < 0.12

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The delay of fixes: what shows it, and what does not."""
+"""The delay of fixes: when it is observable and when it is not."""
 
 import math
 
@@ -20,7 +20,7 @@ STAMP_ERROR = 0.03  # s
 
 
 def delays(machine: Machine) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Delay found and its standard deviation, s, and squared errors of the position over their covariance."""
+    """Estimated delay and its standard deviation, s; NEES of the position."""
     recorded = drive(machine)
     estimator = SlipEstimator(parameters(**{"sources.box_pose.stamp_error": STAMP_ERROR}))
     published = [e for _, e in estimator.process_all(recorded.measurements) if e is not None]
@@ -34,7 +34,7 @@ def delays(machine: Machine) -> tuple[np.ndarray, np.ndarray, list[float]]:
 
 @pytest.mark.parametrize("late", [0.0, 0.1])
 def test_delay_of_fixes_is_observable_while_speeds_change(late: float) -> None:
-    """Of a manually driven machine, whose speed is never steady."""
+    """A manually driven machine, whose speed is never steady."""
     machine = Machine(duration=90.0, surge=0.7, track_error=0.03, fix_rate=5, fix_late=late, seed=1)
     found, stddevs, nees = delays(machine)
     assert found[-1] == pytest.approx(late, abs=3.0 * stddevs[-1])
@@ -44,7 +44,7 @@ def test_delay_of_fixes_is_observable_while_speeds_change(late: float) -> None:
 
 @pytest.mark.parametrize("late", [0.2, 0.3])
 def test_delay_of_fixes_beyond_its_prior_keeps_the_estimate_consistent(late: float) -> None:
-    """The delay must not be taken for slip at each change of speed."""
+    """The delay must not be attributed to slip at changes of speed."""
     squares = []
     for seed in range(3):
         machine = Machine(duration=120.0, surge=0.5, track_error=0.02, fix_late=late, seed=seed)
@@ -56,7 +56,7 @@ def test_delay_of_fixes_beyond_its_prior_keeps_the_estimate_consistent(late: flo
 
 @given(st.floats(0.5, 5.0), st.floats(0.05, 0.4), st.floats(-20.0, 20.0))
 def test_odds_and_delay_follow_the_rule_of_bayes(v: float, share: float, z: float) -> None:
-    """A number z = δ + noise shows δ, of which v or w was the variance."""
+    """Given z = δ + noise, odds and update are those of a prior variance w of δ against v."""
     p = parameters(**{"sources.box_pose.stamp_error": STAMP_ERROR})
     c, noise, w = make_config(p)[0], share * v, (p.events.late_stddev / STAMP_ERROR) ** 2
     state = state_of(Gaussian(c["prior_mean"].copy(), c["prior_covariance"].copy()))[0]
@@ -68,7 +68,7 @@ def test_odds_and_delay_follow_the_rule_of_bayes(v: float, share: float, z: floa
     inflate_delay(state, 0, c)
     assert state["mean"][FIX_DELAY] == pytest.approx(w / (w + noise) * z, rel=1e-6, abs=1e-6)
     assert state["covariance"][FIX_DELAY, FIX_DELAY] == pytest.approx(w * noise / (w + noise), rel=1e-6)
-    assert log_odds_of_delay(state, 0, c) == -math.inf  # it is known already
+    assert log_odds_of_delay(state, 0, c) == -math.inf  # already inflated
 
 
 def test_start_of_a_drive_does_not_correct_the_fix_delay() -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes that stand still while the tracks turn: of a frozen receiver, or of a machine that is stuck."""
+"""Fixes that do not move while the tracks turn: a frozen receiver, or a machine that is stuck."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,7 +21,7 @@ STAYS = "gnss_pose is frozen"
 
 
 def of_receiver(machine: Machine, frozen: float | None = None) -> FaultCase:
-    """A drive by fixes of a receiver, which jitter by ``frozen`` m about one place from BEGIN to END."""
+    """A drive with fixes of a receiver, which scatter by ``frozen`` m about one place from BEGIN to END."""
     recording, held, random = drive(machine), np.zeros(3), np.random.default_rng(3)
 
     def change(fix: PoseFix, t: float) -> PoseFix:
@@ -38,7 +38,7 @@ def of_receiver(machine: Machine, frozen: float | None = None) -> FaultCase:
 
 
 def probabilities(case: FaultCase, text: str) -> Iterator[float]:
-    """Of the explanations that begin with these words, at each fix from 2 s after BEGIN until END."""
+    """Total probability of explanations that begin with ``text``, at each fix from BEGIN + 2 s to END."""
     estimator = SlipEstimator(case.parameters)
     for m in case.measurements:
         estimator.process(m)
@@ -83,7 +83,7 @@ def test_estimate_of_a_stuck_machine_follows_its_fixes(noise: float, stated: flo
 
 @pytest.mark.parametrize("rate", [1, 5, 10])
 def test_chance_repetition_of_a_fix_does_not_move_a_stuck_machine(rate: int) -> None:
-    """Ten fixes a second with centimetre noise repeat within minutes."""
+    """Ten fixes per second with centimetre noise repeat within minutes."""
     noise = 0.02
     machine = Machine(
         duration=45.0, fix_noise=noise, fix_stated=noise, fix_rate=rate, track_error=0.03, stuck=(BEGIN, 40.0)

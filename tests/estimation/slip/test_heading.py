@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Headings as a source of their own: at the start, in the gate, in any order; and fixes whose errors last."""
+"""Headings as a source: at the start, in the gate, in any order; and fixes with time-correlated errors."""
 
 import math
 import random
@@ -40,7 +40,7 @@ def with_headings(**changed: object) -> SlipEstimatorParameters:
         "heading_sources": [SOURCE],
         "sources.heading.offset": OFFSET,
         "sources.heading.stamp_error": 0.0,
-        "sources.heading.yaw_offset_stddev": 0.02,  # two antennas
+        "sources.heading.yaw_offset_stddev": 0.02,  # of a pair of antennas
         "sources.box_pose.lever_arm_x": LEVER[0],
         "sources.box_pose.lever_arm_y": LEVER[1],
     }
@@ -48,7 +48,7 @@ def with_headings(**changed: object) -> SlipEstimatorParameters:
 
 
 def seen(machine: Machine, angle: float = 0.0, hertz: int = 10) -> tuple[Recording, list[Measurement]]:
-    """A drive in a site frame that is turned: fixes of an antenna on its lever, and headings as mounted."""
+    """A drive in a site frame turned by ``angle``: fixes of an antenna at LEVER, and mounted headings."""
     recorded, noise = drive(machine), np.random.default_rng(machine.seed + 100)
     cos, sin = math.cos(angle), math.sin(angle)
     turn = np.array(((cos, -sin), (sin, cos)))
@@ -72,7 +72,7 @@ def seen(machine: Machine, angle: float = 0.0, hertz: int = 10) -> tuple[Recordi
 
 
 def run(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Published poses (k, 4) with their time in s first, covariances, outcomes of the headings by stamp."""
+    """Rows (k, 4) of time, s, and published pose; covariances; outcomes of the headings by stamp."""
     steps = SlipEstimator(p).process_all(measurements)
     published = [e for _, e in steps if e is not None]
     poses = np.array([(e.stamp_ns / S - 1.0, *e.pose) for e in published])
@@ -81,7 +81,7 @@ def run(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[np
 
 
 def errors(poses: np.ndarray, truth: Recording) -> np.ndarray:
-    """(k, 3) x, y, heading."""
+    """(k, 3) errors of x, y, heading."""
     found = [poses[:, k + 1] - np.interp(poses[:, 0], truth.t, truth.poses[:, k]) for k in range(3)]
     found[2] = np.angle(np.exp(1j * found[2]))
     return np.column_stack(found)
@@ -93,7 +93,7 @@ def test_start_heading_is_that_of_the_heading_source(angle: float, filter_: str)
     truth, measurements = seen(Machine(duration=20.0, seed=2), angle)
     poses, covariances, outcomes = run(measurements, with_headings(filter=filter_))
     found = errors(poses, truth)
-    early = poses[:, 0] > 0.5  # still at rest
+    early = poses[:, 0] > 0.5  # still at standstill
     assert np.abs(found[early, 2]).max() < 0.015
     assert np.hypot(found[early, 0], found[early, 1]).max() < 0.12
     assert Outcome.GATED not in list(outcomes.values())[3:]
@@ -129,7 +129,7 @@ def test_a_spike_is_rejected_and_a_persistent_heading_is_accepted() -> None:
         if isinstance(m, HeadingFix) and m.stamp_ns > 11 * S
         else m
         for m in measurements
-        if not (isinstance(m, PoseFix) and m.stamp_ns > 11 * S)  # which would say otherwise
+        if not (isinstance(m, PoseFix) and m.stamp_ns > 11 * S)  # fixes would contradict the headings
     ]
     poses, _, outcomes = run(turned, with_headings(**{"sources.heading.timeout": 2.0}))
     off = errors(poses, truth)[:, 2]
@@ -226,7 +226,7 @@ def test_source_of_an_unknown_kind_of_message_is_refused() -> None:
 
 @given(st.floats(0.001, 100.0), st.floats(0.001, 100.0))
 def test_time_correlated_errors_count_as_their_mean_varies(elapsed: float, time: float) -> None:
-    """The variance of a mean of many readings of a first-order process, over that of as many white ones."""
+    """Inflation: variance of the mean of many readings of a first-order process over that of white ones."""
     rho = math.exp(-elapsed / time)
     if rho < 1.0 - 1e-9:
         assert correlated_inflation(round(elapsed * S), time) == pytest.approx(

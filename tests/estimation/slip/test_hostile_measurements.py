@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps of a publisher that means no good: refused by name, and nothing ends, stalls or grows."""
+"""Extreme stamps of a faulty publisher: rejected by reason; nothing ends, stalls or grows."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,7 +21,7 @@ START_NS = 1_700_000_000 * S
 def with_rogue(
     measurements: list[Measurement], kind: type, apart_ns: int
 ) -> Iterator[tuple[Measurement, bool]]:
-    """Each, at a time of our days; after one of a kind another, so much apart: (it, if of a rogue)."""
+    """Present-day measurements, False; after each of ``kind`` a copy ``apart_ns`` later, True."""
     for m in measurements:
         own = replace(m, stamp_ns=START_NS + m.stamp_ns)
         yield own, False

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was learned: taken from a state, aged, started from again, and said in words."""
+"""Learned states: taken from a state, aged, used at a start, and described in words."""
 
 import dataclasses
 import json
@@ -47,7 +47,7 @@ def named(known: Learned | None, of: Meaning = OF) -> dict[str, Finding]:
 
 
 def known(seed: int, n: int = len(OF.places)) -> Learned:
-    """Anything that an estimator might have learned."""
+    """Random learned states."""
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n + 1))
     covariance = root @ root.T
@@ -110,11 +110,11 @@ def test_estimator_starts_from_learned_states(driven: list[Measurement], learned
     np.testing.assert_array_equal(state["covariance"][np.ix_(places, places)], learned.covariance)
     np.testing.assert_array_equal(state["adaptation"]["log_weights"], learned.track_weights)
     np.testing.assert_array_equal(state["adaptation"]["fix_log_weights"][0], learned.fix_weights["box_pose"])
-    assert state["adaptation"]["fix_factors"][0] > 1.5  # 4 is true
+    assert state["adaptation"]["fix_factors"][0] > 1.5  # true factor 4
 
 
 def test_learned_states_reduce_the_error_of_the_next_start(learned: Learned) -> None:
-    """Within its first metres, what took the first one a minute."""
+    """Its first metres improve the gyro scale more than a start from the prior."""
     again = drive(Machine(gyro_scale=0.97, fix_noise=0.04, duration=8.0, seed=1)).measurements
     errors = []
     for start in (None, learned):
@@ -196,7 +196,7 @@ def test_invalid_learned_states_are_refused(learned: Learned, name: str, value: 
         from_tree({**to_tree(learned, OF), name: value}, OF)
 
 
-# In words
+# Descriptions
 
 
 def test_nothing_is_observed_before_the_first_metre() -> None:
@@ -206,7 +206,7 @@ def test_nothing_is_observed_before_the_first_metre() -> None:
 
 
 def test_state_far_from_its_prior_counts_as_observed() -> None:
-    """The slip of spinning tracks is known to ± 0.1; its prior is 0 ± 0.02."""
+    """The slip of spinning tracks has a standard deviation of 0.1; its prior is 0 ± 0.02."""
     start, k = OF.prior, list(OF.places).index("common_slip")
     mean, stddev = start.mean.copy(), start.stddev.copy()
     mean[k], stddev[k] = 1.0, 0.1
@@ -222,7 +222,7 @@ def test_observed_states_are_reported_in_sentences(learned: Learned) -> None:
     assert gyro.sentence.startswith("gyro reads ")
     assert " % low ± " in gyro.sentence
     assert found["fix_noise_factor.box_pose"].value == pytest.approx(4.0, rel=0.5)
-    assert found["fix_delay.box_pose"].sentence == NOT_OBSERVED  # its stamps err by 3 ms at most
+    assert found["fix_delay.box_pose"].sentence == NOT_OBSERVED  # stamp errors of at most 3 ms
     assert found["track_error"].value < 0.02
 
 
@@ -250,6 +250,6 @@ def test_a_sentence_has_the_digits_of_its_standard_deviation(
 def test_each_source_has_its_own_delay() -> None:
     changes = {"sources.box_pose.stamp_error": 0.0, "sources.gnss_pose.stamp_error": 0.03}
     found = named(None, meaning(parameters(pose_sources=("box_pose", "gnss_pose"), **changes)))
-    assert "fix_delay.box_pose" not in found  # it is known to have none
+    assert "fix_delay.box_pose" not in found  # configured without a delay
     assert found["fix_delay.gnss_pose"].stddev == pytest.approx(0.03)
     assert {"fix_noise_factor.box_pose", "fix_noise_factor.gnss_pose"} <= found.keys()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Odometry that never jumps: the integral of the twist, however often fixes move the estimate."""
+"""Odometry without jumps: the integral of the twist, however often fixes correct the estimate."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run over a whole log gives what the estimator ends with, for any number of runs at once."""
+"""A run over a whole log ends as the live estimator does, for any number of runs at once."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -38,7 +38,7 @@ def parameters(**changes: Any) -> SlipEstimatorParameters:
 
 
 def measurements(drive: Callable[..., Any], seed: int = 0) -> list[Measurement]:
-    """Gyro readings with spikes; fixes between the sprocket samples, some wide of the mark in a row."""
+    """Gyro readings with spikes; fixes between the sprocket samples, some of them consecutive outliers."""
     found: list[Measurement] = drive(SEGMENTS, seed=seed, gyro_every=2).measurements
     for k, m in enumerate(found):
         if isinstance(m, YawRate) and k % 10 == 0:
@@ -50,7 +50,7 @@ def measurements(drive: Callable[..., Any], seed: int = 0) -> list[Measurement]:
 
 
 def with_faults(found: list[Measurement]) -> list[Measurement]:
-    """Two silences of the sprockets, one of all, a manual pose, a stamp far ahead, a repeat, and rubbish."""
+    """Two gaps of the sprockets, one of all, a manual pose, a stamp far ahead, a repeat, a NaN."""
     silent = [(2.2, 3.1), (4.0, 4.9)]
     kept = [
         m
@@ -65,7 +65,7 @@ def with_faults(found: list[Measurement]) -> list[Measurement]:
 
 
 def in_order(found: Sequence[Measurement]) -> list[Measurement]:
-    """By stamp, then as the estimator has it."""
+    """The measurements by stamp, then in the order of the estimator."""
     p = parameters()
     records = to_records(found, SlipEstimator(p).sources)
     return [found[k] for k in np.lexsort((records["source"], records["kind"], records["stamp_ns"]))]
@@ -76,12 +76,12 @@ def log_of(found: Sequence[Measurement], p: SlipEstimatorParameters) -> Log:
 
 
 class RunResult(NamedTuple):
-    """All of a run."""
+    """Measurements, states, updates and priors of a whole run."""
 
     measurements: Records
     states: Records
     updates: Records
-    priors: Records  # () without a script
+    priors: Records  # empty without a script
 
 
 def run_of(log: Log, p: SlipEstimatorParameters, script: Records | None = None) -> RunResult:
@@ -93,7 +93,7 @@ def run_of(log: Log, p: SlipEstimatorParameters, script: Records | None = None) 
 
 
 def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any, list[Outcome]]:
-    """Where the live estimator ends, and what it made of each."""
+    """The last state of the live estimator, and the outcome of each measurement."""
     estimator = SlipEstimator(p)
     outcomes = [report.outcome for report, _ in map(estimator.process, found)]
     return estimator.window.best[estimator.window.count - 1], outcomes
@@ -107,7 +107,7 @@ def ended(found: Sequence[Measurement], p: SlipEstimatorParameters) -> tuple[Any
 def test_log_run_ends_in_the_state_of_the_estimator(
     drive: Callable[..., Any], model: str, filter_: str, changes: dict[str, Any]
 ) -> None:
-    """With gated measurements, inflated gates, silences and all other cases of a log."""
+    """With rejected measurements, inflated gates, silences and all other cases of a log."""
     p = parameters(model=model, filter=filter_, **changes)
     found = with_faults(measurements(drive))
     state, outcomes = ended(found, p)
@@ -123,7 +123,7 @@ def test_log_run_ends_in_the_state_of_the_estimator(
 
 
 def test_outage_gates_the_same_fixes_as_live(drive: Callable[..., Any]) -> None:
-    """Fixes far off after an outage of 3 s are rejected until several agree."""
+    """Displaced fixes after an outage of 3 s are rejected until several agree."""
     found = in_order(
         [
             replace(m, pose=m.pose + np.array((2.0, 2.0, 0.0)))
@@ -145,7 +145,7 @@ def test_outage_gates_the_same_fixes_as_live(drive: Callable[..., Any]) -> None:
 def test_block_size_does_not_change_the_bits(
     drive: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
-    """Each block ends at a sprocket sample, or no interval would be closed as it is in the whole log."""
+    """Each block ends at a sprocket sample; otherwise intervals would close differently in blocks."""
     p = parameters()
     log = log_of(with_faults(measurements(drive)), p)
     estimator = SlipEstimator(p)
@@ -173,7 +173,7 @@ def test_a_sprocket_sample_only_propagates(drive: Callable[..., Any]) -> None:
 
 
 def test_rejected_measurement_keeps_mean_and_covariance(drive: Callable[..., Any]) -> None:
-    """Bit for bit the prior."""
+    """Mean and covariance equal the prior bit for bit."""
     for filter_ in ("ekf", "daf"):
         p = parameters(filter=filter_, **{"sources.box_pose.lever_arm_x": 0.4})
         log = log_of(with_faults(measurements(drive)), p)
@@ -186,7 +186,7 @@ def test_rejected_measurement_keeps_mean_and_covariance(drive: Callable[..., Any
 
 
 def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[..., Any]) -> None:
-    """|S| = |H P Hᵀ + R|: of a fix at the stamp of the entry before it, by the noise factor before it."""
+    """|S| = |H P Hᵀ + R| for a fix with the stamp and the noise factor of the entry before it."""
     p = parameters(**{"sources.box_pose.standing_share": 0.0, "sources.box_pose.stamp_error": 0.0})
     run = run_of(log_of(drive(SEGMENTS, gyro_every=1000).measurements, p), p)
     fixes = np.flatnonzero((run.measurements["kind"] == POSE) & (run.updates["outcome"] == Outcome.ACCEPTED))
@@ -199,7 +199,7 @@ def test_the_spread_of_an_innovation_follows_from_its_update(drive: Callable[...
 
 @pytest.mark.slow
 def test_parallel_runs_equal_single_runs(drive: Callable[..., Any]) -> None:
-    """Sets of parameters over one log, and noise seeds under one set, on threads."""
+    """Sets of parameters over one log, and seeds of noise with one set, on threads."""
     sets = [parameters(model=m, gate_probability=g) for m in ("turning", "icr") for g in (0.5, 0.9999)]
     jobs = [(log_of(measurements(drive, seed), p), p) for p in sets for seed in range(3)]
     with ThreadPoolExecutor(2) as pool:
@@ -239,7 +239,7 @@ def test_a_log_without_a_start_is_refused(drive: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 def test_no_kernel_is_compiled_while_driving(drive: Callable[..., Any], model: str) -> None:
-    """Arrays of another layout would stop the estimator for seconds."""
+    """Compilation for another array layout would stop the estimator for seconds."""
     p = parameters(
         model=model, **{"sources.box_pose.use_heading": False}, **{"sources.box_pose.lever_arm_x": 0.3}
     )

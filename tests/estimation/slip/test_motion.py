@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Standing, straight, turning: seen from the sprockets, both ways round, without flicker."""
+"""Standstill, straight, turning: classified from the sprockets, symmetric, without flicker."""
 
 import math
 from collections.abc import Iterable
@@ -20,11 +20,11 @@ LIMITS = MotionParameters(
 )
 DT = 0.01
 COUNT = 2.0 * math.pi / (3 * 4096)  # rad
-COUNTED = (COUNT / DT) ** 2 / 6.0  # (rad/s)², variance of a speed by two rounded counts
+COUNTED = (COUNT / DT) ** 2 / 6.0  # (rad/s)², variance of a speed from two rounded counts
 
 
 def drive(speeds: Iterable[tuple[float, float]], state: MotionState | None = None) -> list[MotionState]:
-    """The states while these speeds come, one per sample."""
+    """Motion states after each of the speeds, one per sample."""
     state = state or MotionState()
     seen = []
     for left, right in speeds:
@@ -42,7 +42,7 @@ def held(left: float, right: float, seconds: float = 3.0) -> list[tuple[float, f
 
 
 def motions(states: list[MotionState]) -> list[Motion]:
-    """Each state once, in the order of their coming."""
+    """Motion states in the order of their begin."""
     row = [s.motion for s in states]
     return [m for k, m in enumerate(row) if k == 0 or row[k - 1] != m]
 
@@ -118,7 +118,7 @@ def test_motion_state_is_kept_at_slow_creep_between_the_limits(before: list[tupl
 
 
 def counted(left: float, right: float, seconds: float) -> list[tuple[float, float]]:
-    """Speeds differenced from positions rounded to counts."""
+    """Speeds from differences of positions rounded to counts."""
     t = np.arange(round(seconds / DT) + 1) * DT
     angles = np.round(np.outer(t, (left, right)) / COUNT + (0.2, 0.7)) * COUNT
     return [(float(a), float(b)) for a, b in np.diff(angles, axis=0) / DT]
@@ -154,7 +154,7 @@ def test_speeds_are_low_passed_where_rounding_explains_their_changes() -> None:
 
 @pytest.mark.parametrize("difference", [0.0, 0.03, -0.03, 0.3])
 def test_speed_difference_within_rounding_is_not_published(difference: float) -> None:
-    """While speeds change they are not low-passed, and one count in 10 ms is 0.05 rad/s."""
+    """Speeds are not low-passed while they change; one count in 10 ms is 0.05 rad/s."""
     now = Speeds(1.5, 1.5 + difference, COUNTED, COUNT**2 / 12.0)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
     left, right, variance, _ = smoothed(now, changing, LIMITS)

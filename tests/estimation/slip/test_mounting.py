@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""IMUs as they are mounted: turned, without some of their data, and several of them."""
+"""Mounting of IMUs: rotated, with missing data, and several of them."""
 
 import math
 from collections.abc import Callable
@@ -68,14 +68,14 @@ def test_columns_of_a_bag_turn_as_numbers_do(roll: float, pitch: float, yaw: flo
 
 
 def test_an_axis_that_a_unit_lacks_does_not_spoil_the_others() -> None:
-    """Half a turn about x mixes nothing of x into z; sin π is not quite 0."""
+    """Half a turn about x must not mix x into z, although sin π is not exactly 0."""
     upside_down = rotation(math.pi, 0.0, 0.0)
     assert turned(upside_down, (math.nan, math.nan, 0.3))[2] == -0.3
     assert rotation(0.0, 0.0, 0.0) is None
 
 
 def test_a_message_is_turned_as_its_unit_is_mounted() -> None:
-    """Its x axis points up: the machine turns left about it."""
+    """The x axis of the unit points up and measures the turn to the left."""
     stated = (1e-4, 2e-4, 3e-4)
     found = yaw_rate(
         imu_message((0.3, 0.1, -0.2), (9.8, 0.5, 0.0), stated, (0.03,) * 3),
@@ -118,7 +118,7 @@ def test_degrees_are_refused(angle: str) -> None:
 
 
 def test_rotated_imu_gives_the_same_estimate(drive: Callable[..., Any]) -> None:
-    """As a message with all three axes."""
+    """The IMU sends messages with all three axes."""
     driven = drive([(10.0, 1.0, 2.0, 0.0, 0.1, 0.0)]).measurements
     back = Rotation.from_euler("ZYX", (-0.7, 0.2, math.pi)).inv()
     imu = source(mounting_roll=math.pi, mounting_pitch=0.2, mounting_yaw=-0.7)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a motion model says of itself; a new one is its own file and its lines in the dispatch, no more."""
+"""A motion model describes its states; a new one needs its own file and its lines in the dispatch only."""
 
 import ast
 import os
@@ -23,7 +23,7 @@ MODELS = (*dispatch.MODELS.values(), toy_model)
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__.split(".")[-1])
 def test_the_named_parts_cover_the_state_once_each_number_with_its_unit(model: ModuleType) -> None:
     numbers = [k for part in model.PARTS for k in range(SIZE)[part.at]]
-    of_all = {GYRO_SCALE, FIX_DELAY}  # the thesis' model knows them, and has them at 0
+    of_all = {GYRO_SCALE, FIX_DELAY}  # constant 0 in the thesis' model
     assert sorted(numbers) == sorted({*range(model.ACTIVE)} | of_all)
     assert len({part.name for part in model.PARTS}) == len(model.PARTS)
     for part in model.PARTS:
@@ -39,7 +39,7 @@ def test_models_have_codes_and_names_of_their_own() -> None:
 
 
 def test_new_model_needs_one_file() -> None:
-    """It takes the place of another in the dispatch, and all else follows from what it says of itself."""
+    """The model replaces another in the dispatch; all else follows from its description."""
     path = os.pathsep.join((str(Path(toy_model.__file__).parents[1]), *filter(None, sys.path)))
     done = subprocess.run(
         [sys.executable, "-m", "fixtures.toy_model_drive"],
@@ -54,7 +54,7 @@ def test_new_model_needs_one_file() -> None:
 
 
 def test_only_the_dispatch_calls_a_model() -> None:
-    """Others know constants and records of one, so that its functions are chosen in one place."""
+    """Other modules import only constants and records of a model; one place selects its functions."""
     models = {model.__name__ for model in dispatch.MODELS.values()}
     wrong = {}
     files = [file for file in SOURCES.glob("*/*/**/*.py") if file.parts[-2:] != ("models", "dispatch.py")]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A source of another kind needs one function: what its measurement says of the state. Here: ranges."""
+"""A source of a new kind needs one function, its observation. Here: ranges."""
 
 import math
 
@@ -57,6 +57,6 @@ def test_ranges_to_beacons_locate_a_machine() -> None:
         )
         correct(state["mean"], state["covariance"], o)
     error, P = state["mean"][:3] - truth, state["covariance"][:3, :3].copy()
-    assert np.hypot(*error[:2]) < 0.3  # the heading, 0.1 rad off, moves C about the antenna
+    assert np.hypot(*error[:2]) < 0.3  # a heading error of 0.1 rad rotates C about the antenna
     assert weighted_square(root(P), error) < 16.3  # χ² of three, 0.1 %
     assert P[X, X] < 0.1

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers at the edge of what can be held: the estimate stays finite, its covariance positive definite."""
+"""Numbers at the limits of float64: the estimate stays finite and its covariance positive definite."""
 
 from dataclasses import replace
 from typing import Any
@@ -32,12 +32,12 @@ R = np.diag((1e-4, 1e-4, 1e-4))
 
 
 def fix(stamp_ns: int, covariance: FloatArray = R, x: float = 0.0) -> PoseFix:
-    """At the origin, or ahead of it."""
+    """A fix at ``x`` m ahead of the origin."""
     return PoseFix("box_pose", stamp_ns, np.array((x, 0.0, 0.0)), covariance)
 
 
 def standing(end_ns: int, **changed: Any) -> SlipEstimator:
-    """An estimator of a machine that has stood since 0 s."""
+    """An estimator after a standstill from 0 s to ``end_ns``."""
     estimator = SlipEstimator(load_slip_parameters(changed))
     found: list[Measurement] = [fix(0)]
     for stamp_ns in range(10 * MS, end_ns + 1, 10 * MS):
@@ -52,20 +52,20 @@ def sample(stamp_ns: int) -> Sprockets:
 
 
 def turned(variances: tuple[float, float], degrees: float) -> FloatArray:
-    """A fix's covariance, its axes rotated."""
+    """A covariance of a fix with rotated axes."""
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     axes = np.array(((cos, -sin, 0.0), (sin, cos, 0.0), (0.0, 0.0, 1.0)))
     return np.asarray(axes @ np.diag((*variances, 1e-4)) @ axes.T)
 
 
 def correlated(variance: float, correlation: float) -> FloatArray:
-    """One variance in x and y."""
+    """A covariance with one variance in x and y."""
     covariance = np.diag((variance, variance, 1e-4))
     covariance[0, 1] = covariance[1, 0] = correlation * variance
     return covariance
 
 
-# The fewest of 10⁵ steps; ``make fuzz`` takes 10⁷
+# Few steps: 10⁵; ``make fuzz`` takes 10⁷
 @pytest.mark.parametrize("machine", range(len(random_steps.MACHINES)))
 def test_random_steps_leave_finite_numbers_and_a_positive_covariance(machine: int) -> None:
     episodes = range(machine, 56, len(random_steps.MACHINES))
@@ -105,7 +105,7 @@ def test_ill_conditioned_fix_is_refused_with_its_reason_and_the_next_one_is_used
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0])
 def test_fix_with_one_observed_direction_is_used(degrees: float) -> None:
-    """A variance of 1e6 m² marks an unobserved direction, as a laser's along a corridor."""
+    """A variance of 1e6 m² marks an unobserved direction, such as along a corridor for a laser."""
     estimator = standing(S)
     report, _ = estimator.process(fix(S + MS, turned((1e6, 1e-4), degrees)))
     assert report.outcome is Outcome.ACCEPTED
@@ -163,7 +163,7 @@ def test_estimate_that_is_not_finite_restarts_and_reports_it(field: str, start: 
 def test_reset_drops_all_states_that_are_not_finite() -> None:
     estimator = standing(S)
     estimator.window.best["mean"][: estimator.window.count] = np.nan
-    assert estimator.learned is None  # the state file then keeps what it has
+    assert estimator.learned is None  # the state file keeps its content
     estimator.apply_command(Command(RESET))
     for given in (fix(S), sample(S + MS), sample(S + 11 * MS)):
         assert estimator.process(given)[0].outcome is Outcome.ACCEPTED
@@ -174,7 +174,7 @@ def test_reset_drops_all_states_that_are_not_finite() -> None:
 
 
 def test_replay_of_a_diverged_estimate_ends_with_the_same_bits() -> None:
-    """One by one and all at once, from a state that was made to break."""
+    """One by one and all at once, from a state that was made to diverge."""
     ends = []
     given = [
         sample(S + 10 * MS),

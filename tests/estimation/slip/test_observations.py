@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each kind of measurement says of the state, against differences; and who may correct it."""
+"""Observations of each kind of measurement: derivatives against differences; which modules update a state."""
 
 import ast
 import math
@@ -63,7 +63,7 @@ KINDS = [
 
 
 def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
-    """A state of a machine with everything, the record of its parameters, and the numbers of its sources."""
+    """A state with all optional states in use, its configuration record, and the indices of its sources."""
     p, rng = load_slip_parameters(ALL), np.random.default_rng(seed)
     config, root = config_of(ALL), rng.normal(size=(SIZE, SIZE))
     known = Gaussian(rng.normal(size=SIZE) * 0.3, root @ root.T * 0.01)
@@ -88,7 +88,7 @@ def machine(seed: int, tilted: bool) -> tuple[Any, Any, dict[str, int]]:
 def test_h_is_the_derivative_of_what_is_measured(
     kind: int, name: str, rows: int, seed: int, tilted: bool
 ) -> None:
-    """With lever arms, swing, delay, offsets and errors of the sensors."""
+    """With lever arms, swing, delay, offsets and sensor errors."""
     state, c, numbers = machine(seed, tilted)
     measurement = np.zeros(1, MEASUREMENT)[0]
     measurement["kind"], measurement["source"] = kind, numbers[name]
@@ -115,7 +115,7 @@ def test_h_is_the_derivative_of_what_is_measured(
 
 @pytest.mark.parametrize("source", ["gnss", "mast"])
 def test_position_correction_rotates_the_machine_about_its_sensor(source: str) -> None:
-    """Equal to an update in sensor coordinates, however large the heading correction is."""
+    """Equals an update in sensor coordinates, for any size of the heading correction."""
     state, c, numbers = machine(4, False)
     number, n, level = numbers[source], int(c["size"]), state["attitude"]["level"][0]
     measurement = np.zeros(1, MEASUREMENT)[0]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Odometry of a camera as increments: what it moved on ground that slips; jumps, gaps, what it states."""
+"""Odometry of a camera as increments: motion on slippery ground; jumps, gaps, stated covariances."""
 
 import math
 import random
@@ -33,8 +33,8 @@ from trackslip_estimation.slip.sources import Refusal
 
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
-STANDSTILL = np.array(quaternion_of(0.2, -0.4, 1.0))  # of its odom frame
-ALONE = 40.0  # s, after which there are no fixes
+STANDSTILL = np.array(quaternion_of(0.2, -0.4, 1.0))  # orientation of its odom frame
+ALONE = 40.0  # s, end of the fixes
 
 
 def with_odometry(**changed: object) -> SlipEstimatorParameters:
@@ -46,7 +46,7 @@ def with_odometry(**changed: object) -> SlipEstimatorParameters:
 
 
 def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
-    """What the source says where base_link is at (3,) x, y, heading of its odom frame, if that lay level."""
+    """Pose that the source publishes with base_link at (3,) x, y, heading of its odom frame, if level."""
     base, camera = np.array(quaternion_of(0.0, 0.0, pose[2])), np.array(quaternion_of(*MOUNTING))
     at = turned_by(STANDSTILL, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
     turn = product(product(STANDSTILL, base), camera)
@@ -58,7 +58,7 @@ def seen(
 ) -> list[Measurement]:
     """The odometry of a drive: 10 Hz, a millimetre of noise between two poses.
 
-    Its lengths are times ``scale`` between the two times ``during``, s.
+    Distances are multiplied by ``scale`` between the two times ``during``, s.
     """
     noise, place = np.random.default_rng(seed), recorded.poses[0, :2]
     found: list[Measurement] = []
@@ -73,7 +73,7 @@ def seen(
 
 
 def slipping(recorded: Recording, slip: float) -> list[Measurement]:
-    """Without fixes after ``ALONE``, when both tracks begin to slip."""
+    """The measurements without fixes after ``ALONE``, when both tracks begin to slip."""
     kept = [m for m in recorded.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > S + ALONE * S)]
     more = 1.0 / (1.0 - slip)
     return [
@@ -90,7 +90,7 @@ def run(given: list[Measurement], p: SlipEstimatorParameters) -> tuple[list[Repo
 
 
 def errors(estimates: list, recorded: Recording, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Error of the position, m, and NEES of those between two times, s."""
+    """Position errors, m, and NEES of the estimates between two times, s."""
     chosen = [e for e in estimates if begin * S < e.stamp_ns - S < end * S]
     stamps = np.array([(e.stamp_ns - S) / S for e in chosen])
     true = np.stack([np.interp(stamps, recorded.t, column) for column in recorded.poses[:, :2].T], axis=1)
@@ -100,7 +100,7 @@ def errors(estimates: list, recorded: Recording, begin: float, end: float) -> tu
 
 
 def end_and_nees(estimates: list, recorded: Recording) -> tuple[float, float]:
-    """Error of the position at the end, m, and its mean NEES without fixes."""
+    """Position error at the end, m, and mean NEES without fixes."""
     error, nees = errors(estimates, recorded, ALONE, math.inf)
     return float(error[-1]), float(np.mean(nees))
 
@@ -108,7 +108,7 @@ def end_and_nees(estimates: list, recorded: Recording) -> tuple[float, float]:
 @pytest.mark.parametrize("slip", [0.1, 0.3])
 @pytest.mark.parametrize("track_error", [0.0, 0.05])
 def test_odometry_bridges_new_ground_without_fixes(slip: float, track_error: float) -> None:
-    """Sprockets alone drive on by the slip; a camera of 1 % sees that it does not."""
+    """The sprockets include the slip in the distance; a camera with 1 % error corrects the slip."""
     recorded = drive(Machine(duration=70.0, seed=1, track_error=track_error))
     alone = slipping(recorded, slip)
     blind, _ = end_and_nees(run(alone, with_odometry())[1], recorded)
@@ -121,7 +121,7 @@ def test_odometry_bridges_new_ground_without_fixes(slip: float, track_error: flo
 
 
 def test_odometry_scale_is_estimated_from_fixes_and_kept() -> None:
-    """Of the 12 m that follow, 3 % would be 0.36 m."""
+    """Without the scale, 3 % of the following 12 m would be 0.36 m."""
     recorded = drive(Machine(duration=70.0, seed=2))
     p = with_odometry(**{f"sources.{SOURCE}.drift": 0.03})
     _, estimates = run([*slipping(recorded, 0.1), *seen(recorded, 1.03)], p)
@@ -132,7 +132,7 @@ def test_odometry_scale_is_estimated_from_fixes_and_kept() -> None:
 
 @pytest.mark.parametrize("scale", [0.0, 0.8, 1.3])
 def test_wrong_odometry_does_not_degrade_fixes(scale: float) -> None:
-    """The odometry is wrong by a scale for 15 s; fixes have 5 cm."""
+    """The scale of the odometry is wrong for 15 s; fixes have 5 cm."""
     nees = []
     for seed in range(3):
         recorded = drive(Machine(duration=80.0, seed=seed, fix_noise=0.05, fix_stated=0.05, track_error=0.05))
@@ -141,7 +141,7 @@ def test_wrong_odometry_does_not_degrade_fixes(scale: float) -> None:
         steps = running.process_all(sorted([*recorded.measurements, *given], key=lambda m: m.stamp_ns))
         found = [e for _, e in steps if e is not None]
         assert np.sqrt(np.mean(errors(found, recorded, 30.0, 55.0)[0] ** 2)) < 0.15
-        nees.append(np.mean(errors(found, recorded, 34.0, 55.0)[1]))  # five fixes take 2 s to show it
+        nees.append(np.mean(errors(found, recorded, 34.0, 55.0)[1]))  # five fixes, 2 s, detect the scale
         happened = [e.event for e in running.read_events() if e.source == SOURCE]
         assert happened[0] is Event.FAILED
         assert happened[-1] is Event.RECOVERED
@@ -204,7 +204,7 @@ def test_malformed_odometry_pose_is_invalid(bad: dict[str, np.ndarray]) -> None:
 
 @pytest.mark.parametrize("rate", [0.0, 0.8, -2.5])
 def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
-    """Exactly, over as long as half a turn, on a camera that is turned and off the centre."""
+    """Exact for arcs of up to half a turn, with a camera that is rotated and off the centre."""
     v, T = 0.4, 1.2
     turn = rate * T
     x, y = (v / rate * np.sin(turn), v / rate * (1.0 - np.cos(turn))) if rate else (v * T, 0.0)
@@ -237,7 +237,7 @@ def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> No
     np.testing.assert_allclose(
         stated(POSE_GROWTH, twist, grown), (1.2e-3, 1.2e-3, 4e-6) + 4.0 * by_turn, rtol=1e-9
     )
-    for kind, now in ((TWIST, nothing), (POSE_GROWTH, twist)):  # it states none, or does not grow
+    for kind, now in ((TWIST, nothing), (POSE_GROWTH, twist)):  # none is stated, or it does not grow
         np.testing.assert_allclose(stated(kind, now, now), (0.09 + 0.04, 0.09 + 0.01, 0.01))
 
 

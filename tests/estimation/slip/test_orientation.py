@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Orientations that IMUs state: roll and pitch measured, through the mounting, gated, and refused by name."""
+"""Orientations of IMUs: roll and pitch updates through the mounting, gated, and rejected by reason."""
 
 import json
 import math
@@ -34,9 +34,9 @@ from trackslip_tools.cli.main import main
 MS, R, IMU = 1_000_000, 0.159, "imu/data_raw"
 GROUP = "sources.imu_data_raw."
 REQUESTED = {f"{GROUP}use_orientation": True}
-ROLL, PITCH = -0.12, -0.2  # rad, of the slope that is driven
-BIAS = 0.15  # m/s² of both horizontal accelerometers: 0.9°, three times what is assumed
-STDDEV = 0.003  # rad, of the orientation
+ROLL, PITCH = -0.12, -0.2  # rad, of the slope
+BIAS = 0.15  # m/s² of both horizontal accelerometers: 0.9°, three times the assumed bias
+STDDEV = 0.003  # rad, noise of the orientation
 ABSENT, ZERO = np.array((-1.0, *(0.0,) * 8)), np.zeros(9)
 ANGLES = st.floats(-math.pi, math.pi)
 
@@ -44,7 +44,7 @@ ANGLES = st.floats(-math.pi, math.pi)
 def message(
     turn: Any, covariance: FloatArray, force: Any = (0.0, 0.0, GRAVITY), stamp_ns: int = MS, size: float = 1.0
 ) -> Any:
-    """sensor_msgs/Imu of a unit with this orientation, a scipy Rotation; its quaternion of this length."""
+    """A sensor_msgs/Imu with orientation ``turn``, a scipy Rotation, and a quaternion of length ``size``."""
     x, y, z, w = (size * turn.as_quat()).tolist()
     quaternion = make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
     forces = dict(zip("xyz", (float(f) for f in force), strict=True))
@@ -69,9 +69,9 @@ def imu_of(**changed: Any) -> YawRateSource:
 
 
 def drive(state: Any = None, seconds: float = 20.0) -> list[Measurement]:
-    """Stands for 5 s on the slope, then drives at 0.4 m/s; 20 Hz, fixes once a second.
+    """5 s of standstill on the slope, then 0.4 m/s; 20 Hz, fixes once a second.
 
-    ``state``: seconds → the covariance that the IMU states, and the length of its quaternion.
+    ``state`` maps seconds to the covariance that the IMU states and the length of its quaternion.
     """
     rng, found, imu = np.random.default_rng(3), list[Measurement](), imu_of()
     force = machine().inv().apply((0.0, 0.0, GRAVITY)) + np.array((BIAS, BIAS, 0.0))
@@ -99,7 +99,7 @@ def run(measurements: list[Measurement], **changed: Any) -> tuple[Any, SlipEstim
 
 
 def off(estimate: Any) -> float:
-    """Error of roll and pitch, degrees."""
+    """Norm of the errors of roll and pitch, degrees."""
     return math.degrees(float(np.hypot(*(estimate.outputs.tilt.tilt[:2] - (ROLL, PITCH)))))
 
 
@@ -143,7 +143,7 @@ def test_time_correlated_orientation_errors_do_not_average_out() -> None:
 def test_malformed_orientation_is_refused_by_name(
     covariance: FloatArray, size: float, refusal: AttitudeRefusal
 ) -> None:
-    """The rest of the message counts as if no orientation were requested, bit for bit."""
+    """The rest of the message is used as if no orientation were requested, bit for bit."""
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
     found, own, reports = run(measurements, **REQUESTED)
     expected, _, plain = run(measurements)
@@ -157,7 +157,7 @@ def test_malformed_orientation_is_refused_by_name(
 
 
 def test_orientation_that_contradicts_gyro_and_gravity_is_gated() -> None:
-    """The mounting is off by 0.4 rad from the tenth second on."""
+    """The mounting angle is wrong by 0.4 rad from the tenth second on."""
     measurements = drive(seconds=20.0)
     for k, m in enumerate(measurements):
         if isinstance(m, YawRate) and m.stamp_ns > 10_000 * MS:
@@ -196,7 +196,7 @@ def test_mounting_rotation_is_removed(roll: float, pitch: float, yaw: float) -> 
 
 
 def test_orientation_of_a_swung_cab_is_rotated_to_the_undercarriage() -> None:
-    """The swing angle is 1.2 rad, from the encoder; the ground has the slope of ``drive``."""
+    """The swing angle of the encoder is 1.2 rad; the ground has the slope of ``drive``."""
     recording = record([Part(3.0), Part(4.0, swing_to=1.2), Part(4.0)], Cab())
     on_cab = Rotation.from_matrix(machine().as_matrix())
     measurements: list[Measurement] = []
@@ -209,7 +209,7 @@ def test_orientation_of_a_swung_cab_is_rotated_to_the_undercarriage() -> None:
         measurements.append(m)
     given_ = {**REQUESTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
     found, _, reports = run(measurements, **given_)
-    assert refused(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first reading of the encoder
+    assert refused(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first encoder reading
     assert found.outputs.swing.angle == pytest.approx(1.2, abs=0.02)
     assert off(found) < 0.3
 

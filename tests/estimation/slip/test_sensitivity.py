@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What cannot matter does not: a stamp that is 1 µs off, and the order of sources at equal stamps."""
+"""Insensitivity to stamps that are 1 µs off and to the order of sources at equal stamps."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,14 +21,14 @@ MACHINES = (
 
 
 def final_pose(measurements: Sequence[Measurement]) -> NDArray[np.float64]:
-    """(3,) where the estimate ends."""
+    """(3,) pose at the end."""
     estimator = SlipEstimator(parameters())
     estimator.process_all(measurements)
     return estimator.estimate().pose
 
 
 def shifted(measurements: Sequence[Measurement], k: int, by_ns: int) -> list[Measurement]:
-    """The same with one stamp moved; it arrives when it did."""
+    """The measurements in the same order, with one stamp moved."""
     found = list(measurements)
     found[k] = replace(found[k], stamp_ns=found[k].stamp_ns + by_ns)
     return found
@@ -54,7 +54,7 @@ def test_the_order_of_sources_at_equal_stamps_does_not_matter(machine: Machine) 
     measurements = drive(machine).measurements
     assert {m.source for m in measurements} == {"sprockets", GYRO, FIX}
     pose = final_pose(measurements)
-    start = measurements[0].stamp_ns  # a fix begins the estimate: what has its stamp comes before or after it
+    start = measurements[0].stamp_ns  # its fix starts the estimate; others with this stamp keep their order
     order = {source: -k for k, source in enumerate(("sprockets", GYRO, FIX))}
     backwards = sorted(measurements, key=lambda m: (m.stamp_ns, order[m.source] * (m.stamp_ns > start)))
     assert [m.source for m in backwards] != [m.source for m in measurements]

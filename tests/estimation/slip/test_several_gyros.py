@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several gyros on one machine: each has a bias of its own, whatever the other one learned."""
+"""Several gyros on one machine: each has its own bias, independent of the others."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator on a small exact truth: it converges, and is consistent."""
+"""The slip estimator on a small exact truth: it converges and is consistent."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -56,8 +56,10 @@ def test_pose_and_twist_follow_the_truth(drive: Callable[..., Any], thesis_run: 
 
 
 def test_pose_covariance_is_consistent(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """Slips that walk as the filter supposes. 40 seeds at three times 5 s apart: 120 × χ²(3), nearly
-    independent; the mean must lie within the 10⁻⁴ tails of 40 × χ²(3) on either side, 1.98 to 4.32.
+    """The slips walk as the filter assumes.
+
+    40 seeds at three times 5 s apart: 120 × χ²(3), nearly independent; the mean is within the 10⁻⁴ tails
+    of 40 × χ²(3) on either side, 1.98 to 4.32.
     """
     walk = {"noise__slip_steady": 0.02, "noise__slip_moving": 0.02}
     values = []
@@ -87,13 +89,13 @@ def test_pose_covariance_is_consistent(drive: Callable[..., Any], thesis_run: Ru
 
 def turning_slips(left: float, right: float, kappa: float, eta: float, common: float) -> tuple[float, float]:
     """(i_L, i_R) of sub-model 1b: v = (1 − i₀) V − η|D|/2, φ̇ = κ D/B."""
-    V, D = (left + right) / 2.0, right - left  # over r
+    V, D = (left + right) / 2.0, right - left  # rad/s: V and D divided by r
     v, turn = (1.0 - common) * V - eta * abs(D) / 2.0, kappa * D / 2.0
     return 1.0 - (v - turn) / left, 1.0 - (v + turn) / right
 
 
 def turning_drive(drive: Callable[..., Any], **options: Any) -> Any:
-    """Straight on and turns either way, on one soil: κ 0.45, η 0.4, i₀ 0.01."""
+    """Straights and turns to both sides, on one soil: κ 0.45, η 0.4, i₀ 0.01."""
     legs = (
         (5.0, 2.0, 2.0),
         (6.0, 1.0, 2.0),
@@ -106,7 +108,7 @@ def turning_drive(drive: Callable[..., Any], **options: Any) -> Any:
 
 
 def test_slips_of_one_turn_are_used_in_the_next(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """Sub-model 1b: fixes and gyro end before the last turn, and its slips are right."""
+    """Sub-model 1b: fixes and gyro end before the last turn, and the slips in it are correct."""
     driven = turning_drive(drive)
     found = [m for m in driven.measurements if isinstance(m, Sprockets) or m.stamp_ns < 26 * S]
     by_stamp = {e.stamp_ns: e for e in thesis_run(found, model="turning").estimates}
@@ -118,7 +120,7 @@ def test_slips_of_one_turn_are_used_in_the_next(drive: Callable[..., Any], thesi
 def test_sub_model_1b_is_consistent_without_velocity_errors(
     drive: Callable[..., Any], thesis_run: Run
 ) -> None:
-    """The truth has none of the modelled velocity errors: the mean NEES is between 0.5 and 4.5."""
+    """The truth has no velocity errors, which the filter models: the mean NEES is between 0.5 and 4.5."""
     values = []
     for seed in range(10):
         driven = turning_drive(drive, seed=seed, step_ms=50, gyro_every=2, fix_every=10, encoder=0.001)

@@ -137,7 +137,7 @@ def test_expected_measurements_are_the_yaw_rate_and_the_pose(
 
 
 def test_rounding_of_positions_is_no_noise_of_the_gyro() -> None:
-    """Else the heading would be that of the tracks, the more so the coarser their encoders are."""
+    """Otherwise the heading would follow the tracks, more so with coarser encoders."""
     for variance in (4e-4, 0.0):
         drive = state_of(Gaussian(state(), NOTHING), Speeds(1.0, 1.2, variance), STRAIGHT)
         found = observed(drive[0], rate_measured(0.0, 1e-4), C)
@@ -205,7 +205,7 @@ def test_heading_stays_within_a_turn() -> None:
 
 @given(states, speeds, speeds)
 def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, right: float) -> None:
-    """Error of the chord: v dt (φ̇ dt)²/24 (1 + tan α …); an Euler step is off by v dt φ̇ dt/2."""
+    """Error of the chord: v dt (φ̇ dt)²/24 (1 + tan α …); that of an Euler step is v dt φ̇ dt/2."""
     dt = 0.1
     fine = x
     for _ in range(200):
@@ -228,7 +228,7 @@ def test_step_of_zero_duration_changes_nothing(x: FloatArray, left: float, right
 @given(states, speeds, speeds, times)
 def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right: float, dt: float) -> None:
     root = np.random.default_rng(0).normal(size=(SIZE, SIZE)) * 0.1
-    root[UNDERCARRIAGE_SIZE:] = 0.0  # of what is not looked at
+    root[UNDERCARRIAGE_SIZE:] = 0.0  # states that the test does not use
     P, R = root @ root.T, np.array(((1e-4,),))
     known = Gaussian(x, P)
     step = filter_step(CONFIG, known, measured(left, right), dt, STRAIGHT, rate_measured(0.3, 1e-4))
@@ -248,7 +248,7 @@ def test_a_step_is_the_kalman_filter_in_numpy(x: FloatArray, left: float, right:
 
 
 def grown(drive: Drive, duration: float, steps: int, config: ConfigRecord = CONFIG) -> FloatArray:
-    """The covariance that a start without doubt has after some time, in so many steps."""
+    """Covariance after ``duration`` s in ``steps`` steps, from a start without uncertainty."""
     known = Gaussian(state(left=0.1, right=0.05, angle=0.02), NOTHING)
     speeds_, motion = drive.parts
     for _ in range(steps):
@@ -262,7 +262,7 @@ def test_process_noise_does_not_depend_on_the_steps(left: float, right: float, m
     fine, coarse, single = (np.diag(grown(Drive(left, right, *motion[:2]), 0.1, n)) for n in (40, 4, 1))
     np.testing.assert_allclose(coarse[3:], fine[3:], rtol=1e-9)
     np.testing.assert_allclose(single[3:], fine[3:], rtol=1e-9)
-    # Within a step the slips do not walk yet: σ² t³/3 in n steps lacks a share of about 3/(2n).
+    # Slips are constant within a step: of σ² t³/3, n steps lack a share of about 3/(2n).
     np.testing.assert_allclose(coarse[YAW], fine[YAW], rtol=0.3)
     assert coarse[:2].sum() == pytest.approx(fine[:2].sum(), rel=0.3)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Slips as a measurement."""
+"""Seeds of slips as measurements."""
 
 import math
 from collections.abc import Callable
@@ -34,12 +34,12 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import SLIPS, to_records
 
 MODELS = ("free_slips", "turning", "icr")
-LIMIT = 18.5  # of the gate with two degrees of freedom, while it is no wider than χ² has it
+LIMIT = 18.5  # limit of a gate with two degrees of freedom that is not widened
 SOURCE = {"slip_sources": ["slip_seed"]}
 
 
 def seed_at(stamp_ns: int, slip: float, deviation: float = 0.003, source: str = "slip_seed") -> SlipFix:
-    """Both tracks slip alike, and mostly wrong alike."""
+    """A seed of equal slips with highly correlated errors."""
     return SlipFix(source, stamp_ns, np.full(2, slip), deviation**2 * (np.ones((2, 2)) + 0.01 * np.eye(2)))
 
 
@@ -84,12 +84,12 @@ def test_seed_corrects_both_slips_equally_where_the_gyro_fixes_their_difference(
     together = np.ones(2)
     wide, narrow = (together @ o["slip_covariance"][:2, :2] @ together / 4.0 for o in (before, after))
     assert wide > 100.0 * narrow
-    np.testing.assert_array_equal(step.updated.mean[:3], 0.0)  # it says nothing of the pose
+    np.testing.assert_array_equal(step.updated.mean[:3], 0.0)  # the seed does not correct the pose
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_seed_corrects_the_slip_unobservable_by_the_gyro(drive: Callable[..., Any], model: str) -> None:
-    """No fixes after the start: equal slips of 4 % show in nothing but the seed, which comes 0.5 s late."""
+    """No fixes after the start: equal slips of 4 % are observable by the seed only, which is 0.5 s late."""
     driven = drive([(12.0, 2.0, 2.0, 0.04, 0.04, 0.0)])
     given = [m for m in driven.measurements if not (isinstance(m, PoseFix) and m.stamp_ns > 0)]
     at = next(k for k, m in enumerate(given) if m.stamp_ns > 5_500_000_000)
@@ -104,7 +104,7 @@ def test_seed_corrects_the_slip_unobservable_by_the_gyro(drive: Callable[..., An
     true = driven.truth[given[-1].stamp_ns]
     errors = [np.abs(e.estimate().outputs.slips[:2].mean() - 0.04) for e in (blind, mended)]
     assert errors[0] > 0.02
-    assert errors[1] < 0.02  # some of it the model takes for a velocity error, as real tracks have
+    assert errors[1] < 0.02  # the model attributes part of the slip to a velocity error, as on real tracks
     distances = [abs(e.estimate().pose[0] - true[0]) for e in (blind, mended)]
     assert distances[1] < 0.6 * distances[0]
 
@@ -118,7 +118,7 @@ def test_seed_far_off_is_gated_until_its_timeout(drive: Callable[..., Any], mode
         for m in given:
             estimator.process(m)
         before = estimator.estimate().outputs
-        for k in range(10, -1, -1):  # a source that insists: one alone is not believed
+        for k in range(10, -1, -1):  # a source that persists; a single seed is not accepted
             stamp_ns = given[-1].stamp_ns - k * 100_000_000
             report = estimator.process(seed_at(stamp_ns, 0.9, 0.001))[0]
             if report.outcome is Outcome.ACCEPTED:
@@ -129,7 +129,7 @@ def test_seed_far_off_is_gated_until_its_timeout(drive: Callable[..., Any], mode
         assert (report.gate > LIMIT) == (outcome is Outcome.ACCEPTED)
         if outcome is Outcome.GATED:
             np.testing.assert_array_equal(after.slips, before.slips)
-        else:  # admitted, and its surprise widens what it measures
+        else:  # accepted: the covariance of the slips is inflated
             assert after.slips[:2].mean() > 0.2
 
 
@@ -166,7 +166,7 @@ def test_malformed_seed_is_invalid(
 
 
 def with_seeds(measurements: list[Measurement]) -> list[Measurement]:
-    """Two seeds, each half a second late."""
+    """The measurements with two seeds, each half a second late."""
     seeds = {5_000_000_000: 0.03, 9_000_000_000: 0.9}
     given = list(measurements)
     for stamp_ns, slip in seeds.items():

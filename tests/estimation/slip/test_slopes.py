@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The slip estimator on slopes: along the ground, in any order, with sensors high above it, and on none."""
+"""The slip estimator on slopes: motion along the ground, any order, high sensors, and level ground."""
 
 import math
 import random
@@ -43,7 +43,7 @@ def across(heading: float, slope: float) -> tuple[float, float]:
 
 
 def drive(heading: float, slope: float, seconds: float = 20.0, antenna: float = 0.0) -> list[Measurement]:
-    """5 s of standing, then straight on at 0.4 m/s without slip; 20 Hz, fixes once a second."""
+    """5 s of standstill, then straight on at 0.4 m/s without slip; 20 Hz, fixes once a second."""
     rng, found = np.random.default_rng(3), list[Measurement]()
     roll, pitch = across(heading, slope)
     lean = np.array((math.cos(roll) * math.sin(pitch), -math.sin(roll))) * antenna
@@ -119,7 +119,7 @@ def test_slip_on_a_slope_does_not_add_height() -> None:
 
 
 def test_height_follows_a_slide_during_a_turn_on_the_spot() -> None:
-    """The mean of both tracks stays at the start."""
+    """The mean track speed is zero in such a turn."""
     slope, rate, down = math.radians(10.0), 0.2, 0.04  # rad, rad/s, m/s
     measurements = drive(0.0, slope)
     for k, m in enumerate(measurements):
@@ -139,11 +139,11 @@ def test_height_follows_a_slide_during_a_turn_on_the_spot() -> None:
             measurements[k] = replace(m, pose=pose)
     end, _ = end_of(measurements)
     slid = -down * 14.95 * math.sin(slope)
-    assert abs(end.outputs.tilt.tilt[2] - slid) < 0.03  # not followed: 0.085
+    assert abs(end.outputs.tilt.tilt[2] - slid) < 0.03  # 0.085 without the slide
 
 
 def test_slip_variance_is_inflated_when_the_slope_reverses() -> None:
-    """A machine that spins up 15° of clayey soil rolls down with another slip."""
+    """A machine that spins its tracks up 15° of clayey soil rolls down with another slip."""
     k = 2.3
     state = np.zeros(1, STATE)[0]
     level, speeds = state["attitude"]["level"], state["speeds"]
@@ -174,7 +174,7 @@ def without_force(measurements: list[Measurement]) -> list[Measurement]:
 
 
 def test_estimate_without_accelerations_is_that_of_flat_ground() -> None:
-    """To the last bit: with nothing from accelerometers, and with ``use_attitude: false``."""
+    """Without accelerations and with ``use_attitude: false`` the bits are equal."""
     measurements = drive(0.8, math.radians(10.0))
     flat, _ = end_of(without_force(measurements))
     off, _ = end_of(measurements, use_attitude=False)
@@ -225,7 +225,7 @@ def test_local_odometry_runs_along_the_ground_too() -> None:
 
 
 def slide(seconds: float = 25.0) -> list[Measurement]:
-    """Across a slope of 15°, and when its tracks run it slides down at 1 m/s; places alone, and headings."""
+    """Across a slope of 15° a machine slides down at 1 m/s while its tracks run; positions, headings."""
     found = list[Measurement]()
     for m in drive(0.0, math.radians(15.0), seconds):
         if isinstance(m, Sprockets):
@@ -242,9 +242,9 @@ def slide(seconds: float = 25.0) -> list[Measurement]:
 
 
 def test_slide_keeps_the_heading_of_the_compass() -> None:
-    """Fixes move sideways while the tracks run; the headings of the compass are accepted."""
+    """Fixes move sideways while the tracks run; the compass headings are accepted."""
     own = estimator(heading_sources=["heading"], sources__box_pose__use_heading=False)
     reports = [report for report, _ in own.process_all(slide())]
     refused = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]
     assert len(refused) <= 3
-    assert abs(own.estimate().pose[2]) < 0.06  # 0.05: what a compass may be off by
+    assert abs(own.estimate().pose[2]) < 0.06  # 0.05: expected error of a compass

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each source may have of its own: place of the sensor, sign, heading or none, floors, timeout."""
+"""Settings of each source: lever arm, sign, use of the heading, noise floors, timeout."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -67,7 +67,7 @@ def test_lever_arm_transformation_is_invertible() -> None:
 
 
 def displaced(found: list[Measurement], truth: dict[int, Any]) -> list[Measurement]:
-    """As an antenna at ``LEVER`` measures, without a heading."""
+    """The fixes as measured by an antenna at ``LEVER``, without heading."""
     moved: list[Measurement] = []
     for m in found:
         if isinstance(m, PoseFix):
@@ -120,7 +120,7 @@ def test_positions_with_a_lever_arm_give_the_heading(drive: Callable[..., Any]) 
 
 @pytest.mark.parametrize("variance", [0.0, 1e6, -1.0, np.nan])
 def test_a_heading_that_is_not_used_may_have_any_variance(drive: Callable[..., Any], variance: float) -> None:
-    """GNSS drivers send 0 or 1e6; the start takes its heading from the parameters then."""
+    """GNSS drivers send 0 or 1e6; the heading at the start is that of the parameters then."""
     found = drive([(2.0, 2.0, 2.0, 0.05, 0.05, 0.0)]).measurements
     spoilt = []
     for m in found:
@@ -141,7 +141,7 @@ def test_a_heading_that_is_not_used_may_have_any_variance(drive: Callable[..., A
 
 
 def test_each_source_has_its_own_settings(drive: Callable[..., Any]) -> None:
-    """The laser's box with heading, and an antenna off centre without, which alone would be refused."""
+    """Fixes of the laser's box have a heading; those of the antenna need its lever arm and have none."""
     driven = drive([(6.0, 2.0, 2.0, 0.05, 0.05, 0.0), (9.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     gnss = [
         replace(m, source="gnss", stamp_ns=m.stamp_ns + 1)
@@ -247,7 +247,7 @@ def test_covariances_stay_positive_with_a_lever_arm(drive: Callable[..., Any]) -
 
 
 def test_uncertain_heading_is_not_a_measurement() -> None:
-    """The localizer of the box states a large variance where the orientation is ambiguous."""
+    """The box localizer states a large variance where the orientation is ambiguous."""
     c = config_of(FLOORS)[0]
     fixes = [
         PoseFix("box_pose", 0, np.zeros(3), np.diag((1e-4, 1e-4, stddev**2)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Turning and ICR models: Jacobians against differences, slips against kinematics, noise by steps."""
+"""Turning and ICR models: Jacobians against differences, slips against kinematics, noise for any steps."""
 
 import math
 from functools import partial
@@ -52,11 +52,11 @@ from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import YAW_RATE
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
-RADIUS, TREAD = 0.159, 0.73  # m, those of config/vehicles/pc05.yaml
+RADIUS, TREAD = 0.159, 0.73  # m, as in config/vehicles/pc05.yaml
 CONFIGS = {name: config_of(model=name) for name in ("turning", "icr")}
 RECORDS = {name: config[0] for name, config in CONFIGS.items()}
 NOTHING = np.zeros((SIZE, SIZE))
-SHARED = np.array(((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))  # by both tracks
+SHARED = np.array(((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))  # common to both tracks
 TURNING = MotionState(Motion.TURNING, changing=False)
 
 both = pytest.mark.parametrize("model", ["turning", "icr"])
@@ -98,7 +98,7 @@ def test_outputs_come_with_their_derivatives(model: str, x: FloatArray, left: fl
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     measured = Speeds(left, right)
     v, _, rate = dispatch.twist(x, left, right, config[0])
-    x[SPEED_ERROR] += math.copysign(0.05, v)  # clear of where the slip angle ends
+    x[SPEED_ERROR] += math.copysign(0.05, v)  # below the limit of the slip angle
     v += math.copysign(0.05, v)
     found = outputs_of(config, Gaussian(x, P), measured)
     twist, slips = found["twist"], found["slips"]
@@ -128,7 +128,7 @@ def test_slip_of_a_track_at_standstill_is_the_common_slip(model: str) -> None:
 
 @both
 def test_track_at_standstill_that_is_dragged_has_a_large_slip(model: str) -> None:
-    """The soil estimator must not take it for a track that drives."""
+    """The soil estimator must not classify the track as driving."""
     config, P = CONFIGS[model], np.diag(np.arange(1.0, SIZE + 1.0)) * 1e-3
     x = np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[SPEED_ERROR] = 0.5, 0.1, 0.3, 0.1
@@ -145,7 +145,7 @@ def test_track_at_standstill_that_is_dragged_has_a_large_slip(model: str) -> Non
 @pytest.mark.slow
 @both
 def test_output_covariance_includes_the_rounding_of_counts(model: str) -> None:
-    """Against many drives with rounded speeds and no other error."""
+    """Compared with many drives with rounded speeds and no other error."""
     config, rng = CONFIGS[model], np.random.default_rng(3)
     x = np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP], x[ROTATION_OFFSET] = 0.7, -0.2, 0.05, 0.02
@@ -164,7 +164,7 @@ def test_output_covariance_includes_the_rounding_of_counts(model: str) -> None:
 def test_twist_of_the_turning_model_equals_its_equations(
     left: float, right: float, kappa: float, eta: float, common: float
 ) -> None:
-    """v = (1 − i₀) V − η s, ω = κ D/B; the mirrored turn mirrored, the one in reverse reversed."""
+    """v = (1 − i₀) V − η s, ω = κ D/B; mirrored or reversed speeds give the mirrored or reversed twist."""
     x = np.zeros(SIZE)
     V, D = RADIUS * (left + right) / 2.0, RADIUS * (right - left)
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = kappa, eta, common
@@ -203,7 +203,7 @@ def test_both_models_without_slip_are_the_ideal_vehicle() -> None:
 
 @both
 def test_velocity_errors_add_up_to_the_twist_and_fade(model: str) -> None:
-    """After a correlation time 1/e is left, and over it 1 − 1/e was driven on average; more in silence."""
+    """After a correlation time 1/e of the errors is left; their mean over it is 1 − 1/e; silence differs."""
     c, x = RECORDS[model], np.zeros(SIZE)
     x[TURN_STATE_1], x[TURN_STATE_2], x[SPEED_ERROR], x[YAW_RATE_ERROR] = 1.0, -1.0, 0.1, 0.2
     np.testing.assert_allclose(dispatch.twist(x, 0.0, 0.0, c), (0.1, 0.0, 0.2))
@@ -220,7 +220,7 @@ def test_velocity_errors_add_up_to_the_twist_and_fade(model: str) -> None:
 
 @both
 def test_size_of_the_velocity_errors_by_hand(model: str) -> None:
-    """Shares of V, D and d, more on a soil that yields; over a long time all of it shows in the states."""
+    """Variances from V, D and d, larger on soil that yields; after a long time the states have all of it."""
     config, x = CONFIGS[model], np.zeros(SIZE)
     e = {name: float(config["velocity_errors"][name][0]) for name in config["velocity_errors"].dtype.names}
     x[TURN_STATE_1], x[TURN_STATE_2], x[COMMON_SLIP] = 1.0, -1.0, 2.0 * e["yielding_slip"]
@@ -241,8 +241,8 @@ def test_size_of_the_velocity_errors_by_hand(model: str) -> None:
 @both
 @pytest.mark.parametrize("motion", [Motion.STANDING, Motion.STRAIGHT, Motion.TURNING])
 def test_process_noise_does_not_depend_on_the_steps(model: str, motion: Motion) -> None:
-    """The share of velocity errors in the way is exact for any step; walks split a little differently."""
-    firm = {"model": model, f"{model}.yielding_slip": 1e6}  # what grows of i₀ meanwhile adds to neither
+    """Displacement by velocity errors is exact for any step; random walks differ a little between steps."""
+    firm = {"model": model, f"{model}.yielding_slip": 1e6}  # growth of i₀ changes neither result
     config = config_of(firm)
     moving = Speeds(1.0, 1.0)
 
@@ -294,7 +294,7 @@ def test_a_start_has_its_pose_and_wide_priors_of_the_rest(model: str) -> None:
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 def test_a_step_repeats_every_bit(model: str, filter_: str) -> None:
-    """Replay = live."""
+    """Replays rely on it."""
     config = config_of(model=model, filter=filter_)
 
     def drive() -> bytes:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sprockets that fall silent, and positions that jump: no speed is made up, and the uncertainty says so."""
+"""Gaps of sprocket samples and jumps of positions: no speed is invented, the covariance covers them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,14 +24,14 @@ Sample = tuple[int, float, float]  # ms, position of both, measured speed of bot
 
 
 class Known(NamedTuple):
-    """What a state has at a stamp."""
+    """Sprocket speeds of a state at a stamp."""
 
-    speeds: tuple[float, float, bool]  # and whether they are counted
+    speeds: tuple[float, float, bool]  # left, right, and whether from counts
     coasting: bool
 
 
 def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]:
-    """The speeds with which the estimator comes to each stamp; 100 ms of patience."""
+    """Speeds that the estimator uses at each stamp; the sprocket timeout is 100 ms."""
     p = load_slip_parameters(PATIENT)
     found: list[Measurement] = [
         Sprockets("sprockets", S + ms * MS, speed, speed, (angle, angle)) for ms, angle, speed in samples
@@ -56,12 +56,12 @@ def states_at(samples: Sequence[Sample], asked_ms: Sequence[int]) -> list[Known]
 
 
 STANDING = (0.0, 0.0, False)
-HALF_A_COUNT = load_slip_parameters().encoder_resolution / 2.0 / 0.05  # rad/s, over 50 ms
+HALF_A_COUNT = load_slip_parameters().encoder_resolution / 2.0 / 0.05  # rad/s, within 50 ms
 
 
 def test_speed_is_known_only_in_the_first_part_of_a_long_gap() -> None:
     samples = ((300, 9.0, 5.0), (0, 0.0, 1.0), (50, 0.1, 1.0))
-    for known in states_at(samples, (51, 100, 149)):  # as in the interval before
+    for known in states_at(samples, (51, 100, 149)):  # speeds of the interval before
         assert known == (
             (pytest.approx(2.0, abs=HALF_A_COUNT), pytest.approx(2.0, abs=HALF_A_COUNT), True),
             False,
@@ -69,7 +69,7 @@ def test_speed_is_known_only_in_the_first_part_of_a_long_gap() -> None:
     assert states_at(samples, (151, 299)) == [(STANDING, True)] * 2
     assert (
         states_at(samples, (300, 301, 399)) == [((5.0, 5.0, False), True)] + [((5.0, 5.0, False), False)] * 2
-    )  # what its end says of itself
+    )  # measured speed of the sample at its end
     assert states_at(samples, (401,)) == [(STANDING, True)]
 
 
@@ -94,7 +94,7 @@ def test_sample_without_a_valid_speed_counts_as_silence() -> None:
 def test_variance_with_refused_samples_grows_as_in_silence(
     drive: Callable[..., Any],
 ) -> None:
-    """A refused sample must not restart the silence."""
+    """A rejected sample must not end the silence."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (PoseFix,), 6.0, 10.0)
     refused = [
@@ -140,9 +140,9 @@ def test_pose_in_silence_is_held_and_its_covariance_covers_the_distance(
             assert now.motion is Motion.UNKNOWN
             error = now.pose - driven.truth[m.stamp_ns][:3]
             assert error[:2] @ np.linalg.solve(now.pose_covariance[:2, :2], error[:2]) < 9.0
-    assert np.ptp(np.array(poses)[:, :2], axis=0).max() < 0.05  # but for the gyro: C turns about x_I
+    assert np.ptp(np.array(poses)[:, :2], axis=0).max() < 0.05  # only the gyro moves it: C turns about x_I
     assert spread == sorted(spread)
-    assert 1.0 < spread[-1] < 4.0  # √2 · r · 5 rad/s · √(2 τ t), and never more than it can drive
+    assert 1.0 < spread[-1] < 4.0  # √2 · r · 5 rad/s · √(2 τ t), at most the distance it can drive
 
 
 @pytest.mark.parametrize("model", ["turning", "icr"])
@@ -180,12 +180,12 @@ def test_next_fixes_after_silence_restore_the_pose(drive: Callable[..., Any], mo
 def test_heading_lost_in_silence_is_corrected_to_the_right_side(
     drive: Callable[..., Any], model: str, turn: float
 ) -> None:
-    """3 s without sprockets and gyro leave the heading unknown, and fixes cannot show it at standstill.
+    """3 s without sprockets and gyro make the heading unknown; fixes at standstill do not show it.
 
     It stays within four standard deviations as the machine drives off.
     """
     kinematics = load_slip_parameters().vehicle.kinematics
-    speed = turn / 3.0 * kinematics.tread / kinematics.rolling_radius / 2.0  # of each sprocket, 3 s long
+    speed = turn / 3.0 * kinematics.tread / kinematics.rolling_radius / 2.0  # of each sprocket, for 3 s
     for seed in range(4):
         driven = drive(
             [
@@ -202,7 +202,7 @@ def test_heading_lost_in_silence_is_corrected_to_the_right_side(
         errors = np.array([e.pose - driven.truth[e.stamp_ns][:3] for e in published])
         errors[:, 2] = np.angle(np.exp(1j * errors[:, 2]))
         deviations = np.sqrt([np.diag(e.pose_covariance) for e in published])
-        if model == "free_slips":  # which does not doubt speeds that are taken to go on
+        if model == "free_slips":  # it adds no uncertainty to speeds that are held
             assert np.abs(errors[:, :2]).max() < 0.25
         else:
             assert (np.abs(errors) < 4.0 * deviations).all()
@@ -214,10 +214,10 @@ def test_heading_lost_in_silence_is_corrected_to_the_right_side(
 def test_pose_is_published_through_20_s_without_sprockets(
     drive: Callable[..., Any], model: str, with_gyro: bool
 ) -> None:
-    """Fixes, and a gyro if there is one, are never AHEAD.
+    """No fix or gyro reading has the outcome AHEAD.
 
-    The pose is propagated from fix to fix with a large covariance, and is as good as before soon after the
-    sprockets are back.
+    The pose is propagated from fix to fix with a large covariance. Soon after the sprockets are back it is
+    as accurate as before.
     """
     driven = drive([(10.0, 2.0, 2.0, 0.05, 0.05, 0.0), (30.0, 1.5, 2.0, 0.05, 0.2, 0.0)])
     found = without(driven.measurements, (Sprockets,), 15.0, 35.0)
@@ -271,7 +271,7 @@ def test_encoder_restart_at_another_position_is_counted_without_effect(
 
 @pytest.mark.parametrize("model", MODELS)
 def test_standstill_corrects_the_bias(drive: Callable[..., Any], model: str) -> None:
-    """10 s at rest: of 0.02 rad/s a tenth is left at the most, seen as yaw rate and turned heading."""
+    """After 10 s at most a tenth of 0.02 rad/s remains, as yaw rate and in the heading."""
     driven = drive(
         [(10.0, 0.0, 0.0, 0.0, 0.0, 0.0), (5.0, 2.0, 2.0, 0.05, 0.05, 0.0)], gyro_bias=0.02, fix_every=10**9
     )
@@ -300,7 +300,7 @@ def test_slips_are_frozen_and_direction_is_uncertain_at_standstill(
     assert (np.diag(last.slip_covariance)[:2] > 0.0).all()
     assert (np.diag(last.slip_covariance)[:2] <= np.diag(first.slip_covariance)[:2] + 1e-9).all()
     direction = np.sqrt(last.slip_covariance[2, 2])
-    assert direction > (0.5 if model != "free_slips" else 0.01)  # the thesis' angle is a state, and kept
+    assert direction > (0.5 if model != "free_slips" else 0.01)  # a state in the thesis' model, and kept
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -308,9 +308,7 @@ def test_slips_are_frozen_and_direction_is_uncertain_at_standstill(
 def test_covariance_covers_the_distance_between_first_fix_and_first_sample(
     drive: Callable[..., Any], model: str, received_from: float
 ) -> None:
-    """An estimator restarted while driving: its first fix is older than its first sample, and the machine
-    has stopped in between.
-    """
+    """After a restart during motion the first fix precedes the first sample; the machine stops in between."""
     driven = drive(
         [(3.0, 2.0, 2.0, 0.05, 0.05, 0.0), (5.0, 0.0, 0.0, 0.0, 0.0, 0.0)], fix_sigma=(0.005, 0.005, 0.002)
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""While the machine stands, the gyro's bias and the pose are learned, and nothing of the slips."""
+"""Standstill corrects the gyro bias and the pose, but no slip."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +16,7 @@ Run = Callable[..., Any]
 
 
 def test_gyro_bias_is_estimated_at_standstill(drive: Callable[..., Any], thesis_run: Run) -> None:
-    """Unlearned, 0.02 rad/s for 10 s of driving would turn the heading by 0.2 rad."""
+    """Without the estimate, 0.02 rad/s would turn the heading by 0.2 rad in 10 s of driving."""
     go = (10.0, 2.0, 2.0, 0.1, 0.1, 0.0)
     options: dict[str, Any] = {"gyro_bias": 0.02, "fix_every": 10**9}
     errors = {}
@@ -61,4 +61,4 @@ def test_fixes_at_standstill_leave_the_variance_of_their_common_part(
     expected = 0.03 * np.sqrt(share + (1.0 - share) / 51)
     assert np.sqrt(last.pose_covariance[0, 0]) == pytest.approx(expected, rel=0.05)
     assert np.hypot(*last.pose[:2]) < 0.03
-    assert np.sqrt(last.pose_covariance[2, 2]) < 0.02  # of the heading they share nothing
+    assert np.sqrt(last.pose_covariance[2, 2]) < 0.02  # heading errors are not correlated

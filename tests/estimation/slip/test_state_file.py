@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state file: written and read, and whatever may have become of it meanwhile."""
+"""The state file: written, read, and handled when it is damaged, foreign or cannot be replaced."""
 
 import os
 from collections.abc import Callable
@@ -156,7 +156,7 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
     assert reason in kept.note
     assert str(path) in kept.note
     assert "\n" not in kept.note
-    assert path.read_bytes() == content  # until there is something to write
+    assert path.read_bytes() == content  # until there is a state to write
     for _ in range(2):
         kept.write(LEARNED, OF)
         kept.finish()
@@ -166,7 +166,7 @@ def test_a_file_that_does_not_fit_is_kept_aside(path: Path, content: bytes, reas
 
 
 def test_up_to_nine_unusable_files_are_kept_aside(path: Path) -> None:
-    """With nine of them nothing more is written, and /diagnostics states why."""
+    """With nine of them no more files are written, and /diagnostics states the reason."""
     for n in range(MOST_ASIDE + 1):
         put(path, f"years of work, {n}")
         kept = StateFile(str(path))
@@ -229,7 +229,7 @@ def test_vehicle_finds_its_file_after_another_one_used_the_path(
     again.forget(OF)
     assert first not in [file.read_bytes() for file in path.parent.iterdir()]
     assert StateFile(str(path)).read(OF) is None
-    assert StateFile(str(path)).read(other) is not None  # from where it was moved
+    assert StateFile(str(path)).read(other) is not None  # under its new name
 
 
 def test_damaged_file_kept_aside_is_reported_and_kept(path: Path) -> None:

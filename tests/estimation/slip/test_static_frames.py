@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How an IMU is mounted, by the links of /tf_static."""
+"""Mounting of an IMU from the links of /tf_static."""
 
 import math
 from pathlib import Path
@@ -31,7 +31,7 @@ IMU = "imu/data_raw"
 
 @given(angles, angles, angles)
 def test_angles_are_composed_over_links_in_both_directions(mast: Any, plate: Any, imu: Any) -> None:
-    """base_link ← chassis → … : the base hangs below a frame that carries the IMU too."""
+    """base_link ← chassis → …: base_link is the child of a frame that carries the IMU too."""
     frames = StaticFrames()
     frames.add("chassis", "base_link", quaternion_of(*mast))
     frames.add("/chassis", "plate", quaternion_of(*plate))
@@ -89,7 +89,7 @@ def test_an_imu_whose_parameters_state_how_it_is_mounted_needs_no_tf() -> None:
 
 
 def test_mounting_of_a_bag_is_that_of_its_later_parameters(tmp_path: Path) -> None:
-    """It arrives after the parameters of the start; the learned states stay valid."""
+    """The mounting is recorded after the parameters of the start; learned states stay valid."""
     asked = load_slip_parameters({"sources.imu_data_raw.mounting_from_tf": True})
     found = asked.changed({"sources.imu_data_raw.mounting_yaw": 0.2})
     later = found.changed({"gate_probability": 0.99})

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors on a cab that swings: what they see, and what the machine below does meanwhile."""
+"""Sensors on a cab that swings: their measurements, and the motion of the undercarriage."""
 
 import math
 import random
@@ -61,7 +61,7 @@ def errors(found: list[Estimate], truth: Recording) -> FloatArray:
 
 
 def test_sensors_below_the_cab_give_the_same_bits() -> None:
-    """The same bits as the machine without a cab; the two states of the swing are unused."""
+    """Bit for bit the estimate of a machine without a cab; the two swing states are unused."""
     below = dict.fromkeys(
         (f"vehicle.sensors.mounts.{name}" for name in ("box", "antenna", "imu")), "undercarriage"
     )
@@ -107,7 +107,7 @@ def test_fixes_on_the_cab_are_down_weighted_only_within_their_correlation_time()
 
 
 def _last_place(given: list[Measurement], repeat_time: float) -> float:
-    """Standard deviation of the place at the end, m."""
+    """Standard deviation of the position at the end, m."""
     end = estimates(given, of_cab(swing__repeat_time=repeat_time))[-1]
     return math.sqrt(end.pose_covariance[0, 0])
 
@@ -115,7 +115,7 @@ def _last_place(given: list[Measurement], repeat_time: float) -> float:
 @pytest.mark.parametrize("minutes", [6, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("encoder", [True, False])
 def test_heading_error_of_slewing_at_standstill_is_within_its_covariance(minutes: int, encoder: bool) -> None:
-    """To and fro by nearly a turn; then the machine drives off, and heading and swing converge."""
+    """The cab swings to and fro by nearly a turn; as the machine drives off, heading and swing converge."""
     swings = [Part(8.0, swing_to=target) for _ in range(2 * minutes) for target in (3.0, -3.0, 2.0, 0.0)]
     path = [Part(6.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(6.0, 2.0, 2.0)]
     truth = record([Part(2.0), *path[:1], Part(2.0), *swings, *path], Cab(encoder=encoder, fix_hertz=1.0))
@@ -129,7 +129,7 @@ def test_heading_error_of_slewing_at_standstill_is_within_its_covariance(minutes
 
 
 def test_gyro_bias_is_not_estimated_from_a_slew() -> None:
-    """Gyro alone: its reading at standstill may all be swing."""
+    """With a gyro alone, its rate at standstill may be a swing."""
     truth = record([Part(30.0), Part(30.0, swing_to=6.0)], Cab(encoder=False, bias=0.0))
     first = next(m for m in truth.measurements if isinstance(m, PoseFix))
     given = [m for m in truth.measurements if not isinstance(m, PoseFix) or m is first]
@@ -157,7 +157,7 @@ def test_heading_is_known_from_the_start_with_a_swung_cab(start: float) -> None:
 
 
 def test_driving_off_makes_an_unmeasured_swing_observable() -> None:
-    """It looks 0.25 rad aside at the start, and all sensors sit on it."""
+    """The cab points 0.25 rad aside at the start, with all sensors on it."""
     parts = [Part(3.0), Part(8.0, 2.0, 2.0), Part(6.0, 1.2, 2.2), Part(8.0, 2.0, 2.0)]
     truth = record(parts, Cab(start=0.25, encoder=False))
     p = load_slip_parameters(WITHOUT, {"swing.initial_angle_stddev": 0.2})
@@ -186,7 +186,7 @@ def test_swing_while_it_drives_is_measured_by_the_encoder() -> None:
 
 
 def test_frozen_fixes_do_not_stop_a_swing_at_standstill() -> None:
-    """There is no encoder, and at standstill fixes may repeat."""
+    """The cab has no encoder, and fixes may repeat at standstill."""
     recording = record(
         [*dig(), Part(4.0), Part(6.0, swing_to=1.5), Part(6.0, swing_to=0.0)], Cab(encoder=False)
     )
@@ -216,7 +216,7 @@ def test_the_order_of_arrival_does_not_matter() -> None:
 
 
 def leaning(recording: Recording, roll: float, pitch: float) -> list[Measurement]:
-    """The same on a slope, for the IMU alone."""
+    """The measurements with the accelerations of a slope."""
     below = GRAVITY * np.array(
         (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
     )
@@ -256,7 +256,7 @@ def test_mounts_of_sensors_are_those_of_the_vehicle() -> None:
     }
     assert p.angles()[ENCODER].stddev == 0.002
     assert of_cab(sources__box_pose__mount="undercarriage").poses()[FIX].above is False
-    assert load_slip_parameters({"sources.box_pose.mount": "upper"}).angles() == {}  # no encoder in its file
+    assert load_slip_parameters({"sources.box_pose.mount": "upper"}).angles() == {}  # the file has no encoder
     other = {name: value for name, value in vehicle_layer(CAB).items() if "swing_encoder" not in name}
     assert load_slip_parameters(other).angles() == {}
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state in the coordinates of what sits on a cab, and how it swings: against differences."""
+"""State transformed to sensors on a cab, and motion of the swing: derivatives against differences."""
 
 import math
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a turn costs, by the turning model; the equations as such are in ``test_speed_models``."""
+"""Speed lost in turns by the turning model; ``test_speed_models`` has the equations."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ CONFIG = config_of()
 
 
 def speed_loss(left: float, right: float) -> float:
-    """s, m/s: what η of 1 takes of the speed of a machine that does not slip otherwise."""
+    """s, m/s: speed that η = 1 takes from a machine without other slip."""
     mean = np.zeros(SIZE)
     mean[LOSS] = 1.0
     known = Gaussian(mean, np.zeros((SIZE, SIZE)))
@@ -40,7 +40,7 @@ def test_speed_loss_of_a_gentle_turn_is_half_of_the_full_one() -> None:
 
 
 def test_rounded_counts_hardly_slow_a_straight_drive() -> None:
-    """|D| of rounding alone has a mean, and would be taken for slip: 1 % of 0.22 m/s, were no turn gentle."""
+    """Rounding alone gives |D| a mean above 0; in the law of a full turn it would cost 1 % of 0.22 m/s."""
     t = np.arange(1001) * 0.01
     angles = np.floor(np.outer(t, (1.4, 1.4)) / P.encoder_resolution + (0.2, 0.7)) * P.encoder_resolution
     speeds = (np.diff(angles, axis=0) / 0.01).tolist()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A machine that turns better to one side than to the other: its gyro knows the heading."""
+"""A machine that turns better to one side: the gyro determines the heading."""
 
 import math
 
@@ -15,12 +15,12 @@ S = 1_000_000_000
 HZ = 20
 LEARNS, SILENT = 15.0, 30.0  # s with fixes, s without
 SWITCHES = 5.0  # s of turning to one side
-RATE = 1.5  # rad/s that the tracks would turn with
+RATE = 1.5  # rad/s, yaw rate of the tracks without slip
 BETTER, WORSE = 0.85, 0.75  # κ to the left, and to the right
 
 
 def uneven_drive(seed: int) -> tuple[list[Measurement], np.ndarray]:
-    """Turns to the left and to the right; the heading at the sprocket samples."""
+    """Measurements of turns to both sides; true headings at the sprocket samples."""
     rng, p = np.random.default_rng(seed), load_slip_parameters()
     r, tread = p.vehicle.kinematics.rolling_radius, p.vehicle.kinematics.tread
     pose, headings, measurements = np.zeros(3), list[float](), list[Measurement]()

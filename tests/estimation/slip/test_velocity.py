@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Velocities over the ground: slip and heading from course alone, outliers, radars, late arrivals."""
+"""Velocities over ground: slip and heading from the course alone, outliers, radars, late arrivals."""
 
 import math
 import random
@@ -38,11 +38,11 @@ S = 1_000_000_000
 SOURCE, STDDEV = "fix_velocity", 0.05  # m/s
 LEVER = (1.1, -0.4)  # m
 RATE = 20  # Hz, of sprockets and gyro
-UNKNOWN = 1.8  # rad, standard deviation of a heading that may be any
+UNKNOWN = 1.8  # rad, standard deviation of an unknown heading
 
 
 def with_velocities(**changed: object) -> SlipEstimatorParameters:
-    """No position, no heading: only tracks, gyro and velocities."""
+    """Parameters for tracks, gyro and velocities only, without position and heading."""
     values: dict[str, Any] = {
         "pose_sources": [""],
         "velocity_sources": [SOURCE],
@@ -56,7 +56,7 @@ def with_velocities(**changed: object) -> SlipEstimatorParameters:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What a machine measured, and its true heading."""
+    """Measurements of a drive, and its true headings."""
 
     measurements: list[Measurement]
     t: FloatArray  # (n,) s
@@ -72,9 +72,9 @@ def drive(
     seed: int = 0,
     body: bool = False,
 ) -> Drive:
-    """From a standstill straight on and in gentle bends; ``speed`` of the sprockets, rad/s, < 0 backward.
+    """From standstill straight on and in gentle bends; ``speed`` of the sprockets, rad/s, < 0 backward.
 
-    ``body``: velocities along axes of the machine, of a sensor that looks back and measures one axis only.
+    ``body``: velocities in axes of the machine, from a sensor that faces backward and measures one axis.
     """
     rng, p = np.random.default_rng(seed), load_slip_parameters()
     r, B = p.vehicle.kinematics.rolling_radius, p.vehicle.kinematics.tread
@@ -101,7 +101,7 @@ def drive(
 
 
 def run(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[FloatArray, list[Any]]:
-    """(k, 5) stamp s, heading, its variance, i₀, its variance after each velocity; reports of those."""
+    """Rows (k, 5) after each velocity: stamp, s, heading and variance, i₀ and variance; their reports."""
     estimator, rows, reports = SlipEstimator(p), [], []
     for m in measurements:
         report, _ = estimator.process(m)
@@ -116,7 +116,7 @@ def run(measurements: list[Measurement], p: SlipEstimatorParameters) -> tuple[Fl
 
 
 def heading_errors(found: FloatArray, truth: Drive) -> FloatArray:
-    """(k,) rad."""
+    """(k,) heading errors, rad."""
     return np.asarray(np.angle(np.exp(1j * (found[:, 1] - np.interp(found[:, 0], truth.t, truth.headings)))))
 
 
@@ -133,7 +133,7 @@ def test_course_gives_an_unknown_heading_forward_and_backward(heading: float, sp
 
 @pytest.mark.parametrize("slip", [-0.03, 0.0, 0.03])
 def test_velocity_makes_the_slip_observable_without_positions(slip: float) -> None:
-    """Slips of two prior standard deviations, from 0.05 m/s five times a second."""
+    """Slips of two prior standard deviations; velocities of 0.05 m/s five times a second."""
     truth = drive(slip=slip)
     found, _ = run(truth.measurements, with_velocities())
     late = found[:, 0] > 20.0
@@ -249,7 +249,7 @@ def test_table_of_a_bag_has_the_bits_of_live_conversions() -> None:
 
 
 def _mower() -> tuple[Drive, FloatArray, dict[str, object]]:
-    """Tracks and gyro of the mower's log with a Doppler of 1 Hz made from its speed; way, m; vehicle."""
+    """Tracks, gyro and a 1 Hz Doppler velocity made from the mower's log; distance, m; vehicle parameters."""
     log, rng = read_log("mower"), np.random.default_rng(1)
     speeds = [(m.left_speed + m.right_speed) / 2.0 for m in log.odometry if isinstance(m, Sprockets)]
     stamps = [m.stamp_ns for m in log.odometry if isinstance(m, Sprockets)]
@@ -274,7 +274,7 @@ def test_mower_finds_heading_and_slip_from_course_alone() -> None:
     lever = {f"sources.{SOURCE}.lever_arm_{axis}": 0.0 for axis in "xy"}
     found, _ = run(truth.measurements, with_velocities(**vehicle, **lever))
     moving = float(truth.t[np.searchsorted(distance, 0.05)])
-    assert abs(found[found[:, 0] > moving + 2.0][0, 3]) < 0.01  # i₀: tracks and Doppler are of one speed
+    assert abs(found[found[:, 0] > moving + 2.0][0, 3]) < 0.01  # i₀: tracks and Doppler have the same speed
     after = np.interp(found[:, 0], truth.t, distance) > 10.0
     errors = heading_errors(found, truth)[after]
     assert abs(errors[0]) < 0.05

@@ -21,7 +21,7 @@ COUNT = load_slip_parameters().encoder_resolution  # rad
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 60), st.integers(0, 2)), max_size=40))
 def test_window_sorts_measurements_by_stamp(given_: list[tuple[int, int]]) -> None:
-    """By stamp, then by source; what is there already is found."""
+    """By stamp, then by source; entries that exist are found."""
     window = make_window(64, 1)
     kept: list[tuple[int, int]] = []
     for stamp, source in given_:
@@ -39,7 +39,7 @@ def test_window_sorts_measurements_by_stamp(given_: list[tuple[int, int]]) -> No
 
 
 class Track:
-    """What a state remembers of sprocket samples; speeds are asked for anywhere after the last one."""
+    """Sprocket samples stored in a state, and the speeds at any time after the last one."""
 
     def __init__(self) -> None:
         estimator = SlipEstimator(load_slip_parameters({"sprocket_timeout": 1.0, "max_sprocket_speed": 1e9}))
@@ -72,7 +72,7 @@ def test_speeds_are_those_of_the_interval_around_the_time() -> None:
         track.sample(ms, (9.0, 9.0), angles)
         for ms, angles in ((0, (1.0, 0.0)), (100, (2.0, 0.4)), (200, (3.0, 0.2)))
     )
-    assert track.speeds(0, first) == (9.0, 9.0)  # nothing before it to difference from
+    assert track.speeds(0, first) == (9.0, 9.0)  # no sample before it for a difference
     track.add(0, (9.0, 9.0), (1.0, 0.0))
     for ms in (1, 50, 100):
         assert track.speeds(ms, second) == pytest.approx((10.0, 4.0))
@@ -81,7 +81,7 @@ def test_speeds_are_those_of_the_interval_around_the_time() -> None:
     for ms in (101, 200):
         assert track.speeds(ms, third) == counted
     track.add(200, (9.0, 9.0), (3.0, 0.2))
-    assert track.speeds(300) == counted  # and beyond the last, as before it
+    assert track.speeds(300) == counted  # after the last sample as before it
 
 
 def test_without_positions_the_closing_sample_shows_the_speed() -> None:

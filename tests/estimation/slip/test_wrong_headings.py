@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Headings that are off, by a source of their own or in poses, are no reason to leave what fixes show."""
+"""Wrong headings, of their own source or in poses, do not override fixes."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +17,7 @@ from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.measurements import HeadingFix, Measurement, PoseFix
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
-Error = Callable[[float, float], float]  # of a heading, rad, at a time, s, and a heading
+Error = Callable[[float, float], float]  # error, rad, of a heading, rad, at a time, s
 
 S = 1_000_000_000
 STDDEV = 0.01
@@ -26,7 +26,7 @@ ALONE, IN_POSES = "compass", "box_pose"
 
 
 def for_a_while(error: Callable[[float], float], until: float = END) -> Error:
-    """An error from ``BEGIN`` on."""
+    """An error from ``BEGIN`` to ``until``."""
     return lambda t, _: error(t - BEGIN) if BEGIN <= t < until else 0.0
 
 
@@ -43,7 +43,7 @@ ERRORS: Mapping[str, Error] = {
 def seen(
     error: Error, source: str, seed: int, every: int = 2, stddev: float = STDDEV
 ) -> tuple[Recording, list[Measurement]]:
-    """A drive with headings that err, of a compass by ``every`` 50 ms, or in each fix."""
+    """A drive with wrong headings: of a compass at each ``every``-th 50 ms, or in each fix."""
     recorded = drive(Machine(duration=120.0, seed=seed))
     noise, t = np.random.default_rng(seed + 50), recorded.t
     stamps = (S + np.round(t * S)).astype(np.int64)
@@ -74,7 +74,7 @@ def with_headings(source: str) -> SlipEstimatorParameters:
 
 
 class Errors(NamedTuple):
-    """Of the estimates after 20 s of some drives, root mean square and NEES."""
+    """RMS errors and NEES of the estimates after 20 s of some drives."""
 
     place: float  # m
     heading: float  # rad
@@ -106,7 +106,7 @@ def test_wrong_headings_do_not_degrade_fixes(kind: str, source: str) -> None:
 
 @pytest.mark.parametrize("kind", ["off by 6° for 40 s", "swings by 10°"])
 def test_consistent_wrong_headings_do_not_outvote_fixes(kind: str) -> None:
-    """A compass at 20 Hz whose noise is below its error."""
+    """A compass at 20 Hz has less noise than error."""
     found = errors_of([seen(ERRORS[kind], ALONE, seed, every=1, stddev=0.005) for seed in range(2)], ALONE)
     assert found.place < 0.03
     assert found.heading < 0.015
@@ -115,7 +115,7 @@ def test_consistent_wrong_headings_do_not_outvote_fixes(kind: str) -> None:
 
 @pytest.mark.parametrize("turned", [0.1, 0.5])
 def test_multipath_is_rejected_while_headings_are_off(turned: float) -> None:
-    """Multipath of a metre for 8 s, from a receiver whose antenna pair is rotated on the machine."""
+    """A metre of multipath for 8 s; the receiver's antenna pair is rotated on the machine."""
     squares, nees = [], []
     for seed in range(3):
         truth, measurements = seen(lambda t, heading: turned if t > 20.0 else 0.0, IN_POSES, seed)
@@ -130,7 +130,7 @@ def test_multipath_is_rejected_while_headings_are_off(turned: float) -> None:
 
 
 def shifted(measurements: Sequence[Measurement], by: Mapping[int, tuple[float, float]]) -> list[Measurement]:
-    """The same with some fixes, by their number, elsewhere."""
+    """The measurements with some fixes, by their number, displaced."""
     fixes = (k for k, m in enumerate(measurements) if isinstance(m, PoseFix))
     places = {k: by[n] for n, k in enumerate(fixes) if n in by}
     return [
@@ -140,7 +140,7 @@ def shifted(measurements: Sequence[Measurement], by: Mapping[int, tuple[float, f
 
 
 def largest_error(truth: Recording, measurements: Sequence[Measurement], source: str, since: float) -> float:
-    """Of the place ``since`` s after the start, m."""
+    """Largest position error from ``since`` s on, m."""
     return float(found_of(truth, measurements, source).between(since).distances.max())
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A swing encoder that is wrong takes nothing from what fixes and gyro on the cab show."""
+"""A wrong swing encoder does not override fixes and gyro on the cab."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_s
 
 S = 1_000_000_000
 BEGIN, END = 60.0, 85.0
-Shown = Callable[[float, float, float], float]  # by t, s, the true angle and that at BEGIN, rad
+Shown = Callable[[float, float, float], float]  # of t, s, the true angle and that at BEGIN, rad
 
 FAULTS: Mapping[str, Shown] = {
     "frozen for 25 s": lambda t, angle, at_begin: at_begin if BEGIN <= t < END else angle,
@@ -32,12 +32,12 @@ FAULTS: Mapping[str, Shown] = {
 
 
 def of_receiver() -> SlipEstimatorParameters:
-    """Of a cab with an encoder, a gyro, and a receiver of precise places and headings."""
+    """Parameters of a cab with encoder and gyro, and a receiver of precise positions and headings."""
     return load_slip_parameters({"vehicle": "pc05_cab"}, GNSS)
 
 
 def spoilt(recording: Recording, shown: Shown) -> list[Measurement]:
-    """The same with an encoder that shows something else."""
+    """The measurements with the angles ``shown`` of the encoder."""
     measurements, at_begin = list(recording.measurements), math.nan
     for k, m in enumerate(measurements):
         if isinstance(m, SwingAngle):
@@ -49,7 +49,7 @@ def spoilt(recording: Recording, shown: Shown) -> list[Measurement]:
 
 
 class Errors(NamedTuple):
-    """Root mean squares and mean NEES of the estimates after 20 s."""
+    """RMS errors and mean NEES of the estimates after 20 s."""
 
     place: float  # m
     heading: float  # rad

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Velocities over the ground that are off are no reason to leave what fixes show."""
+"""Wrong velocities over ground do not override fixes."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.measurements import Measurement, VelocityFix
 
-Spoil = Callable[[FloatArray, FloatArray], FloatArray]  # velocities (n, 2), n times, s since it began
+Spoil = Callable[[FloatArray, FloatArray], FloatArray]  # n times since BEGIN, s; velocities (n, 2), m/s
 
 S = 1_000_000_000
 SOURCE, STDDEV, BEGIN = "fix_velocity", 0.03, 40.0
@@ -38,7 +38,7 @@ FAULTS: Mapping[str, Spoil] = {
 
 
 def seen(spoil: Spoil, seed: int) -> tuple[Recording, list[Measurement]]:
-    """A drive with fixes, and velocities ten times a second, which are spoilt."""
+    """A drive with fixes, and with spoilt velocities ten times a second."""
     recorded = drive(Machine(duration=90.0, seed=seed, fix_noise=0.05, fix_stated=0.05))
     noise, k = np.random.default_rng(seed + 70), np.arange(0, recorded.t.size, 2)
     velocities = np.gradient(recorded.poses[:, :2], recorded.t, axis=0)[k]
