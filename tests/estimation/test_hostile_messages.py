@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages with any numbers in them on every topic; ``make fuzz`` takes a hundred thousand of each."""
+"""Messages with arbitrary numbers on every topic; ``make fuzz`` takes a hundred thousand of each."""
 
 import fuzz_messages
 

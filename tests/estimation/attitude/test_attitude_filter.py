@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The attitude filter on made-up motions: standing, turning, driving off, shaken, and without gravity."""
+"""The attitude filter on synthetic motions: standstill, turns, acceleration, vibration, missing forces."""
 
 import math
 from typing import Any
@@ -26,7 +26,7 @@ TOPIC = "imu/data_raw"
 
 @compiled
 def follow(attitude: Any, samples: Any, n: Any, found: FloatArray) -> None:
-    """The filter over all samples; ``found`` (k, 7) are its means."""
+    """Run the filter over all samples; write its means to ``found`` (k, 7)."""
     for k in range(samples.size):
         propagate_height(attitude[0], samples[k].velocity[0], samples[k].velocity[1], 0.01)
         attitude[0].sample = samples[k]
@@ -40,7 +40,7 @@ def forget(attitude: Any) -> None:
 
 
 class Ride:
-    """100 Hz of an IMU on a machine whose roll, pitch, yaw rate and speed are given over time."""
+    """IMU at 100 Hz on a machine with given roll, pitch, yaw rate and speed over time."""
 
     def __init__(self, seconds: float, seed: int = 0, **of_time: Any) -> None:
         self.t = np.arange(round(seconds * 100)) * 0.01
@@ -83,7 +83,7 @@ def run(samples: NDArray[np.void]) -> tuple[Any, FloatArray]:
 
 
 def errors(ride: Ride, found: FloatArray, after: float = 5.0) -> float:
-    """RMS of roll and of pitch, degrees."""
+    """RMS error of roll and pitch, degrees."""
     late = ride.t > after
     both = np.column_stack((found[:, ROLL] - ride.roll, found[:, PITCH] - ride.pitch))[late]
     return math.degrees(float(np.sqrt((both**2).mean())))
@@ -98,7 +98,7 @@ def test_tilt_at_standstill_is_right_within_0_2_degrees(roll: float, pitch: floa
     ride = Ride(20.0, roll=roll, pitch=pitch)
     attitude, found = run(ride.samples(gyro_bias=0.008))
     assert errors(ride, found) < 0.2
-    assert spread(attitude, ROLL) > math.radians(0.25)  # a bias of 0.05 m/s² looks the same
+    assert spread(attitude, ROLL) > math.radians(0.25)  # a bias of 0.05 m/s² has the same effect
 
 
 def test_tilt_error_of_an_accelerometer_bias_is_within_the_covariance() -> None:
@@ -110,7 +110,7 @@ def test_tilt_error_of_an_accelerometer_bias_is_within_the_covariance() -> None:
 
 
 def test_turns_separate_a_bias_from_a_tilt() -> None:
-    """The ground does not turn along."""
+    """The slope does not turn with the machine, a bias does."""
     seconds = 60.0
     t = np.arange(round(seconds * 100)) * 0.01
     turned = 0.2 * np.clip(t - 10.0, 0.0, None)
@@ -148,7 +148,7 @@ def test_attitude_under_vibration_follows_the_gyro() -> None:
     ride = Ride(60.0, roll=0.2 * np.sin(0.2 * t), pitch=0.1 * np.sin(0.3 * t))
     attitude, found = run(ride.samples(noise=3.0))
     assert errors(ride, found, after=10.0) < 0.5
-    assert attitude["noise"] == pytest.approx(9.0 / 8.0, rel=0.5)  # that of a mean of eight samples
+    assert attitude["noise"] == pytest.approx(9.0 / 8.0, rel=0.5)  # noise of the mean of eight samples
 
 
 def test_attitude_without_roll_and_pitch_gyros_follows_the_accelerometers() -> None:
@@ -203,18 +203,18 @@ def test_a_tilted_mounting_is_observable_after_turns() -> None:
 
 
 def test_speed_noise_at_100_hz_is_not_taken_for_vibration() -> None:
-    """Fixes and rounding change the speed by centimetres per second; the pitch must not follow the gyro."""
+    """Fixes and rounding change the speed by some cm/s; the pitch must not follow the gyro."""
     ride = Ride(60.0, speed=np.clip(np.arange(6000) * 0.01 - 3.0, 0.0, 0.5))
     samples = ride.samples(gyro_bias=0.0015)
     errs = np.random.default_rng(2).normal(0.0, 0.02, len(samples))
     samples["velocity"][:, 0] += np.where(ride.speed > 0.0, errs, 0.0)
     attitude, found = run(samples)
-    assert np.abs(found[1000:, PITCH]).max() < math.radians(0.2)  # 0.56 before
-    assert spread(attitude, PITCH) < math.radians(0.4)  # 0.85
+    assert np.abs(found[1000:, PITCH]).max() < math.radians(0.2)  # 0.56 if taken for vibration
+    assert spread(attitude, PITCH) < math.radians(0.4)  # 0.85 likewise
 
 
 def test_samples_of_a_span_count_as_their_mean() -> None:
-    """While the ground tilts: the mean force belongs to the mean tilt, not to that at its end."""
+    """While the ground tilts, the mean force belongs to the mean tilt, not to that at the end of the span."""
     t = np.arange(3000) * 0.01
     ride = Ride(30.0, pitch=0.1 * np.sin(1.5 * t))
     _, found = run(ride.samples(noise=0.0, gyro=1e-5))
@@ -223,7 +223,7 @@ def test_samples_of_a_span_count_as_their_mean() -> None:
 
 @pytest.mark.parametrize("rate", [12.0, 50.0])
 def test_message_without_acceleration_does_not_restart_the_span(rate: float) -> None:
-    """Nor does it shorten the span."""
+    """The span is not shortened either."""
     every = round(100.0 / rate)
     samples = Ride(30.0, pitch=0.1).samples()[::every]
     samples["force"][1::2] = np.nan

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scans cut into objects."""
+"""Scans are segmented into objects."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ GRAZING = 0.17
 
 
 def scan(**objects):
-    """Empty scan but for ``name=(first, last, range)``."""
+    """An empty scan except for objects ``name=(first, last, range)``."""
     ranges = np.full(361, np.inf)
     for first, last, distance in objects.values():
         ranges[first : last + 1] = distance

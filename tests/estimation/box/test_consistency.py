@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of the box's pose is what its errors are, over random poses and noise."""
+"""The covariance of the box's pose is consistent with its errors, over random poses and noise."""
 
 import dataclasses
 
@@ -50,7 +50,7 @@ def site(stddev, resolution=0.01):
 
 
 def first_fix(pose, prediction, stddev, seed, resolution=0.01):
-    """The fix of one scan of a standing vehicle, its pose predicted as given."""
+    """The fix of one scan of a vehicle at standstill, with the predicted pose given."""
     parameters = dataclasses.replace(
         PARAMETERS,
         initial_x=float(prediction[0]),

@@ -1,18 +1,18 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes are as wrong as they say on drives that leave the laser's sight and come back, by beams."""
+"""Fixes of drives that leave the laser's view and return: errors match the covariance, by beam count."""
 
 import numpy as np
 import pytest
 from fixtures.box_drives import scored_drive
 
 CLASSES = {"few": (0, 6), "some": (6, 12), "many": (12, 400)}
-LEAST = 100  # fixes for a mean to mean something
+LEAST = 100  # fixes for a mean
 
 
 @pytest.fixture(scope="module")
 def fixes():
-    """Some 2500, from four headings; half of the drives stay in sight, and keep their heading."""
+    """About 2500 fixes, from four headings; half of the drives stay in view and keep their heading."""
     kinds = ({"farthest": 36.0, "hides": True}, {"farthest": 26.0, "hides": False})
     drives = [scored_drive(seed, 70.0, seed % 4 * np.pi / 2.0, **kinds[seed // 4]) for seed in range(8)]
     return [fix for found, _ in drives for fix in found]

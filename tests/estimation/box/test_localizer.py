@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The box followed from scan to scan, through clutter, occlusion and ambiguity."""
+"""Tracking of the box from scan to scan, through clutter, occlusion and ambiguity."""
 
 import dataclasses
 
@@ -152,7 +152,7 @@ def test_partly_hidden_box_is_located_with_larger_covariance():
 
 
 def seen_again(pose_at, scans, hidden_for, seed=11):
-    """Outcomes after the box, followed for 10 scans, was hidden for some."""
+    """Outcomes after the box is followed for 10 scans and hidden for ``hidden_for``."""
     localizer = BoxLocalizer(PARAMETERS, BOX)
     scanner = SiteScanner(BARE, BOX, seed=seed)
     drive(localizer, scanner, pose_at, 10)
@@ -171,9 +171,7 @@ def test_box_hidden_for_two_seconds_is_found_with_its_heading():
 
 
 def test_sides_are_uncertain_when_the_box_is_back_in_sight():
-    """The box turns by a quarter or half a turn while hidden: the previous orientation says nothing about
-    the next.
-    """
+    """The box turns by a quarter or half a turn while hidden; its earlier orientation is void."""
     for quarter, seed in ((1, 3), (-1, 4), (2, 5)):
         localizer = BoxLocalizer(PARAMETERS, BOX)
         scanner = SiteScanner(BARE, BOX, seed=seed)
@@ -181,14 +179,14 @@ def test_sides_are_uncertain_when_the_box_is_back_in_sight():
         turned = standing(0.2, -0.1, 0.1 + quarter * np.pi / 2.0)
         for outcome in drive(localizer, scanner, turned, 80, first=32):
             assert isinstance(outcome, BoxFix)
-            assert outcome.covariance[2, 2] > CEILING**2  # half a turn stays in doubt
+            assert outcome.covariance[2, 2] > CEILING**2  # half a turn stays ambiguous
             miss = error(outcome, turned)
             assert np.all(np.abs(miss) < 4.0 * np.sqrt(np.diag(outcome.covariance)))
-        assert abs(np.sin(miss[2])) < 0.2  # but not a quarter
+        assert abs(np.sin(miss[2])) < 0.2  # a quarter turn does not
 
 
 def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
-    """The box comes into view at −90° a beam at a time: its far end is unknown, its centre too."""
+    """The box comes into view at −90° beam by beam: its far end and its centre are unknown."""
     parameters = dataclasses.replace(PARAMETERS, laser_x=0.0, laser_y=0.0, laser_yaw=0.0, initial_y=-3.0)
     scanner = SiteScanner(dataclasses.replace(BARE, laser_x=0.0, laser_y=0.0, laser_yaw=0.0), BOX, seed=3)
     seen = standing(-0.33, -2.6, -1.1)
@@ -201,7 +199,7 @@ def test_one_edge_near_the_edge_of_view_does_not_settle_the_sides():
 
 
 def test_half_turn_unseen_is_not_falsely_certain():
-    """Turned by more than a quarter while hidden: nothing in a scan distinguishes front and back."""
+    """The box turns by more than a quarter while hidden; scans cannot distinguish front and back."""
     localizer = BoxLocalizer(PARAMETERS, BOX)
     scanner = SiteScanner(BARE, BOX, seed=14)
     before = standing(0.0, 0.0, 0.0)
@@ -214,7 +212,7 @@ def test_half_turn_unseen_is_not_falsely_certain():
 
 
 def test_object_of_the_background_is_not_the_box():
-    """A second box is part of the site; when ours is hidden for long, the other one is not taken for it."""
+    """A second box belongs to the site. It is not taken for ours, which is hidden for long."""
     twin = dataclasses.replace(
         BARE, walls=(-3.35, -0.3, -2.65, -0.3, -3.35, -0.3, -3.35, 0.3, -2.65, -0.3, -2.65, 0.3)
     )

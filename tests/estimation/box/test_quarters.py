@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Four headings a quarter turn apart, weighted."""
+"""Weights of four headings a quarter turn apart."""
 
 import numpy as np
 import pytest
@@ -23,14 +23,14 @@ NARROW = np.diag([0.01, 0.01, 0.03]) ** 2
 
 
 def modes(log_odds=0.0, covariance=NARROW):
-    """Modes about heading 0; the odd ones, shifted by 5 cm, have this log evidence against the others."""
+    """Modes about heading 0. The odd ones are shifted by 5 cm and have ``log_odds`` against the others."""
     return [
         Mode(np.array([0.05 * (k % 2), 0.0, QUARTERS[k]]), covariance, log_odds * (k % 2)) for k in range(4)
     ]
 
 
 def listened(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
-    """What is remembered after scans, each ``moved`` (m) from the one before."""
+    """Fixes, weights and evidence after ``scans`` scans, each ``moved`` m from the one before."""
     weights = None
     for k in range(scans):
         given_modes = modes(log_odds)
@@ -86,7 +86,7 @@ def test_wrong_prior_of_the_sides_is_corrected():
 
 
 def test_scans_from_one_place_count_as_one_piece_of_evidence():
-    """The same beams hit and miss in each: 100 scans with a ratio of 1 : 2 count as one."""
+    """The same beams hit and miss in each scan: 100 scans with a ratio of 1 : 2 count as one."""
     assert listened(OPEN, -0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
     assert SideEvidence().after(0.5, np.zeros(3), 0.1).turned().log_odds == -0.5
 
@@ -103,9 +103,9 @@ def test_covariance_spans_ambiguous_positions():
     pose, covariance = mixed(modes(), weights, elapsed=0.25)
     off = modes()[1].pose[:2] - pose[:2]
     squared = float(off @ np.linalg.solve(covariance[:2, :2], off))
-    assert squared < 1.2  # four such fixes, in 1 s, add up to little
+    assert squared < 1.2  # four such fixes, in 1 s, exclude nothing
     assert np.linalg.eigvalsh(covariance).min() > 0.0
-    assert covariance[1, 1] == pytest.approx(NARROW[1, 1])  # no hypothesis lies there
+    assert covariance[1, 1] == pytest.approx(NARROW[1, 1])  # no hypothesis differs in y
 
 
 def test_covariance_of_the_mixture_spans_each_position_and_heading():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A localizer started again during a drive takes no other thing for the box."""
+"""A localizer that is restarted during a drive takes no other object for the box."""
 
 import dataclasses
 
@@ -15,22 +15,22 @@ from trackslip_estimation.box.localizer import BoxLocalizer, Rejection
 from trackslip_estimation.box.odometry import Odometry, OdometryBuffer
 from trackslip_estimation.box.search import Reason
 
-MANY = 30  # fixes, after which a localizer goes on as one that was never killed
-LONGEST = 1.0  # s for which fixes may be off
-HIDDEN = {"round_the_laser": 60, "behind_a_container": 55, "far_off": 120}  # s: when the box is out of sight
-BACK = {"round_the_laser": 93.4, "behind_a_container": 70.9, "far_off": 174.2}  # s: when it is seen again
+MANY = 30  # fixes, after which a restart has no effect
+LONGEST = 1.0  # s of wrong fixes at most
+HIDDEN = {"round_the_laser": 60, "behind_a_container": 55, "far_off": 120}  # s: the box is out of view
+BACK = {"round_the_laser": 93.4, "behind_a_container": 70.9, "far_off": 174.2}  # s: the box is in view again
 SITE_DRIVE = DRIVES["behind_a_container"]
 SEEN_AGAIN = BACK["behind_a_container"]
 
 
 def restarted(drive, second, **given):
-    """The localizer, and its fixes."""
+    """The restarted localizer, and its fixes."""
     localizer = BoxLocalizer(PARAMETERS, BOX, drive.kept(second))
     return localizer, drive.scored(localizer, second + DOWN, **given)
 
 
 def without_background(second):
-    """A localizer that knows the track alone."""
+    """A localizer with the track only."""
     kept = dataclasses.replace(SITE_DRIVE.kept(second), background=Background.unknown())
     return BoxLocalizer(PARAMETERS, BOX, kept)
 
@@ -47,7 +47,7 @@ def test_restart_while_the_box_is_out_of_sight_follows_no_other_thing(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_restart_at_any_second_follows_no_other_thing_and_finds_the_box_as_soon(name):
-    """As one that was never killed: within a scan or two."""
+    """The localizer finds the box within a scan or two of one that is not restarted."""
     drive = DRIVES[name]
     stamps = np.array([fix.stamp for fix in drive.scored(BoxLocalizer(PARAMETERS, BOX), 0.0)])
     wrong, late = {}, {}
@@ -92,7 +92,7 @@ def test_localizer_without_background_gives_no_fix_until_the_box_drives():
     assert longest_wrong(scored) <= LONGEST
     assert scored[0].stamp > SEEN_AGAIN + 2.0
     driven = PARAMETERS.confirmation_distance / SITE_DRIVE.speed
-    assert scored[0].stamp < SEEN_AGAIN + driven + 8.0  # which it turns meanwhile
+    assert scored[0].stamp < SEEN_AGAIN + driven + 8.0  # in which time it turns
 
 
 def test_certain_odometry_finds_the_box_without_background():
@@ -104,7 +104,7 @@ def test_certain_odometry_finds_the_box_without_background():
 
 
 def test_object_placed_between_runs_is_rejected_by_the_odometry():
-    """A crate in front of the whole background: by the scans alone it is as likely as the box."""
+    """A crate stands in front of the whole background; by scans alone it is as likely as the box."""
     drive, second = SITE_DRIVE, 47
     bare = drive.kept(second)
     empty = np.full_like(bare.background.ranges, np.inf)
@@ -127,7 +127,7 @@ def test_wrong_odometry_delays_fixes_only_until_the_machine_drives():
 
 
 def test_start_without_a_track_rejects_positions_that_contradict_the_odometry():
-    """The file is lost: a crate stands where the drive began, and the machine is out of sight."""
+    """The file is lost: a crate stands at the start of the drive, and the machine is out of view."""
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=6.0, initial_reach=2.0), BOX)
     scored = SITE_DRIVE.scored(localizer, 50.0, odometry=SITE_DRIVE.odometry(0.1))
     assert scored == []
@@ -150,5 +150,5 @@ def test_malformed_odometry_is_counted_and_not_used():
     assert tally.by_source()["odometry"]["malformed"] == 4
     assert buffer.at(2 * 10**9).stamp_ns == 10**9
     assert buffer.at(2 * 10**9 + 1) is None
-    buffer.add(Odometry(5 * 10**8, zero, eye))  # not later: not kept
+    buffer.add(Odometry(5 * 10**8, zero, eye))  # not later: dropped
     assert buffer.at(10**9).stamp_ns == 10**9

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A localizer that is killed during a drive and started again goes on where it was."""
+"""A localizer that is killed during a drive continues from its file after a restart."""
 
 import dataclasses
 import json
@@ -17,8 +17,8 @@ from trackslip_estimation.box.localizer import BoxFix, BoxLocalizer
 from trackslip_estimation.box.track_file import TrackFile, parse_track, track_text
 from trackslip_sim.machine.scan_model import SiteScanner
 
-SCANS = 60  # of turning: by then the heading is 1.9 rad off the initial one
-AWAY = 10  # scans that come while no localizer runs
+SCANS = 60  # of a turn, to 1.9 rad from the initial heading
+AWAY = 10  # scans without a localizer
 NEAR = dataclasses.replace(PARAMETERS, initial_reach=1.0)
 
 
@@ -53,7 +53,7 @@ def test_a_localizer_killed_far_from_its_start_finds_the_box_again(drove, tmp_pa
 
 
 def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(drove):
-    """For longer than a track is kept; the localizer that went on would find it, so does the next."""
+    """The box is hidden for longer than a track is kept, but a running localizer would find it too."""
     before, scanner = drove
     unseen = round(NEAR.resume_time / PERIOD) + 10
     out_of_sight = drive(before, scanner, standing(0.0, -60.0, 0.0), unseen, first=SCANS)
@@ -144,7 +144,7 @@ def test_a_changed_value_is_refused(drove, tmp_path, key, value):
 
 
 def test_file_that_is_no_track_is_kept_under_another_name(drove, tmp_path):
-    """``track_file`` names a text of the user."""
+    """``track_file`` names a text file of the user."""
     path = tmp_path / "notes.txt"
     for text in ("years of work", "more of it"):
         path.write_text(text, encoding="utf-8")

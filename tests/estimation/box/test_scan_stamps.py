@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a scan's stamp or geometry does to the localizer: refused where it is bad, and never for good."""
+"""Scans with bad stamps or geometry are rejected, and the localizer recovers afterwards."""
 
 import dataclasses
 
@@ -53,7 +53,7 @@ def test_scan_not_later_than_the_one_before_is_refused(stamps):
 
 
 def test_stamps_that_go_back_begin_another_run():
-    """As a bag in a loop: the same scans again, with the same stamps."""
+    """A bag in a loop: the same scans again, with the same stamps."""
     localizer = BoxLocalizer(PARAMETERS, BOX)
     for _ in range(3):
         outcomes = drive(localizer, SiteScanner(SITE, BOX, seed=1), turning, SCANS)
@@ -71,7 +71,7 @@ def test_new_run_finds_the_box_at_its_initial_pose():
 
 
 def test_clock_set_back_during_a_run_keeps_the_pose_of_the_box():
-    """The initial pose is far away by then, and the heading has changed."""
+    """By then the initial pose is far away, and the heading has changed."""
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_reach=0.5), BOX)
     scanner = SiteScanner(SITE, BOX, seed=1)
     drive(localizer, scanner, turning, SCANS)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every scenario stays before the laser and clear of all that stands on the site, on firm soils and soft."""
+"""Every scenario stays in view of the laser and clear of the objects on the site, on firm and soft soils."""
 
 import dataclasses
 
@@ -20,15 +20,15 @@ from trackslip_sim.truth.simulate import simulate
 from trackslip_sim.truth.terrain import FLAT
 
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
-PERIOD = 0.5  # s between looks; the box moves less than a beam's spacing meanwhile
-CLEARANCE = 1.5  # m from base_link to the nearest thing on the site
+PERIOD = 0.5  # s between scans; the box moves less than the beam spacing
+CLEARANCE = 1.5  # m from base_link to the nearest object of the site
 
 EMULATOR = load_emulator_parameters({})
 LOCALIZER = default_parameters(BoxNodeParameters, box.NODE, *box.DEFAULT_FILES)
 
 
 def beams_on_box(truth: Truth) -> NDArray[np.int_]:
-    """How many beams end on the box, look by look: those that see the same with the site and without."""
+    """Number of beams on the box per scan: beams with equal ranges with and without the site."""
     alone = dataclasses.replace(EMULATOR.site, walls=(), posts=())
     with_site, without = (SiteScanner(site, EMULATOR.vehicle.box, seed=0) for site in (EMULATOR.site, alone))
 
@@ -54,7 +54,7 @@ def clearance(truth: Truth, site: SiteParameters) -> float:
     return float(np.min(distances))
 
 
-SEEN = [  # others are not the PC05's, or leave the level site
+SEEN = [  # others have another vehicle, or leave the level site
     name
     for name in scenario_names()
     if not load_scenario(name).swings and load_scenario(name).terrain == FLAT

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scans that come at any pace."""
+"""Scans at slow rates still give fixes."""
 
 from fixtures.box_site import BARE, BOX, PARAMETERS, assert_near, scan_of, standing
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixes on the map: metres that are right anywhere on earth, and each reason to refuse one."""
+"""Fixes in the map frame: metric accuracy anywhere on earth, and each reason for a rejection."""
 
 import math
 
@@ -80,7 +80,7 @@ def test_unknown_altitude_is_that_of_the_datum():
         ({"covariance": np.diag((500.0, 1.0))}, Reason.UNCERTAIN),
         ({"latitude": 33.889}, Reason.HEMISPHERE),
         ({"longitude": -151.193}, Reason.HEMISPHERE),
-        ({"longitude": -28.807, "latitude": 33.889}, Reason.HEMISPHERE),  # the other side of the earth
+        ({"longitude": -28.807, "latitude": 33.889}, Reason.HEMISPHERE),  # the antipode
         ({"latitude": -35.0}, Reason.FAR),
     ],
 )
@@ -112,7 +112,7 @@ def test_unknown_covariance_is_assumed_by_status(status, zeros):
 
 def test_datum_is_the_first_of_the_fixes_that_agree():
     which = localizer(datum_fixes=3)
-    assert which.locate(fix(10.0, 10.0)) is Reason.NO_DATUM  # a wrong one at the start
+    assert which.locate(fix(10.0, 10.0)) is Reason.NO_DATUM  # an outlier at the start
     assert which.locate(fix(-33.8890, 151.193)) is Reason.NO_DATUM
     assert which.locate(fix(status=-1)) is Reason.NO_FIX
     assert which.locate(fix(-33.8891, 151.193)) is Reason.NO_DATUM

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of innovations, against scipy."""
+"""Limits of the χ² gate, against scipy."""
 
 import subprocess
 import sys

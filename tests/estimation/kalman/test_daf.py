@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The thesis' filter (Fig. 4.3): the Kalman filter where all is linear, consistent, never indefinite."""
+"""The filter of the thesis (Fig. 4.3): equal to the Kalman filter on linear models, consistent, definite."""
 
 import math
 from functools import cache
@@ -43,14 +43,14 @@ from trackslip_estimation.slip.step import propagate
 
 TURNING = MotionState(
     Motion.TURNING, changing=True, departure=1e-9
-)  # rad/s: not 0, so that no speed is low-passed
+)  # rad/s: above 0, so that speeds are not low-passed
 
 each = pytest.mark.parametrize("model", list(MODELS))
 kappas = pytest.mark.parametrize("kappa", [-4.0, 0.0, 2.0])
 
 
 def with_kappa(kappa: float | None) -> dict[str, Any]:
-    """Parameters of the DAF, or for None of the EKF."""
+    """Parameters of the DAF, or of the EKF for None."""
     return {"filter": "ekf"} if kappa is None else {"filter": "daf", "kappa": kappa}
 
 
@@ -83,7 +83,7 @@ def test_sigma_points_have_mean_and_covariance_of_the_state(kappa: float, n: int
 
 @kappas
 def test_mean_of_a_square_is_exact(kappa: float) -> None:
-    """What the first order of the EKF lacks: E x² = x̄² + σ², for any κ."""
+    """E x² = x̄² + σ² for any κ; the first-order EKF lacks σ²."""
     points, weights = daf.sigma_points(np.array((3.0, 0.0, 0.0, 0.0, 0.0)), np.eye(5) * 0.25, kappa, 5)
     seen = np.ascontiguousarray(np.square(points[:, :1]))
     assert daf.moments(seen, weights, YAW)[0][0] == pytest.approx(9.25)
@@ -103,7 +103,7 @@ def test_headings_are_averaged_over_the_shorter_arc(angle: float) -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
 def test_a_linear_measurement_makes_it_the_kalman_filter(model: str, kappa: float, seed: int) -> None:
-    """Poses are linear in every state: the update is the EKF's."""
+    """Poses are linear in every state: the update equals that of the EKF."""
     rng = np.random.default_rng(seed)
     n = MODELS[model].ACTIVE
     known = Gaussian(np.zeros(SIZE), np.zeros((SIZE, SIZE)))
@@ -160,7 +160,7 @@ def test_covariance_stays_symmetric_and_positive(model: str, kappa: float, seed:
 
 
 def measurement(rng: np.random.Generator) -> Measured:
-    """One of any kind and of any quality."""
+    """A random measurement of any kind and variance."""
     kind = rng.integers(3)
     if kind == 0:
         return Measured()
@@ -170,14 +170,14 @@ def measurement(rng: np.random.Generator) -> Measured:
     return pose_measured(rng.normal(size=3), R, bool(rng.random() < 0.5))
 
 
-NEAR = {"icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # far from where the centres meet
+NEAR = {"icr.initial_centre_stddev": 0.05, "icr.centre": 0.01}  # away from the point where the centres meet
 
 
 @pytest.mark.slow
 @each
 @pytest.mark.parametrize("kappa", [None, 0.0, -4.0])
 def test_daf_is_consistent_on_its_own_model(model: str, kappa: float | None) -> None:
-    """Truth drawn from the model itself, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
+    """Truth drawn from the model, 60 seeds: mean NEES of the whole state within its 99.8 % bounds."""
     config, n = config_of({"model": model, **NEAR}, with_kappa(kappa)), MODELS[model].ACTIVE
     nees = []
     for start, steps, truth in _drawn(model):
@@ -212,7 +212,7 @@ def _drawn(model: str) -> list[tuple[Gaussian, list[tuple[Speeds, Measured]], Fl
 
 
 def _root(Q: FloatArray) -> FloatArray:
-    """(n, n) A with Aᵀ A = Q, which may be singular."""
+    """(n, n) A with Aᵀ A = Q; Q may be singular."""
     values, vectors = np.linalg.eigh(Q)
     root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, np.newaxis] * vectors.T
     return root
@@ -221,7 +221,7 @@ def _root(Q: FloatArray) -> FloatArray:
 def _seen(
     k: int, truth: FloatArray, speeds: Speeds, config: ConfigRecord, rng: np.random.Generator
 ) -> Measured:
-    """A fix at every tenth step, else the gyro, with the noise they claim."""
+    """A fix at every tenth step, otherwise a gyro reading, with their stated noise."""
     if k % 10 == 9:
         R = np.diag((0.03, 0.03, 0.02)) ** 2
         return pose_measured(truth[:3] + rng.normal(size=3) @ np.sqrt(R), R, True)

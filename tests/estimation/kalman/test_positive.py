@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A covariance stays one whatever rounding leaves of it."""
+"""Rounding errors leave a covariance symmetric and positive semidefinite."""
 
 import numpy as np
 import pytest
@@ -10,14 +10,14 @@ from trackslip_estimation.kalman.positive import make_positive
 
 
 def random_covariance(rng: np.random.Generator, n: int, decades: float) -> FloatArray:
-    """Standard deviations over as many decades, correlations of any size."""
+    """Standard deviations over ``decades`` decades, any correlations."""
     A = rng.normal(size=(n, n))
     P = A @ A.T * np.outer(*[10.0 ** rng.uniform(-decades / 2.0, decades / 2.0, n)] * 2)
     return np.ascontiguousarray((P + P.T) / 2.0)
 
 
 def least_eigenvalue(P: FloatArray) -> float:
-    """Of its correlations."""
+    """Least eigenvalue of the correlation matrix."""
     deviations = np.sqrt(np.diag(P))
     return float(np.linalg.eigvalsh(P / np.outer(deviations, deviations))[0])
 
@@ -33,17 +33,17 @@ def test_positive_definite_covariance_keeps_every_bit(seed: int) -> None:
 @pytest.mark.parametrize("lost", [1e-16, 1e-9, 1e-3, 0.5])
 @pytest.mark.parametrize("seed", range(5))
 def test_indefinite_covariance_becomes_definite_and_stays_bounded(lost: float, seed: int) -> None:
-    """A variance subtracted along one direction, and ``lost`` of it more than there was."""
+    """More than the variance along one direction is subtracted, by the share ``lost``."""
     rng = np.random.default_rng(seed)
     before = random_covariance(rng, 9, 10.0)
     h = rng.normal(size=9) / np.sqrt(np.diag(before))
     shared = before @ h
     P = before - np.outer(shared, shared) / (h @ shared) * (1.0 + lost)
-    P[2, 5] *= 1.0 + 1e-12  # and not symmetric
+    P[2, 5] *= 1.0 + 1e-12  # asymmetric
     make_positive(P, before, 9)
     np.testing.assert_array_equal(P, P.T)
     assert least_eigenvalue(P) > -1e-14
-    if lost < 1e-6:  # as much as rounding loses
+    if lost < 1e-6:  # the size of rounding errors
         assert (np.diag(P) <= (1.0 + 1e-6) * np.diag(before)).all()
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The smoother against the batch solution of a linear Gaussian problem, and with the models; headings."""
+"""The smoother against the batch solution of a linear Gaussian problem, and with the models; angles."""
 
 import math
 
@@ -26,12 +26,12 @@ from trackslip_estimation.slip.models.model import POSE, YAW
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 
 DT, COUNT = 0.1, 60
-F = np.array(((1.0, DT, DT), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))  # position, speed, and a speed known exactly
-ANGLE = 1  # the number that is an angle; the speed stays far from π
-DRIFT = 0.3  # that speed, m/s
-NOISE = np.array((DT**2 / 2.0, DT, 0.0))  # what one random number does: Q has rank 1
+F = np.array(((1.0, DT, DT), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))  # position, speed, and a constant known speed
+ANGLE = 1  # index of an angle; the speed stays far from π
+DRIFT = 0.3  # that constant speed, m/s
+NOISE = np.array((DT**2 / 2.0, DT, 0.0))  # gain of the only noise: Q has rank 1
 START, SPREAD = np.array((1.0, -0.5, DRIFT)), np.diag((0.5**2, 0.2**2, 0.0))
-SIGMA = 0.4  # of each measured position, m
+SIGMA = 0.4  # m, of measured positions
 SEEN = np.array([k % 3 != 1 and not 25 <= k < 45 for k in range(COUNT)])  # gaps, and one long outage
 
 
@@ -65,7 +65,7 @@ def filtered(measured: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, 
 
 
 def batch(measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(k, 3) means and (k, 3, 3) covariances of all states at once, given what was seen."""
+    """(k, 3) means and (k, 3, 3) covariances of all states at once, given the measurements."""
     mean = np.concatenate([np.linalg.matrix_power(F, k) @ START for k in range(COUNT)])
     columns = []
     for direction in np.sqrt(SPREAD):
@@ -86,7 +86,7 @@ def batch(measured: FloatArray) -> tuple[FloatArray, FloatArray]:
 def smooth_back(
     states: tuple[FloatArray, ...], transitions: FloatArray, angle: int
 ) -> tuple[FloatArray, FloatArray]:
-    """(k, n) means and (k, n, n) covariances of the filter's x, P, x⁻, P⁻."""
+    """(k, n) smoothed means and (k, n, n) covariances from the filter's x, P, x⁻, P⁻."""
     x, P, x_before, P_before = states
     smoothed = (x[-1], P[-1])
     found = [smoothed]
@@ -133,7 +133,7 @@ DRIVE = Drive(1.0, 2.0, Motion.TURNING, departure=1.0)
 
 
 def steps(config: ConfigRecord, heading: float) -> list[FilterStep]:
-    """A turn that a vague filter begins at ``heading``; in the end it gets a fix."""
+    """A turn that starts at ``heading`` with a wide prior and ends with a fix."""
     state = start_of(config, np.array((0.0, 0.0, heading)), np.diag((0.1, 0.1, 0.1)))
     found = [FilterStep(state, state)]
     for k in range(10):
@@ -151,7 +151,7 @@ def _one_tenth() -> tuple[Speeds, float, MotionState]:
 
 
 def _corrected(state: Gaussian, pose: FloatArray) -> Gaussian:
-    """Updated with a pose of 1 mm and 1 mrad."""
+    """The state after a pose update of 1 mm and 1 mrad."""
     x, P = state
     K = np.linalg.solve(P[POSE, POSE] + 1e-6 * np.eye(3), P[POSE]).T
     news = pose - x[POSE]
@@ -171,13 +171,13 @@ def smoothed_means(passed: list[FilterStep], transitions: FloatArray) -> tuple[F
 
 
 def transitions_of(passed: list[FilterStep], config: ConfigRecord) -> FloatArray:
-    """(k, n, n) F of each step; that of the first is not used."""
+    """(k, n, n) F of each step; the first is not used."""
     found = [transition(step.updated.mean, DRIVE, 0.1, config) for step in passed[:-1]]
     return np.array([np.eye(len(found[0])), *found])
 
 
 def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -> None:
-    """Across ±π the same turn is smoothed as anywhere else, turned by half a turn."""
+    """A turn across ±π and one far from it, half a turn apart, give the same result, turned."""
     across, along = (
         smoothed_means(passed, transitions_of(passed, config))[0]
         for passed in (steps(config, math.pi - 0.05), steps(config, -0.05))
@@ -191,7 +191,7 @@ def test_the_direction_of_the_site_frame_changes_nothing(config: ConfigRecord) -
 
 
 def test_smoother_uses_the_transition_of_the_filter_steps(config: ConfigRecord) -> None:
-    """F by differences of the filter's own prediction gives the same."""
+    """F from differences of the filter's prediction gives the same result."""
     passed = steps(config, 0.3)
     transitions = [np.eye(passed[0].updated.mean.size)]
     for before in passed[:-1]:

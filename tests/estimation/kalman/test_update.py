@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The filters' algebra, with no vehicle in it."""
+"""Algebra of the filters, without a vehicle."""
 
 import math
 
@@ -32,7 +32,7 @@ from trackslip_estimation.kalman.update import (
 
 
 def spd(rng: np.random.Generator, n: int, scale: float = 1.0) -> FloatArray:
-    """A random covariance, eigenvalues over four decades."""
+    """A random covariance with eigenvalues over four decades."""
     q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     P: FloatArray = np.ascontiguousarray(scale * (q * 10.0 ** rng.uniform(-4.0, 0.0, n)) @ q.T)
     return (P + P.T) / 2.0
@@ -81,7 +81,7 @@ def test_compiled_algebra_is_that_of_numpy(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_covariance_is_propagated_as_by_numpy(seed: int) -> None:
-    """F is full in its first rows and diagonal below, as that of a pose driven by states that decay."""
+    """F is full in its first rows and diagonal below: a pose driven by states that decay."""
     rng, n, coupled = np.random.default_rng(seed), 7, 3
     F = np.diag(rng.normal(size=n))
     F[:coupled] = rng.normal(size=(coupled, n)) * (rng.random((coupled, n)) < 0.7)
@@ -93,7 +93,7 @@ def test_the_covariance_is_propagated_as_by_numpy(seed: int) -> None:
 
 
 def test_the_root_of_a_covariance_without_full_rank() -> None:
-    """A state that is known, and two that are the same: what Cholesky refuses."""
+    """One state without variance, and two that are equal: Cholesky fails."""
     A = np.array(((1.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.5, 0.0)))
     P = A @ A.T
     with pytest.raises(np.linalg.LinAlgError):
@@ -151,7 +151,7 @@ def test_covariance_stays_symmetric_and_positive(seed: int) -> None:
 
 
 def test_precise_measurement_leaves_a_positive_covariance() -> None:
-    """The case in which P − K S Kᵀ loses all its digits."""
+    """P − K S Kᵀ would lose all its digits."""
     P = np.array(((1e8, 1e8 - 1.0), (1e8 - 1.0, 1e8)))
     correct(
         np.zeros(2), P, independent_observation(np.zeros(1), np.array(((1.0, 0.0),)), np.array(((1e-8,),)))
@@ -162,7 +162,7 @@ def test_precise_measurement_leaves_a_positive_covariance() -> None:
 
 @pytest.mark.parametrize("considered", [0, 1 << 2])
 def test_correlated_noise_equals_augmented_states(considered: int) -> None:
-    """Against the update of the augmented state, whose measurement has no noise."""
+    """Against the update of the augmented state with a noise-free measurement."""
     random = np.random.default_rng(4)
     n, m = 5, 2
     root_of_joint = random.standard_normal((n + m, n + m))
@@ -208,7 +208,7 @@ def test_soft_gate_limits_the_nis(size: float) -> None:
 def corrected_knowing(
     P: FloatArray, H: FloatArray, R: FloatArray, known: int
 ) -> tuple[FloatArray, FloatArray]:
-    """x and P after innovations of 0.3 from a zero state."""
+    """x and P after an update of a zero state with innovations of 0.3."""
     x, P = np.zeros(len(P)), P.copy()
     correct(x, P, Observation(np.full(len(H), 0.3), H, R, 0, known, np.zeros((0, len(P)))))
     return x, P

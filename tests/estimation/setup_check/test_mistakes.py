@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check on made-up drives: it names each injected mistake, no other, and none on healthy drives."""
+"""The setup check on synthetic drives: it names each injected mistake, and none on healthy drives."""
 
 import re
 from dataclasses import replace
@@ -65,7 +65,7 @@ def test_no_cause_is_found_on_a_healthy_drive(name: str, seed: int) -> None:
 def test_a_gyro_without_noise_in_a_long_turn_is_not_called_frozen(
     factor: float, expected: list[str], headings: str
 ) -> None:
-    """As of a simulator: it shows the same for as long as the machine turns as it shows."""
+    """A simulated gyro repeats its value during a turn at a constant rate."""
     log = make_drive(programme=LONG_TURNS, has_heading=headings != "none")
     (gyro,) = log.gyros
     exact = replace(gyro, rates=factor * np.round(gyro.rates, 1))
@@ -81,7 +81,7 @@ STEERING = ((4.0, 0.0, 0.0), *6 * ((8.0, 0.7, 0.25), (8.0, 0.7, -0.25)))
 
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_clay_on_which_tracks_differ_and_do_not_turn_the_machine_is_no_mistake(has_heading: bool) -> None:
-    """By a gyro that is biased one sprocket seemed to count half of the other."""
+    """A gyro bias must not be reported as sprocket counts that differ by a factor of two."""
     log = make_drive(programme=STEERING, efficiency=0.6, has_heading=has_heading)
     (gyro,), (fixes,) = log.gyros, log.fixes
     still = 0.005 * gyro.rates + 0.002
@@ -178,7 +178,7 @@ def test_a_track_that_turns_by_another_factor_is_named(name: str, has_heading: b
 @pytest.mark.parametrize("side", [0, 1])
 @pytest.mark.parametrize("has_heading", [True, False])
 def test_one_track_for_both_is_named(side: int, *, has_heading: bool) -> None:
-    """A lever arm explained it, with a value to set."""
+    """The cause is not a lever arm."""
     log = make_drive(has_heading=has_heading).with_tracks(np.eye(2)[[side, side]])
     (cause,) = check(log).causes
     assert (cause.cause, cause.source) == ("missing_value", "sprockets")
@@ -267,7 +267,7 @@ def test_a_gyro_of_another_scale_is_named_with_that_scale(factor: float, *, has_
 @pytest.mark.parametrize("lever", [(-1.2, 0.6), (1.5, 0.5)])
 @pytest.mark.parametrize("stddev", [0.02, 3.0])
 def test_a_wrong_lever_arm_is_no_scale_of_the_gyro(lever: tuple[float, float], stddev: float) -> None:
-    """As of a vehicle that a first mapping guesses."""
+    """As with the lever arm of a vehicle that a first mapping guesses."""
     log = make_drive(has_heading=False)
     (fixes,) = log.fixes
     wrong = replace(fixes, lever=lever, stddevs=np.full(len(fixes.t), stddev))
@@ -347,7 +347,7 @@ def test_sentinels_of_a_gyro_that_hardly_turns_are_named() -> None:
 
 
 def far_fixes(*zeros: int) -> Log:
-    """Fixes once in 2 s, 1 km from the origin, but for those at it."""
+    """Fixes once in 2 s, 1 km from the origin, except for those with index in ``zeros``, at the origin."""
     log = make_drive(fix_rate=0.5, has_heading=False)
     places = log.fixes[0].places + np.array((900.0, 400.0))
     places[list(zeros)] = 0.0
@@ -364,7 +364,7 @@ def test_one_repeated_wrong_fix_is_no_missing_value() -> None:
 
 
 def shifted(log: Log, late: float, *, has_gyro_too: bool = False) -> Log:
-    """Fixes and headings whose stamps are ``late`` s later."""
+    """The log with stamps of fixes and headings ``late`` s later."""
     fixes = tuple(replace(one, t=one.t + late) for one in log.fixes)
     compasses = tuple(replace(one, t=one.t + late) for one in log.compasses)
     gyros = tuple(replace(one, t=one.t + late * has_gyro_too) for one in log.gyros)
@@ -382,7 +382,7 @@ def shifted(log: Log, late: float, *, has_gyro_too: bool = False) -> Log:
     ],
 )
 def test_fixes_on_another_clock_are_named_with_the_time_between(late: float, options: dict[str, Any]) -> None:
-    """As GPS time, which is 18 s ahead of UTC; a lever arm or a gear was named, or nothing."""
+    """For example GPS time, 18 s ahead of UTC. The cause is neither a lever arm nor a gear."""
     (cause,) = check(shifted(make_drive(1, **options), late)).causes
     assert (cause.cause, cause.source) == ("source_delay", "gnss_pose")
     offset = re.search(r"time_offset: (-?[\d.]+)", cause.remedy)
@@ -421,7 +421,7 @@ def test_speeds_that_come_back_are_not_taken_for_another_clock(seed: int, period
 
 @pytest.mark.parametrize("name", ["diameter for radius", "increments as positions", "lever arm ahead"])
 def test_a_mistake_is_named_though_fixes_state_far_more_noise_than_they_have(name: str) -> None:
-    """3 m is what a first mapping guesses."""
+    """A first mapping guesses 3 m."""
     (fixes,) = drive().fixes
     log = replace(drive(), fixes=(replace(fixes, stddevs=np.full(len(fixes.t), 3.0)),))
     assert check(log).causes == ()
@@ -441,7 +441,7 @@ def test_fixes_that_a_log_holds_until_the_next_one_are_not_called_frozen(period:
 
 
 def test_a_course_over_ground_is_no_heading() -> None:
-    """It turns round in reverse; as yaw of a receiver with one antenna."""
+    """In reverse the course turns round; receivers with one antenna publish it as yaw."""
     log = drive()
     (fixes,), (compass,) = log.fixes, log.compasses
     steps = np.gradient(fixes.places, axis=0)
@@ -499,7 +499,7 @@ QUESTIONS = {  # the mistake, the sensors, words of the question
 
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_what_cannot_be_right_is_not_passed_over(name: str) -> None:
-    """One of several mistakes is certain, and which one the log does not show."""
+    """Some mistake is certain, but the log does not determine which of several."""
     inject, sensors, words = QUESTIONS[name]
     log = make_drive(**sensors)
     assert check(log).open_questions == ()
@@ -509,7 +509,7 @@ def test_what_cannot_be_right_is_not_passed_over(name: str) -> None:
 
 
 def test_a_tread_in_feet_is_not_passed_over() -> None:
-    """Gyro and headings turn alike, by more than tracks of that tread can."""
+    """Gyro and headings agree on turns that tracks of that tread cannot make."""
     log = drive()
     found = check(replace(log, machine=log.machine._replace(tread=log.machine.tread / 0.3048)))
     assert found.causes == ()
@@ -559,7 +559,7 @@ def test_a_clock_that_is_fast_beside_one_other_is_an_open_question(rate: float) 
 
 
 def cut_columns(log: Log, *, has_fractions: bool) -> Columns:
-    """Of the sprockets, stamps with or without their fractions."""
+    """Sprocket columns with or without fractions of seconds in their stamps."""
     t = log.tracks.t if has_fractions else np.floor(log.tracks.t)
     stamps = 1_700_000_000_000_000_000 + np.round(1e9 * t).astype(np.int64)
     return {(SPROCKETS, "sprockets"): (stamps, np.hstack((log.tracks.speeds, log.tracks.angles)))}
@@ -574,11 +574,11 @@ def test_stamps_that_are_cut_to_whole_seconds_are_named(has_fractions: bool, exp
 
 @pytest.mark.parametrize(("step", "expected"), [(0.001, []), (1.11, ["position_resolution"])])
 def test_fixes_that_are_coarser_than_they_state_are_named(step: float, expected: list[str]) -> None:
-    """As NavSatFix of five decimals."""
+    """For example NavSatFix with five decimals."""
     log = make_drive()
     (fixes,) = log.fixes
     places = step * np.round(fixes.places / step)
-    coarse = replace(fixes, places=places * (1.0 + 1e-6 * places[:, ::-1]))  # as degrees on a map
+    coarse = replace(fixes, places=places * (1.0 + 1e-6 * places[:, ::-1]))  # like degrees on a map
     causes = {cause.cause: cause.remedy for cause in check(replace(log, fixes=(coarse,))).causes}
     assert list(causes) == expected
     assert all("position_floor=0.32" in remedy for remedy in causes.values())
@@ -605,7 +605,7 @@ def test_a_lever_arm_of_a_swinging_sensor_is_left_open() -> None:
         (Counts(0.06, 5e-4), {"encoder_resolution"}),
         (Counts(0.06, 0.0), {"encoder_resolution"}),
         (Counts(0.06, 0.05), set()),
-        (Counts(1e-3, 0.0), set()),  # as fine as any speed is measured
+        (Counts(1e-3, 0.0), set()),  # finer than any measured speed
         (Counts(0.0, 5e-4), set()),
     ],
 )
@@ -617,7 +617,7 @@ def test_a_count_that_is_stated_far_too_small_is_named(counts: Counts, expected:
 
 @pytest.mark.parametrize(("slide", "expected"), [(1.4, True), (0.3, True), (0.0, False)])
 def test_machine_that_moves_across_its_heading_in_both_gears_slides(slide: float, *, expected: bool) -> None:
-    """On a side slope of clay it had a wrong radius, and a wrong heading, with certainty."""
+    """A slide on a side slope of clay must not be reported as a wrong radius or a wrong heading."""
     log = make_drive(programme=STRAIGHT, slide=slide)
     found = slides(Drive.of(log, log.gyros[0], log.fixes[0], log.compasses[0]))
     assert found is expected

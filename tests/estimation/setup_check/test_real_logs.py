@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check on logs of real robots and recorded runs: no false cause, none but the injected one.
+"""The setup check on logs of real robots and recorded runs: no false cause, only the injected one.
 
-The whole matrix (each mistake, each log) is slow; it prints what was named, false or undetermined.
+The whole matrix (each mistake, each log) is slow; it prints what is named, false or undetermined.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ from trackslip_tools.cli.replay_options import parameters_of
 from trackslip_tools.replay.inputs import InputStream
 
 BAGS = Path(__file__).parents[3] / "bags"
-VEHICLES = ("excavator_20t", "pc05", "pc05_cab")  # those that have hydraulics
+VEHICLES = ("excavator_20t", "pc05", "pc05_cab")  # vehicles with hydraulics
 Factory = pytest.TempPathFactory
 RUNS = sorted(path.parent.name for path in BAGS.glob("*/*.mcap"))
 REDUCED = (
@@ -41,8 +41,8 @@ REDUCED = (
     "x and y",
     "diameter for radius",
 )
-SOUND = {"warthog": 129.0}  # s, before which its reference stalls and lags
-LEAST_SHARE = 0.95  # of mistakes of which a log holds the least motion
+SOUND = {"warthog": 129.0}  # s, until which its reference is stuck or late
+LEAST_SHARE = 0.95  # of mistakes for which a log has enough motion
 
 
 @cache
@@ -60,7 +60,7 @@ def recorded(name: str) -> Log:
 
 @cache
 def emulated(vehicle: str, folder: Path) -> Log:
-    """A field trial of some minutes, with the sensors that the emulator of the vehicle has."""
+    """A field trial of some minutes, with the emulated sensors of the vehicle."""
     p = load_emulator_parameters({"vehicle": vehicle, "scenario": "field_trial", "seed": 3})
     record_drive(p, drive(p), folder / vehicle)
     return log_of_bag(folder / vehicle)
@@ -199,7 +199,7 @@ def _check_matrix(name: str, log: Log, report: Callable[[str], None] = print) ->
 
 
 def assert_most_named(log: Log, found: dict[str, str], report: Callable[[str], None] = print) -> None:
-    """Of the mistakes of which the log holds the least motion."""
+    """Assert that most mistakes are named for which the log has enough motion."""
     shown = [name for name in found if name not in AMBIGUOUS and holds(log, MISTAKES[name].needs)]
     unnamed = [name for name in shown if found[name] != "named"]
     report(f"  least motion for {len(shown)}, not named of these: {', '.join(unnamed) or 'none'}")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check of a running estimator: causes come within two minutes, and go once they are mended."""
+"""The setup check of a running estimator: causes appear within two minutes and vanish once corrected."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -36,7 +36,7 @@ def parameters() -> SlipEstimatorParameters:
 
 
 def measurements(log: Log, begin_s: float, signs: tuple[float, float], gyro: float) -> Iterator[Measurement]:
-    """Of a drive, in the order of stamps."""
+    """Measurements of a drive in the order of stamps."""
     found: list[Measurement] = []
     for t, (left, right) in zip(log.tracks.t, log.tracks.speeds, strict=True):
         found.append(Sprockets("sprockets", _ns(begin_s + t), signs[0] * left, signs[1] * right))

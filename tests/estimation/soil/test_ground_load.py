@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the weight does on a slope, against the truth's own loads and against its limits."""
+"""The load of the tracks on a slope, against the loads of the simulated truth and its limits."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def load_swung(
     p: Any = NUMBERS,
     tilt: Any = ((0.0, 0.0), (0.0, 0.0)),
 ) -> Any:
-    """Of a PC05 with a cab, unless a centre is given."""
+    """Load of a PC05 with a cab, unless ``centre`` is given."""
     sample, load = np.zeros(1, SAMPLE)[0], np.zeros(1, GROUND_LOAD)[0]
     sample["tilt"], sample["tilt_variance"] = tilt
     sample["swing"], sample["swing_variance"] = swing, stddev**2
@@ -77,7 +77,7 @@ def test_track_loads_balance_the_weight_and_its_moment(roll: float, pitch: float
 
 
 def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
-    """Standard deviation of the thrust that a weight of 1 N needs, after seconds of each motion."""
+    """Standard deviation of the thrust for a weight of 1 N, after (seconds, motion) of ``moments``."""
     burden, sample = burden_of(vehicle)[0], np.zeros(1, SAMPLE)[0]
     sample["dt"] = 0.1
     for seconds, motion in moments:
@@ -88,9 +88,7 @@ def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
 
 
 def test_load_is_uncertain_after_a_long_standstill_with_a_bucket() -> None:
-    """Not before the first drive, whose weight is that of the file, nor after a short halt, nor without a
-    bucket.
-    """
+    """The first drive has the weight of the file; a short halt or no bucket adds no uncertainty."""
     standstill, drive, halt = (8.0, Motion.STANDING), (5.0, Motion.STRAIGHT), (2.0, Motion.STANDING)
     assert VEHICLE.bucket is not None
     assert load_stddev(VEHICLE, [standstill, drive]) == 0.0
@@ -163,7 +161,7 @@ def test_swing_angle_has_no_effect_without_an_upper_structure() -> None:
 
 
 def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
-    """The soil there is sheared farthest: 1 − 2 x_N/l times as much."""
+    """The soil at the rear has the largest shear displacement: 1 − 2 x_N/l times the thrust."""
     length, n = VEHICLE.contact_length, 200
     contact = Contact(element_places(length, n), 0.5 * VEHICLE.tread)
     speed, slip, centre = 0.35, 1e-4, -0.15

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Machine states get the pressures at their stamps, in the order of stamps, whatever came first."""
+"""Machine states get the pressures at their stamps, in the order of stamps, for any order of arrival."""
 
 import itertools
 import math
@@ -47,7 +47,7 @@ def hydraulics(ms: int, pressure: float = 0.0) -> Hydraulics:
 
 
 class Inbox:
-    """An interpolator, and its samples."""
+    """An interpolator, its samples and its rejections."""
 
     def __init__(self) -> None:
         self._interpolator = new_interpolator(P)
@@ -103,7 +103,7 @@ def test_sample_has_every_field_of_its_state() -> None:
 
 
 def test_samples_do_not_depend_on_the_order_of_arrival() -> None:
-    """In order per topic, in any order between topics."""
+    """Each topic is in order; topics interleave in any way."""
     topics: tuple[list[Any], ...] = (
         [hydraulics(t, 1e4 * t) for t in (96, 106, 116)],
         [state(t) for t in (100, 110)],
@@ -185,7 +185,7 @@ def test_clock_set_back_restarts_once_it_is_confirmed() -> None:
 
 
 def test_waiting_states_are_bounded_and_stay_in_order() -> None:
-    """Stamps 1 µs apart, all within the patience: the oldest are given out without pressures."""
+    """Stamps are 1 µs apart, all within the patience: the oldest are released without pressures."""
     found = run(*(replace(state(0), stamp_ns=1000 * t) for t in range(10_000)))
     assert [int(sample["stamp_ns"]) for sample in found] == [1000 * t for t in range(len(found))]
     assert 5_000 < len(found) < 10_000

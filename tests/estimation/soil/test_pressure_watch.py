@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Each fault of the pressures is doubted at once and named soon; true pressures never are."""
+"""Each fault of the pressures is detected at once and named soon; true pressures cause no fault."""
 
 from collections.abc import Callable, Iterator
 
@@ -33,7 +33,7 @@ Corrupt = Callable[[np.ndarray], np.ndarray]
 
 
 class Bench:
-    """A watch, and a transducer of some noise to watch."""
+    """A watch, and a transducer with noise."""
 
     def __init__(self) -> None:
         self._watch = np.zeros(1, dtype_of(Watch))
@@ -50,7 +50,7 @@ class Bench:
     def drive(
         self, phase: Phase, seconds: float, corrupt: Corrupt = lambda p: p
     ) -> list[PressureFault | None]:
-        """What is said of each moment."""
+        """The fault after each sample, or None."""
         return list(self._moments(phase, seconds, corrupt))
 
     def _moments(self, phase: Phase, seconds: float, corrupt: Corrupt) -> Iterator[PressureFault | None]:
@@ -64,7 +64,7 @@ class Bench:
             yield self._evaluate(sample)
 
     def silence(self, seconds: float) -> None:
-        """No readings, on the move."""
+        """Motion without pressure readings."""
         for _ in range(round(seconds / STEP)):
             sample, _ = Sample(STEP, np.array((0.3, 0.3))).records()
             assert self._evaluate(sample) is PressureFault.DROPPED
@@ -102,7 +102,7 @@ def test_a_stuck_pressure_is_named_while_moving_and_cleared_by_its_first_change(
         p[side] = 44.4e5
         return p
 
-    assert set(bench.drive(STANDING, 5.0, stuck)) == {None}  # a transducer at rest may be still
+    assert set(bench.drive(STANDING, 5.0, stuck)) == {None}  # readings at rest may be constant
     output = bench.drive(STRAIGHT, 2.0, stuck)
     assert output[:5] == [None] * 5
     assert set(output[10:]) == {fault}
@@ -116,10 +116,10 @@ def test_swapped_pressures_are_detected_in_the_first_turn(bench: Bench, turn: Ph
     def swapped(p: np.ndarray) -> np.ndarray:
         return p[::-1]
 
-    assert set(bench.drive(STRAIGHT, 5.0, swapped)) == {None}  # nothing to see, nothing to harm
+    assert set(bench.drive(STRAIGHT, 5.0, swapped)) == {None}  # undetectable, and without effect
     assert set(bench.drive(turn, 2.0, swapped)) == {PressureFault.SWAPPED}
     assert bench.faults == (PressureFault.SWAPPED,)
-    assert set(bench.drive(STRAIGHT, 5.0, swapped)) == {PressureFault.SWAPPED}  # remembered
+    assert set(bench.drive(STRAIGHT, 5.0, swapped)) == {PressureFault.SWAPPED}  # kept
     bench.drive(turn, 2.0)
     assert bench.faults == ()
 

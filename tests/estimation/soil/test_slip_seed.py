@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The slips that thrust and soil tell after a turn."""
+"""Slip seeds from thrust and soil after a turn."""
 
 import math
 from dataclasses import replace
@@ -72,7 +72,7 @@ def test_thrust_beyond_the_soil_limit_gives_no_seed() -> None:
 
 
 class Ride:
-    """Moments of 0.1 s for a seeder."""
+    """Samples of 0.1 s for a seeder."""
 
     def __init__(self) -> None:
         self._seeder, self._numbers, self._now_ns = np.zeros(1, dtype_of(Seeder))[0], make_config(P)[0], 0
@@ -80,7 +80,7 @@ class Ride:
         self.soil: StrengthSummary | None = SOIL
 
     def seeds(self, motion: Motion, lengths: float) -> list[SlipSeed]:
-        """While it drives so many contact lengths in this state of motion."""
+        """Seeds while the machine drives ``lengths`` contact lengths in one motion state."""
         found = []
         for _ in range(math.ceil(lengths * LENGTH / (TRACKS[0] * 0.1))):
             self._now_ns += 100_000_000
@@ -97,10 +97,10 @@ class Ride:
 
 def test_each_turn_gives_one_seed_after_the_settling_distance() -> None:
     ride, enough = Ride(), P.seed.settling_lengths + 0.1
-    assert ride.seeds(Motion.STRAIGHT, 20.0) == []  # there was no turn
+    assert ride.seeds(Motion.STRAIGHT, 20.0) == []  # no turn yet
     ride.seeds(Motion.TURNING, 1.0)
     assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
-    assert ride.seeds(Motion.TURNING, 1.0) == []  # and the distance restarts
+    assert ride.seeds(Motion.TURNING, 1.0) == []  # the distance restarts
     assert ride.seeds(Motion.STRAIGHT, enough - 0.5) == []
     assert len(ride.seeds(Motion.STRAIGHT, 20.0)) == 1
     ride.seeds(Motion.STANDING, 1.0)
@@ -124,7 +124,7 @@ def test_seed_uses_the_soil_at_the_end_of_the_turn(soil: StrengthSummary | None)
     ride.soil = SOIL
     assert ride.seeds(Motion.STRAIGHT, 10.0) == []
     ride.seeds(Motion.TURNING, 1.0)
-    ride.soil = soil  # what the slips of this straight leg make of it is not asked
+    ride.soil = soil  # the seed does not use slips of this straight
     assert len(ride.seeds(Motion.STRAIGHT, 10.0)) == 1
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Classes of soil, the line in (c, ϕ), and the reserve of thrust."""
+"""Soil classes, the line in (c, ϕ), and the reserve of thrust."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ from trackslip_estimation.soil.strength_grid import StrengthGrid
 
 P = load_soil_parameters()
 SOILS = load_soils()
-# Without errors that never average: what is looked at is what the cells say
+# Without time-correlated errors: the tests examine the cells of the grid
 VEHICLE = P.vehicle.whole()
 GRID = StrengthGrid(replace(P.strength, slip_bias_stddev=0.0, thrust_scale_stddev=0.0), VEHICLE)
 AXES = (GRID.log_moduli, GRID.log_limits)
@@ -25,7 +25,7 @@ CLASSES = SoilClasses(P.classes, SOILS.values(), VEHICLE, GRID)
 
 
 def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> FloatArray:
-    """A grid that is sure of this soil."""
+    """A narrow posterior about one soil."""
     k, f = ((a - math.log(v)) / spread for a, v in zip(AXES, (modulus, limit), strict=True))
     grid = np.exp(-0.5 * (k[:, None] ** 2 + f[None, :] ** 2))
     return np.asarray(grid / grid.sum())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sub-model 2 on the shear truth: μ_r and the mobilised μ_l, with the thrusts and slips of sensors."""
+"""Sub-model 2 on the shear truth: μ_r and the mobilised μ_l, with measured thrusts and slips."""
 
 from functools import cache
 
@@ -28,7 +28,7 @@ VEHICLE = P.vehicle.whole()
 MOTION = load_slip_parameters().motion
 SOILS = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 SEGMENTS = ((4.0, 0.0, 0.0), (6.0, 2.0, 2.0), (6.0, 1.0, 2.2), (3.0, 1.8, 1.8), (6.0, 2.2, 1.2))
-TURNS, STRAIGHT = ((12.0, 16.0), (21.0, 25.0)), ((6.0, 10.0), (17.5, 19.0))  # s, the steady parts
+TURNS, STRAIGHT = ((12.0, 16.0), (21.0, 25.0)), ((6.0, 10.0), (17.5, 19.0))  # s, steady parts
 
 
 @cache
@@ -72,7 +72,7 @@ def test_lateral_resistance_is_held_while_driving_straight() -> None:
 
 
 class Filter:
-    """Sub-model 2, and steps of 0.01 s for it."""
+    """Sub-model 2 in steps of 0.01 s."""
 
     def __init__(self, p: SoilEstimatorParameters = P) -> None:
         self._state, self._numbers = new_dynamics(p.dynamics), make_config(p)
@@ -119,7 +119,7 @@ def test_reverse_is_resisted_forwards() -> None:
 
 
 def test_resistance_is_held_while_a_machine_on_a_slope_may_be_at_standstill() -> None:
-    """Its tracks spin; a twist two standard deviations from zero is no proof of sliding."""
+    """The tracks spin; a twist two standard deviations from zero does not prove a slide."""
     pull, mu_r = -0.2 * VEHICLE.weight, 0.3
     dynamics = Filter()
     dynamics.load["pull"] = pull
@@ -134,7 +134,7 @@ def test_resistance_is_held_while_a_machine_on_a_slope_may_be_at_standstill() ->
 
 
 def test_uncertain_inertia_widens_the_resistance_while_a_turn_begins() -> None:
-    """The same accelerated turn: with I_z less known μ_l comes out less certain."""
+    """The same accelerated turn: a larger variance of I_z gives a larger variance of μ_l."""
     deviations = []
     for inertia in (0.0, 0.5):
         dynamics = Filter(load_soil_parameters({"dynamics.yaw_inertia_stddev": inertia}))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator as a whole: faults are named and held, restarts, warnings, and one order of things."""
+"""The soil estimator as a whole: faults are named and held, restarts, warnings, independence of the order."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -37,7 +37,7 @@ BEFORE, FAULT_ENDS = 10.0, 16.0  # s: turning, straight
 Corrupt = Callable[[Hydraulics], Hydraulics | None]
 
 
-# Of a PC05 with a cab: to and fro with turns to both sides, the cab looking to where it is said
+# A PC05 with a cab: to and fro with turns to both sides, at a constant swing angle
 TO_AND_FRO = (
     *((14.0, 2.0, 2.0), (6.0, 1.0, 2.2), (12.0, -2.0, -2.0), (6.0, -2.2, -1.0), (10.0, 2.0, 2.0)),
     *((6.0, 2.2, 1.0), (12.0, -2.0, -2.0), (6.0, 2.1, 0.9), (10.0, 2.0, 2.0)),
@@ -46,7 +46,7 @@ TO_AND_FRO = (
 
 @cache
 def swung(angle: float, stddev: float | None) -> tuple[SoilInput, ...]:
-    """What a machine whose cab looks there is given, on sand; ``stddev`` is that of the swing."""
+    """Inputs from a machine on sand with its cab at ``angle``; ``stddev`` of the swing angle."""
     segments = (Segment(8.0, 0.0, 0.0, swing_to=angle), *(Segment(*row) for row in TO_AND_FRO))
     whole, upper = CAB.vehicle.whole(), CAB.vehicle.upper_structure
     truth = simulate(Scenario(name="test", soil="sand", segments=segments), vehicle=whole, upper=upper)
@@ -66,12 +66,12 @@ def run(inputs: Iterable[SoilInput], estimator: SoilEstimator | None = None) -> 
 
 
 def at(outputs: list[SoilOutput], kind: type, t: float) -> SoilOutput:
-    """The last one of a kind up to a time, s."""
+    """The last output of a kind up to a time, s."""
     return [o for o in outputs if isinstance(o, kind) and o.stamp_ns <= START_NS + t * 1e9][-1]
 
 
 def corrupted(corrupt: Corrupt) -> list[SoilInput]:
-    """The drive with readings spoilt from BEFORE to FAULT_ENDS."""
+    """The drive with readings changed by ``corrupt`` from BEFORE to FAULT_ENDS."""
     inputs: list[SoilInput] = []
     for one in given():
         t = (one.stamp_ns - START_NS) * 1e-9
@@ -81,13 +81,13 @@ def corrupted(corrupt: Corrupt) -> list[SoilInput]:
 
 
 def accused(estimator: SoilEstimator) -> set[str]:
-    """Of what the pressures were accused; the first moment has none, for readings come after the slips."""
+    """Faults of the pressures. The first sample has none, because readings follow the slips."""
     before = {*(unused.value for unused in Unused), PressureFault.DROPPED.value}
     return {reason for _, reason in estimator.tally.total} - before
 
 
 def test_pressure_from_digging_at_standstill_is_counted_as_unused() -> None:
-    """The arm digs at standstill: 3 bar, below the limit of an offset."""
+    """Digging at standstill: 3 bar, below the limit of an offset."""
     inputs = given(segments=((10.0, 0.0, 0.0),))
     digging = [
         replace(one, left_pressure=one.left_pressure + 3e5)
@@ -157,7 +157,7 @@ def test_outputs_come_on_the_grids_of_their_periods() -> None:
 
 @pytest.mark.parametrize("p", [P, CAB], ids=["pc05", "pc05_cab"])
 def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimatorParameters) -> None:
-    """Hydraulics up to 0.2 s early or late."""
+    """Hydraulics are up to 0.2 s early or late."""
     inputs = given() if p is P else list(swung(1.5, 0.01)[:4000])
     rng = np.random.default_rng(5)
     delay = dict.fromkeys(range(len(SOURCES)), 0.0)
@@ -169,7 +169,7 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
     shuffled = [inputs[k] for k in np.argsort(keys, kind="stable")]
     assert [one.source for one in shuffled] != [one.source for one in inputs]
     requested, found = run(inputs, SoilEstimator(p)), run(shuffled, SoilEstimator(p))
-    assert len(requested) - len(found) in (0, 1, 2, 3)  # the end may still wait
+    assert len(requested) - len(found) in (0, 1, 2, 3)  # the last ones may still wait
     assert [repr(o) for o in found] == [repr(o) for o in requested[: len(found)]]
 
 
@@ -195,7 +195,7 @@ def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
 
 @pytest.mark.parametrize("chunk", [7, 1000, 10**6])
 def test_batches_of_inputs_give_the_same_bits_as_single_ones(chunk: int) -> None:
-    """A replay processes records by the thousand, the live node one by one."""
+    """A replay processes thousands of records at once, the live node one by one."""
     inputs = corrupted(FAULTS[PressureFault.DROPPED])
     records = np.zeros(len(inputs), SOIL_INPUT)
     for record, one in zip(records, inputs, strict=True):
@@ -230,7 +230,7 @@ def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None
 
 
 def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:
-    """The machine drives straight on, as fast as the inner track."""
+    """The machine drives straight on at the speed of the inner track."""
     estimator = SoilEstimator(P)
     outputs = run(given("clayey_soil", ((3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (8.0, 0.9, 2.28))), estimator)
     last = at(outputs, TrackForces, 16.0)
@@ -240,7 +240,7 @@ def test_outer_track_spinning_in_a_turn_is_not_getting_stuck() -> None:
 
 
 def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
-    """On a slope that is too steep, the motor brakes and the machine slides."""
+    """On a slope that is too steep the motor brakes, and the machine slides."""
 
     def drag(one: SoilInput) -> SoilInput:
         if isinstance(one, MachineState):
@@ -256,7 +256,7 @@ def test_track_dragged_faster_than_it_turns_is_not_getting_stuck() -> None:
 
 
 def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None:
-    """The relief valve is set too low for a turn on the spot; straights, a turn and stops are no stall."""
+    """The relief pressure is too low for a turn on the spot; straights, a turn and stops are no stall."""
     segments = (
         (1.0, 0, 0),
         (4.0, 2, 2),
@@ -281,13 +281,13 @@ def test_commanded_tracks_that_do_not_turn_are_stalled_within_a_second() -> None
     assert {both for t, both in by_time if begins + 1.0 <= t < ends} == {(True, True)}
     assert begins < by_time[0][0] < begins + 1.0
     assert ends < by_time[-1][0] < ends + 1.0
-    assert len([t for t in stalled if by_time[0][0] <= t <= by_time[-1][0]]) == len(by_time)  # all the while
+    assert len([t for t in stalled if by_time[0][0] <= t <= by_time[-1][0]]) == len(by_time)  # continuously
     assert accused(estimator) == set()
 
 
 @pytest.mark.parametrize("soil", ["sandy_loam", "dry_clay"])
 def test_healthy_pressures_are_never_called_swapped_or_of_another_unit(soil: str) -> None:
-    """As turns begin and end, and as the machine brakes, pressures are not those of steady driving."""
+    """Pressures as turns begin and end, and while braking, differ from those of steady driving."""
     turns = (
         (2.0, 0.1, 2.0),
         (1.0, 0, 0),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever comes in, no nan comes out but where it says 'unknown', and no variance is negative."""
+"""For any input, NaN is published only where it means 'unknown', and no variance is negative."""
 
 import dataclasses
 import math
@@ -44,7 +44,7 @@ inputs = st.one_of(
 
 @st.composite
 def drives(draw: st.DrawFn) -> list[SoilInput]:
-    """Samples in order, of any content, among inputs of any stamp."""
+    """Samples in order with any content, among inputs with any stamps."""
     chosen: list[SoilInput] = []
     for k in range(draw(st.integers(1, 25))):
         stamp_ns = 1_000_000_000 + 10 * k * MS

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Thrust from pressure: driving, braking and in between, with transducers that are off."""
+"""Thrust from pressure: driving, braking and in between, with offsets of the transducers."""
 
 import numpy as np
 import pytest
@@ -26,14 +26,14 @@ STEP = 0.01  # s
 
 
 class Meter:
-    """Pressures to thrusts, with offsets that are learned on the way."""
+    """Thrusts from pressures, with offsets that are estimated meanwhile."""
 
     def __init__(self) -> None:
         self._numbers, self._motor = record_of(ThrustParameters, P.thrust)[0], motor_of(P.vehicle.whole())[0]
         self.offsets = new_offsets(P.thrust)[0]
 
     def learn(self, pressures: np.ndarray | None) -> bool:
-        """STEP later, standing where there are pressures; whether one of them was refused."""
+        """Update the offsets after STEP; None means motion. Returns whether a pressure was rejected."""
         is_standing = pressures is not None
         shown = pressures if is_standing else np.zeros(2)
         return update_offsets(self.offsets, shown, is_standing, STEP, self._numbers)
@@ -48,13 +48,13 @@ class Meter:
 
 
 def learned(meter: Meter, pressures: np.ndarray, seconds: float, noise: float = 0.0) -> int:
-    """Of how many moments a pressure was refused."""
+    """Number of samples with a rejected pressure."""
     rng = np.random.default_rng(1)
     return sum(meter.learn(pressures + noise * rng.standard_normal(2)) for _ in range(round(seconds / STEP)))
 
 
 def test_digging_pressure_is_not_learned_as_an_offset() -> None:
-    """3 bar for 8 s, below the limit of an offset, after a standstill that has shown the offset."""
+    """3 bar for 8 s, below the limit of an offset, after a standstill in which the offset is observed."""
     meter, noise = Meter(), P.thrust.pressure_stddev
     own = np.array((0.2 * BAR, -0.4 * BAR))
     assert learned(meter, own, 10.0, noise) == 0
@@ -81,7 +81,7 @@ def test_thrust_is_right_within_three_percent_driving_and_braking(soil: str) -> 
     speeds = np.stack((truth.left_speed, truth.right_speed), axis=-1)
     forces = np.array([meter.measure(p, w)["force"] for p, w in zip(pressures, speeds, strict=True)])
     true = np.stack((truth.left_thrust, truth.right_thrust), axis=-1)
-    forces, true = (np.mean(f.reshape(-1, 10, 2), axis=1) for f in (forces, true))  # of 0.1 s each
+    forces, true = (np.mean(f.reshape(-1, 10, 2), axis=1) for f in (forces, true))  # means of 0.1 s
     speeds, steady = speeds[::10], (truth.t[::10] % 4.0) > 2.0
     for sign in (1.0, -1.0):  # driving, braking
         kind = steady[:, None] & (true * speeds * sign > 0.0) & (np.abs(true) > 500.0)
@@ -136,7 +136,7 @@ def test_offsets_wait_until_the_pressure_has_settled() -> None:
     meter = Meter()
     for _ in range(20):
         learned(meter, np.full(2, BAR), 0.9 * P.thrust.settling_time)
-        meter.learn(None)  # it moves
+        meter.learn(None)  # motion
     np.testing.assert_array_equal(meter.offsets["mean"], 0.0)
 
 

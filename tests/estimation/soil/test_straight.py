@@ -1,8 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a straight costs: (3.3) once the soil is fresh, nothing on sheared soil; and K from
-the slip distance alone.
-"""
+"""Slip distance of straights: (3.3) on fresh soil, none on sheared soil; and K from slip distances alone."""
 
 import math
 from dataclasses import replace
@@ -33,20 +31,20 @@ MODULUS, LIMIT, FORCE = 0.01, 3640.0, 1290.0
 
 
 def pose_at(distance: float, yaw: float = 0.0, stddev: float = 0.0) -> PoseWithCovariance:
-    """So far along a line in the direction of the heading; ``stddev`` is that of the position."""
+    """A pose ``distance`` m along a line in the direction of the heading; ``stddev`` of its position, m."""
     pose = np.array((5.0 + distance * np.cos(yaw), -3.0 + distance * np.sin(yaw), yaw))
     return PoseWithCovariance(pose, np.diag((stddev**2, stddev**2, 0.0)))
 
 
 def slip_of(modulus: float, limit: float, force: float = FORCE) -> float:
-    """That (3.3) asks for."""
+    """Slip of (3.3) at ``force``."""
     return float(brentq(lambda slip: thrust(slip, limit, modulus, LENGTH) - force, 1e-6, 0.99))
 
 
 def track_distance(straight: StraightSegment, distance: float, sign: float = 1.0) -> FloatArray:
-    """What ``distance`` costs on each soil."""
+    """Slip distance of ``distance`` on each soil."""
     before = straight.slip_distance().expected if straight.track_distance else 0.0
-    twist = np.array((sign * SPEED, 0.0, 0.0))  # its v_x does not count
+    twist = np.array((sign * SPEED, 0.0, 0.0))  # v_x of the twist is not used
     for _ in range(round(distance / (SPEED * STEP))):
         straight.add(STEP, Rolling(twist, np.full(2, sign * SPEED)), sign * 2.0 * FORCE)
     return straight.slip_distance().expected - before
@@ -64,7 +62,7 @@ def test_slip_of_a_straight_on_fresh_soil_is_that_of_equation_3_3(sign: float) -
 
 def test_soil_sheared_in_a_turn_gives_thrust_without_slip() -> None:
     sheared = FRESH.copy()
-    sheared[:, :, 0] = -0.3  # as tracks leave it that slip while they drive forward
+    sheared[:, :, 0] = -0.3  # as left by tracks that slip while driving forward
     straight = StraightSegment(SOILS, sheared, pose_at(0.0))
     enough = LIMITS > 3.0 * FORCE
     assert np.abs(track_distance(straight, 0.5 * LENGTH)[:, enough]).max() < 1e-3
@@ -85,7 +83,7 @@ def test_tracks_spin_where_the_thrust_exceeds_the_soil_limit() -> None:
 
 
 def test_uneven_load_changes_the_slip_distance_by_the_stated_amount() -> None:
-    """By the load of a cab with unknown swing."""
+    """The load of a cab with unknown swing angle."""
     lean = 0.2  # 1/m
     costs = []
     for sign in (0.0, 1.0):
@@ -140,7 +138,7 @@ def sample(
 
 
 def new_strength(**changes: float) -> Strength:
-    """That knows F_max already, from spinning tracks."""
+    """A strength with F_max known from spinning tracks."""
     strength = Strength(replace(CERTAIN, modulus_cells=48, limit_cells=96, **changes), VEHICLE)
     for _ in range(100):
         strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))
@@ -153,8 +151,9 @@ def go_straight(
     stddev: float = 0.002,
     sign: float = 1.0,
 ) -> None:
-    """A while on soil of MODULUS and LIMIT, until the tracks stand on what they have sheared, then 3.5 m, and
-    a stop; ``errors`` of the positions at both ends, m.
+    """Drive on soil of MODULUS and LIMIT until the tracks stand on sheared soil, then 3.5 m, and stop.
+
+    ``errors``: of the positions at both ends, m.
     """
     slip = slip_of(MODULUS, LIMIT)
     there = pose_at(errors[0], stddev=stddev)
@@ -173,7 +172,7 @@ def test_slip_distance_gives_the_shear_modulus(sign: float) -> None:
     strength = new_strength(distance_stddev=0.0005)
     for _ in range(6):
         go_straight(strength, stddev=0.0005, sign=sign)
-    strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))  # ends the last one
+    strength.update(sample(0.5, LIMIT * 0.984, Motion.TURNING, pose_at(0.0)))  # ends the last straight
     found = strength.posterior.summary()
     assert found.identifiable, found.reason
     assert found.shear_modulus == pytest.approx(MODULUS, rel=0.06)
@@ -204,7 +203,7 @@ def test_straight_is_used_once_it_has_ended() -> None:
 
 
 def test_straight_ends_at_the_pose_of_the_stop() -> None:
-    """Its end is the pose at the end of the stop, which is more precise than the pose before."""
+    """The pose at the end of the stop is more precise than the one before."""
     strengths = [new_strength(distance_stddev=0.0005) for _ in range(2)]
     distance = 50 * STEP * SPEED * (1.0 - slip_of(MODULUS, LIMIT))
     for strength, off in zip(strengths, (0.0, 0.05), strict=True):
@@ -217,7 +216,7 @@ def test_straight_ends_at_the_pose_of_the_stop() -> None:
 
 @pytest.mark.parametrize("spoil", ["thrust", "twist"])
 def test_straight_with_a_gap_does_not_use_the_gap(spoil: str) -> None:
-    """Without thrusts the distance so far counts; an unusable sample ends it without use."""
+    """Without thrusts the distance so far is used; an unusable sample ends the straight without use."""
     strength = new_strength()
     before = strength.posterior.effective_samples
     distance = STEP * SPEED * (1.0 - 0.0072)
@@ -228,7 +227,7 @@ def test_straight_with_a_gap_does_not_use_the_gap(spoil: str) -> None:
     broken = replace(broken, thrusts=none) if spoil == "thrust" else replace(broken, tracks=none)
     assert strength.update(broken) is (SampleOutcome.USED if spoil == "thrust" else None)
     expected = before + (1.0 if spoil == "thrust" else 0.0)
-    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # less what 0.8 m forget
+    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # some forgotten over 0.8 m
 
 
 def test_shear_modulus_is_not_observable_from_spinning_tracks() -> None:

@@ -36,7 +36,7 @@ NO_ERROR = RollingError(NONE, NONE, 0.0)
 
 
 def straight(slip: float, force: float, *, stddev: float = 1e-4, dt: float = STEP) -> Sample:
-    """Both tracks with the same slip, called a turn: there slips count; ``stddev`` is that of the slip."""
+    """Both tracks with the same slip, in the state TURNING, which uses slips; ``stddev`` of the slip."""
     twist = np.array((SPEED * (1.0 - slip), 0.0, 0.0))
     covariance = np.diag(np.square((stddev * SPEED, 1e-4, 1e-4)))
     tracks, thrusts, variances = np.full(2, SPEED), np.full(2, force), np.full(2, 25.0)
@@ -48,13 +48,13 @@ def force_of(slip: float, modulus: float = MODULUS, limit: float = LIMIT) -> flo
 
 
 def settle(strength: Strength, sample: Sample) -> None:
-    """Roll a track's length without knowing the thrusts: then the soil under it is in its steady state."""
+    """Drive more than a contact length without thrusts, until the soil under it is in its steady state."""
     for _ in range(5):
         strength.update(replace(sample, dt=1.0, thrusts=None))
 
 
 def fed(strength: Strength, slips: FloatArray, seconds: float, **soil: float) -> StrengthPosterior:
-    """After ``seconds`` of steady straight driving at each slip."""
+    """Posterior after ``seconds`` of steady straight driving at each slip."""
     for slip in slips:
         settle(strength, straight(slip, 0.0))
         for _ in range(round(seconds / STEP)):
@@ -63,7 +63,7 @@ def fed(strength: Strength, slips: FloatArray, seconds: float, **soil: float) ->
 
 
 def new_strength(**changes: float) -> Strength:
-    """On a smaller grid, which is quick."""
+    """A strength on a smaller grid, which is faster."""
     small = replace(STRENGTH, lowest_modulus=0.002, highest_modulus=0.06, modulus_cells=48, limit_cells=64)
     return Strength(replace(small, **changes), VEHICLE)
 
@@ -97,7 +97,7 @@ def test_twist_error_acts_as_a_constant_one() -> None:
 
 
 def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
-    """The residual is one standard deviation with it and above five without."""
+    """With the load's uncertainty the residual is one standard deviation, without it above five."""
     contact, moduli = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((MODULUS,))
     rolling, lean = Rolling(np.array((0.25, -0.01, 0.12)), np.array((0.2, 0.35))), 0.3
     j, q = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0), np.empty((2, 1))
@@ -119,8 +119,8 @@ def test_many_short_steps_equal_one_long_step() -> None:
     often = np.zeros((2, 16, 2))
     for _ in range(100):
         often = carry(often, rolling, contact, STEP)
-    np.testing.assert_allclose(often[:, :, 0], once[:, :, 0], atol=1e-9)  # grows evenly
-    np.testing.assert_allclose(often[:, :, 1], once[:, :, 1], atol=0.015)  # bends between the centres
+    np.testing.assert_allclose(often[:, :, 0], once[:, :, 0], atol=1e-9)  # linear growth
+    np.testing.assert_allclose(often[:, :, 1], once[:, :, 1], atol=0.015)  # curved between the centres
 
 
 def test_exact_data_recover_both_parameters() -> None:
@@ -166,7 +166,7 @@ def test_shear_modulus_is_unidentifiable_from_slips_below_their_error() -> None:
 
 @pytest.mark.slow
 def test_intervals_have_their_stated_coverage() -> None:
-    """Time-correlated errors of slip and thrust in 80 runs: nine of ten intervals contain the truth."""
+    """80 runs with time-correlated errors of slip and thrust: nine of ten intervals contain the truth."""
     random = np.random.default_rng(5)
     runs, stddev, scatter, covered = 80, 0.003, 0.01, np.zeros(2)
     correlated = dict.fromkeys(("slip_bias_stddev", "thrust_scale_stddev", "thrust_share_stddev"), 0.0)
@@ -215,7 +215,7 @@ def test_one_wrong_sample_has_no_effect() -> None:
 
 
 def test_repeated_samples_of_one_moment_add_no_information() -> None:
-    """At 100 Hz as at 5 Hz: what counts is how long, not how often."""
+    """100 Hz as 5 Hz: the duration of the motion determines the information, not the rate."""
     often, seldom = new_strength(), new_strength()
     sample = straight(0.1, force_of(0.1))
     for _ in range(400):

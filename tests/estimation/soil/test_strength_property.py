@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever comes in, the strength posterior stays a distribution, and knows no more than it may."""
+"""For any input the strength posterior stays a distribution, and is not overconfident."""
 
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def test_posterior_stays_a_distribution_for_any_input(given_samples: list[Sample
 def test_mirrored_drives_give_the_same_posterior(
     slip: float, slower: float, v_y: float, rate: float, reverse: bool
 ) -> None:
-    """Mirrored left to right and front to back."""
+    """Mirrored left to right, and front to back."""
     tracks = np.array((slower * 0.35, 0.35))
     twist = np.array((0.35 * (1.0 - slip) - 0.5 * P.vehicle.whole().tread * rate, v_y, rate))
     thrusts = np.array((-600.0, 3000.0))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every public function of terramechanics: arrays are loops of scalars, and the impossible is refused."""
+"""Every public function of terramechanics: arrays equal loops of scalars; invalid arguments are rejected."""
 
 import inspect
 import math
@@ -29,7 +29,7 @@ PC05 = load_vehicle().whole()
 
 @dataclass(frozen=True)
 class Argument:
-    """A range to draw from, and what lies outside the domain."""
+    """A range to draw from, and values outside the domain."""
 
     field: str
     low: float

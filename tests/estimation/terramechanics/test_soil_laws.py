@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of soil and traction: monotone, odd, bounded, exact at their limits, inverse to themselves."""
+"""Laws of soil and traction: monotonic, odd, bounded, exact at their limits, with exact inverses."""
 
 import math
 

@@ -21,7 +21,7 @@ from trackslip_estimation.terramechanics import (
     turning,
 )
 
-FAST_TURN = 1.37  # rad/s, one track braked: R = B/2
+FAST_TURN = 1.37  # rad/s, with one track braked: R = B/2
 NORMAL_MU_L = np.linspace(0.5, 1.3, 81)
 
 
@@ -145,7 +145,7 @@ def test_figure_3_9_error_of_the_approximate_slip(pc05, modulus, worst, under_te
 
 
 def test_thrust_of_the_approximation_is_within_seven_percent(pc05):
-    """Read forward, F = F_max exp(−K/(i l)) errs by 6.99 % at most above u = 1, so above 4 % slip."""
+    """The error of F = F_max exp(−K/(i l)) is 6.99 % at most above u = 1, so above 4 % slip."""
     slip = np.linspace(0.04, 1.0, 20001)
     for modulus in (0.006, 0.01, 0.025, 0.05):
         forces = np.exp(-modulus / (slip * pc05.contact_length))
@@ -188,9 +188,9 @@ def test_centre_point_is_the_centroid(load):
 
 @pytest.mark.parametrize("load", [0.0, 0.05, 0.5, 1.0])
 def test_published_moment_is_four_times_that_of_the_tail(load):
-    """(3.7) is four times the tail's moment; the moment about C of all of f is (3.8) at any λ.
+    """(3.7) is four times the tail's moment; the moment about C of the whole f is (3.8) at any λ.
 
-    About the zero of f the elements' moments add up to (3.8) times 1 + 3 λ²: also not (3.7).
+    About the zero of f the moment of the elements is (3.8) times 1 + 3 λ²: not (3.7) either.
     """
     weight, length, mu = 12e3, 1.3, 0.4
     a = 2.0 * GRAVITY * mu * load
@@ -225,7 +225,7 @@ def test_figure_3_7_moment_without_centrifugal_force(pc05):
 
 
 def test_figure_3_8_centre_point(pc05):
-    """The first order of (3.6) against all of it: under 0.1 % for normal soils, −3.9 % at μ_l = 0.1."""
+    """First order of (3.6) against the complete form: under 0.1 % for normal soils, −3.9 % at μ_l = 0.1."""
     a = fast_turn_acceleration(pc05)
     mu = np.append(NORMAL_MU_L, 0.1)
     exact = turning.centre_point(pc05.contact_length, mu, a)
@@ -243,7 +243,7 @@ def test_uniform_moment_is_three_quarters():
 @pytest.mark.parametrize("speed", [0.5, -0.5])
 @pytest.mark.parametrize("yaw_rate", [0.8, -0.8])
 def test_slip_angle_and_shift_balance_the_centrifugal_force(pc05, speed, yaw_rate):
-    """Friction −k (v_y + φ̇ x) of (3.9)'s slope holds m v_x φ̇ in each of the four senses of turning."""
+    """Friction −k (v_y + φ̇ x) with k of (3.9) balances m v_x φ̇ in each of the four senses of turning."""
     length, mu = pc05.contact_length, 0.7
     shift = turning.rotation_shift(speed, yaw_rate, length, mu)
     slope = 2.0 * mu * pc05.weight / length**2 * math.copysign(1.0, yaw_rate)
@@ -275,7 +275,7 @@ def test_top_speed_at_full_pump_flow(pc05):
 
 
 def test_braking_torque_is_divided_by_the_efficiency_squared(pc05):
-    """The same pressure gives more torque when the track drives the motor."""
+    """At the same pressure the torque is larger when the track drives the motor."""
     driving = hydraulics.torque(4e6, 1.0, pc05)
     braking = hydraulics.torque(-4e6, 1.0, pc05)
     assert braking == pytest.approx(-driving / pc05.motor_efficiency**2)
