@@ -227,7 +227,7 @@ def test_straight_with_a_gap_does_not_use_the_gap(spoil: str) -> None:
     broken = replace(broken, thrusts=none) if spoil == "thrust" else replace(broken, tracks=none)
     assert strength.update(broken) is (SampleOutcome.USED if spoil == "thrust" else None)
     expected = before + (1.0 if spoil == "thrust" else 0.0)
-    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # some forgotten over 0.8 m
+    assert strength.posterior.effective_samples == pytest.approx(expected, abs=0.05)  # 0.8 m forget some
 
 
 def test_shear_modulus_is_not_observable_from_spinning_tracks() -> None:
