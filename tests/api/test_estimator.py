@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates from a data frame: as an import and a replay give them, with faults named by their columns."""
+"""Estimates from a data frame equal those of an import and a replay; errors name the columns."""
 
 from datetime import datetime, timedelta, timezone
 from decimal import Decimal
@@ -29,7 +29,7 @@ SOURCES: dict[str, dict[str, Any]] = {
 
 
 def drive(duration: float = 30.0) -> dict[str, np.ndarray]:
-    """Straight for half of it, then an arc, with fixes once a second; no slip."""
+    """Columns of a drive: straight for the first half, then an arc; fixes once a second; no slip."""
     t = np.arange(0.0, duration, 1.0 / RATE)
     rate = np.where(t < duration / 2.0, 0.0, 0.1)  # rad/s
     yaw = np.concatenate(([0.0], np.cumsum(rate[:-1]) / RATE))
@@ -110,7 +110,7 @@ def test_setup_of_a_frame_is_checked() -> None:
     tracks, gyro, fixes = log.tracks, log.gyros[0], log.fixes[0]
     parts = (
         {"t": tracks.t, "left": tracks.speeds[:, 0], "right": tracks.speeds[:, 1]},
-        {"t": gyro.t, "gz": -np.degrees(gyro.rates[:, 2])},  # of the wrong sign
+        {"t": gyro.t, "gz": -np.degrees(gyro.rates[:, 2])},  # wrong sign
         {"t": fixes.t, "x": fixes.places[:, 0], "y": fixes.places[:, 1]},
     )
     frame = pl.concat([pl.DataFrame(part) for part in parts], how="diagonal").sort("t", maintain_order=True)
@@ -224,7 +224,7 @@ def test_names_of_columns_are_free(result: ts.Result, name: str) -> None:
 
 
 def test_numbers_of_numpy_are_numbers(result: ts.Result, tmp_path: Path) -> None:
-    """In sources, parameters and the machine; this is also a file by its path."""
+    """Sources, parameters and the machine accept NumPy numbers; a machine may also be a file path."""
     stddev = {"x": np.float64(0.02), "y": np.float32(0.02).astype(np.float64).round(2)}
     sources = {**SOURCES, "fixes": {**SOURCES["fixes"], "stddev": stddev}}
     numbers = {name: np.float64(value) for name, value in MACHINE["kinematics"].items()}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Python interface: what it returns is what the commands give, to the last bit, and fits together."""
+"""The Python interface returns what the commands give, to the last bit, and its parts are consistent."""
 
 import json
 import math
@@ -24,7 +24,7 @@ DATUM = (52.0, 13.0, 40.0)  # deg, deg, m
 
 @pytest.fixture(scope="module")
 def result() -> ts.Result:
-    """Of the example."""
+    """The result of the example."""
     return ts.replay(ts.example())
 
 
@@ -42,7 +42,7 @@ def test_estimates_are_those_that_the_command_writes(result: ts.Result, tmp_path
     estimates = result.estimates
     assert np.array_equal(rows["stamp_ns"], estimates.stamp_ns)
     assert np.array_equal(np.column_stack((rows["x"], rows["y"])), estimates.pose[:, :2])
-    assert np.allclose(headings_of(rows), estimates.pose[:, 2], rtol=0.0, atol=1e-12)  # by a quaternion
+    assert np.allclose(headings_of(rows), estimates.pose[:, 2], rtol=0.0, atol=1e-12)  # of quaternions
 
 
 def test_summary_is_that_of_the_command(result: ts.Result, tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_summary_is_that_of_the_command(result: ts.Result, tmp_path: Path) -> No
     expected = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     found = json.loads(json.dumps(result.summary))
     for one in (found, expected):
-        del one["real_time_factor"]  # of this run
+        del one["real_time_factor"]  # differs between runs
     assert found == expected
 
 
@@ -159,7 +159,7 @@ def test_geojson_has_the_path_in_degrees(result: ts.Result, tmp_path: Path) -> N
     path = result.estimates.save(tmp_path / "path.geojson", datum=DATUM)
     (feature,) = json.loads(path.read_text(encoding="utf-8"))["features"]
     longitude, latitude = np.array(feature["geometry"]["coordinates"]).T
-    metres = 111_300.0  # a degree of latitude, to a thousandth
+    metres = 111_300.0  # length of a degree of latitude, to a thousandth
     east, north = result.estimates.pose[:, :2].T
     assert np.allclose((latitude - DATUM[0]) * metres, north, atol=0.1)
     scale = math.cos(math.radians(DATUM[0]))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorded runs of bags/: unchanged, readable, and replayed to the numbers of their manifest."""
+"""The recorded runs of bags/ are unchanged and readable, and replay to the numbers of their manifest."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ from trackslip_tools.cli.main import main
 
 BAGS = Path(__file__).parents[2] / "bags"
 MANIFEST: dict[str, Any] = yaml.safe_load((BAGS / "manifest.yaml").read_text(encoding="utf-8"))
-MOST_BYTES = 5_500_000  # of all together
+MOST_BYTES = 5_500_000  # total of all runs
 
 each = pytest.mark.parametrize("name", MANIFEST["bags"])
 

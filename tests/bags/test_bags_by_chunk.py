@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics read chunk by chunk are what they are message by message: of whole files, cut and damaged ones."""
+"""Reading topics chunk by chunk equals reading message by message: whole, truncated and damaged files."""
 
 import tempfile
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ Found = list[tuple[str, int, bytes]]
 
 
 class Recorded(NamedTuple):
-    """A file's messages as written, and how."""
+    """Messages of a file, and how they are written."""
 
     messages: list[tuple[str, int, bytes]]  # topic, log time, CDR
     chunk_size: int
@@ -42,7 +42,7 @@ recordings = st.builds(
     st.lists(
         st.tuples(
             st.sampled_from(TOPICS),
-            st.integers(0, 20),  # ties, and chunks that overlap in time
+            st.integers(0, 20),  # equal times, and chunks that overlap in time
             st.text("xyz", max_size=30).map(lambda data: serialize(make(TEXT, data=data))),
         ),
         max_size=30,
@@ -77,7 +77,7 @@ def written(recorded: Recorded) -> Iterator[Path]:
 
 
 def at_once(bag: Bag, topics: set[str], *span: int) -> Found | str:
-    """As the stretches give them, in log order."""
+    """The messages of all stretches, in log order, or the error."""
     requested = [topic for topic in bag.topics if topic in {f"/{t.removeprefix('/')}" for t in topics}]
     found: Found = []
     try:
@@ -102,7 +102,7 @@ def one_by_one(bag: Bag, topics: set[str], *span: int) -> Found | str:
 
 @contextmanager
 def stretches_of(ns: int) -> Iterator[None]:
-    """Stretches of so many ns: several to a file."""
+    """Make stretches ``ns`` long, so that a file has several."""
     with mock.patch.object(chunks, "STRETCH_NS", ns):
         yield
 
@@ -129,7 +129,7 @@ def test_a_part_of_a_file(recorded: Recorded, start: int, stop: int, stretch_ns:
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(recordings, wishes, st.floats(0.0, 1.0), st.integers(0, 255))
 def test_cut_and_damaged_files(recorded: Recorded, topics: set[str], at: float, value: int) -> None:
-    """Cut at a place, or with another value there; what is refused is refused in the same words."""
+    """Files are truncated at a place or have another value there; both ways give the same error."""
     with written(recorded) as path, stretches_of(5):
         data = path.read_bytes()
         place = round(at * (len(data) - 1))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The reader: every form of bag that rosbag2 writes, damaged ones, and what is no bag."""
+"""The bag reader: every form of bag that rosbag2 writes, damaged bags, and files that are no bag."""
 
 import shutil
 from collections.abc import Callable
@@ -46,7 +46,7 @@ def write_texts(path: Path, times_ns: list[int], topic: str = "/a") -> Path:
 
 
 def write_long(path: Path) -> Path:
-    """4 s of IMU at 100 Hz: eight chunks."""
+    """Write 4 s of IMU at 100 Hz: eight chunks."""
     with BagWriter(path) as bag:
         for i in range(400):
             bag.write("/imu", IMU, serialize(make(IMU, header=header(i * 10 * MS, "imu_link"))), i * 10 * MS)
@@ -81,7 +81,7 @@ def test_bags_of_others_open(
         assert [bag.deserialize(m.raw, TEXT).data for m in bag.messages(["/a"])] == ["first", "second"]
 
 
-# From which version of metadata.yaml on a field is there, by rosbags' history of them.
+# First version of metadata.yaml with each field, by the version history in rosbags.
 SINCE = {
     "ros_distro": 8,
     "type_description_hash": 7,
@@ -103,7 +103,7 @@ OTHER_QOS += "  liveliness: 1\n  avoid_ros_namespace_conventions: false"
 def test_messages_come_whatever_the_metadata_state_of_their_topic(
     tmp_path: Path, storage: StoragePlugin, compression: CompressionMode, version: int
 ) -> None:
-    """They are of an earlier version, their QoS was edited so that a player takes it, or a topic is gone."""
+    """metadata.yaml has an earlier version, QoS edited by hand for a player, or lacks a topic."""
     writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
     writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
@@ -135,7 +135,7 @@ def test_messages_come_whatever_the_metadata_state_of_their_topic(
 def test_split_bags_of_others_open(
     tmp_path: Path, storage: StoragePlugin, compression: CompressionMode
 ) -> None:
-    """As ``ros2 bag record --max-bag-size`` leaves them: one ``metadata.yaml`` over all files."""
+    """``ros2 bag record --max-bag-size`` writes one ``metadata.yaml`` for all files."""
     whole = tmp_path / "split"
     whole.mkdir()
     found: list[dict[str, Any]] = []
@@ -230,7 +230,7 @@ def test_bag_without_metadata_is_read_whole(tmp_path: Path) -> None:
 def test_a_split_recording_is_read_as_one(tmp_path: Path) -> None:
     whole = tmp_path / "split"
     whole.mkdir()
-    for number in (2, 10, 1):  # as numbers, not as text
+    for number in (2, 10, 1):  # in numerical order
         part = write_texts(tmp_path / str(number), [number * 100, number * 100 + 1])
         shutil.copy(part / f"{number}_0.mcap", whole / f"split_{number}.mcap")
     last = whole / "split_10.mcap"
@@ -296,7 +296,7 @@ def test_the_description_names_every_topic(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["/sprockets", f"/{'a_long_name/' * 5}sprockets"])
 def test_the_description_fits_a_terminal(name: str, tmp_path: Path) -> None:
-    """With the longest of our types and a topic of 12 letters."""
+    """The type name is the longest of ours, and the topic has 12 letters."""
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
     with BagWriter(tmp_path / "bag") as writer:
         writer.write(name, kind, serialize(make(kind)), 0)

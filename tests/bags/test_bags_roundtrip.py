@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every project message, with any content, comes back from a bag as it went in; so says rosbags too."""
+"""Every project message with any content is read from a bag as it was written, by rosbags too."""
 
 import tempfile
 from pathlib import Path

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of several files: when the writer begins another, and that they are read as one."""
+"""Bags of several files: when the writer begins the next file, and reading them as one bag."""
 
 import math
 import random
@@ -21,7 +21,7 @@ MS = 1_000_000
 
 
 def write_imu(path: Path, count: int, size: float = math.inf, duration: float = math.inf) -> Path:
-    """At 100 Hz; one message on a topic that then falls silent."""
+    """Write IMU at 100 Hz, and a single message on another topic."""
     with BagWriter(path, split_size=size, split_duration=duration) as bag:
         bag.write("/once", TEXT, serialize(make(TEXT, data="first")), 0)
         for i in range(count):
@@ -68,7 +68,7 @@ def test_every_reader_reads_a_split_bag_as_one(tmp_path: Path) -> None:
 
 
 def test_each_file_of_a_split_bag_is_readable_alone(tmp_path: Path) -> None:
-    """Foxglove and ``mcap`` open any of them alone: all topics with their definitions, all checksums."""
+    """Foxglove and ``mcap`` open each file alone: all topics with their definitions, all checksums."""
     path = write_imu(tmp_path / "bag", 250, duration=1.0)
     total = 0
     for file in path.glob("*.mcap"):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions: found, hashed as ROS does, and read as a bag defines them."""
+"""Message definitions: found, hashed as in ROS, and read as a bag defines them."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def fresh_store() -> Iterator[None]:
 
 
 def ros_descriptions() -> Iterator[Path]:
-    """The .json type descriptions that rosidl installs, where ROS is installed."""
+    """Paths of the .json type descriptions that rosidl installs, where ROS is installed."""
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     for type_name in (*STANDARD, *project_types()):
         package, _, name = type_name.split("/")
@@ -70,7 +70,7 @@ def test_a_schema_defines_the_type_and_all_inside_it(type_name: str) -> None:
 
 @pytest.mark.parametrize("type_name", sorted({topic.type_name for topic in TOPICS.values()}))
 def test_the_installed_definition_is_that_of_rosbags(type_name: str) -> None:
-    """The recorder's schemas are those of bags written at the desk."""
+    """The recorder writes the schemas of bags that are made without ROS."""
     installed = installed_schema(type_name)
     if installed is None:
         pytest.skip(f"{type_name} is not installed here")
@@ -145,7 +145,7 @@ ENDLESS = {
 
 @pytest.mark.parametrize("defect", ENDLESS)
 def test_recursive_or_huge_definition_is_refused(defect: str) -> None:
-    """In a bag of a thousand bytes."""
+    """Bags of a thousand bytes may contain such definitions."""
     definition = MessageDefinition(MessageDefinitionFormat.MSG, ENDLESS[defect])
     with pytest.raises(ValueError, match=r"contains itself|too large"):
         types.store_for("sensor_msgs/msg/JointState", definition)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The writer: a rosbag2 bag on disk, whole when closed and readable when killed."""
+"""The bag writer: a rosbag2 bag on disk, complete when closed and readable when killed."""
 
 import subprocess
 import sys
@@ -93,7 +93,7 @@ def test_metadata_states_what_is_in_the_bag(tmp_path: Path) -> None:
     assert topics["/imu"]["message_count"] == 3
     assert topics["/imu"]["topic_metadata"]["type_description_hash"] == type_hash(IMU)
     assert topics["/imu"]["topic_metadata"]["offered_qos_profiles"][0]["reliability"] == "best_effort"
-    with AnyReader([tmp_path / "run"]) as reader:  # checks the hashes too
+    with AnyReader([tmp_path / "run"]) as reader:  # checks hashes too
         by_topic = {connection.topic: connection for connection in reader.connections}
         assert by_topic["/imu"].ext.offered_qos_profiles[0].reliability == QosReliability.BEST_EFFORT
         assert [time_ns for _, time_ns, _ in reader.messages()] == [5000, 6000, 7000]
@@ -130,7 +130,7 @@ def test_a_path_below_a_file_is_refused(tmp_path: Path) -> None:
 def test_name_invalid_in_metadata_is_refused_before_writing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the name is not UTF-8; accepted") as caught:
         BagWriter(tmp_path / "bag\udcff")
-    str(caught.value).encode()  # can be printed
+    str(caught.value).encode()  # can be encoded
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which angle a count of the encoders is, by the positions of a log, or by its speeds."""
+"""Encoder resolution estimated from the positions of a log, or from its speeds."""
 
 import math
 from collections.abc import Callable
@@ -14,18 +14,18 @@ from trackslip_bags.importing.importer import encoder_resolution
 from trackslip_bags.importing.samples import Samples
 
 T = np.arange(0.0, 60.0, 0.02)  # s
-ANGLES = 20.0 * np.column_stack((np.sin(T / 7.0), np.sin(T / 9.0)))  # rad, to and fro
+ANGLES = 20.0 * np.column_stack((np.sin(T / 7.0), np.sin(T / 9.0)))  # rad, back and forth
 
 
 def sprockets(positions: np.ndarray, speeds: np.ndarray | None = None, t: np.ndarray = T) -> list[Samples]:
-    """Of a log, with their positions, rad, and speeds, rad/s, both (n, 2), at times (n,), s."""
+    """Samples of sprockets with positions, rad, and speeds, rad/s, both (n, 2), at times (n,), s."""
     stamps = np.round(t * 1e9).astype(np.int64)
     values = {"position": positions, "velocity": np.zeros_like(positions) if speeds is None else speeds}
     return [Samples("sprockets", "sprockets", [""], stamps, stamps, values)]
 
 
 def of_speeds(speeds: np.ndarray, t: np.ndarray = T) -> float:
-    """What is found where a log has no positions."""
+    """Resolution from a log without positions."""
     return encoder_resolution(sprockets(np.full_like(speeds, np.nan), speeds, t))
 
 

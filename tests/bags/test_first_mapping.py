@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A first mapping of a CSV log: columns are found by their names, and a guess is named as one."""
+"""The first mapping of a CSV log: columns are found by their names, and guesses are marked."""
 
 from pathlib import Path
 
@@ -104,7 +104,7 @@ def test_times_in_two_columns_are_added(names: str, row: str, unit: object, tmp_
         ("Drehzahl_links", "Drehzahl_rechts", "velocity", "rpm"),
         ("vitesse_gauche", "vitesse_droite", "velocity", "m/s"),
         ("Kette_links_km/h", "Kette_rechts_km/h", "velocity", "km/h"),
-        ("wheel_speed[1]", "wheel_speed[0]", "velocity", "rad/s"),  # PX4: 0 is the right one
+        ("wheel_speed[1]", "wheel_speed[0]", "velocity", "rad/s"),  # PX4: 0 is right
         ("Dist0", "Dist1", "position", "m"),  # ArduPilot
         ("encoder_0", "encoder_1", "position", "rev"),
         ("/joint_states/left_wheel/velocity", "/joint_states/right_wheel/velocity", "velocity", "m/s"),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags, disks and files that mean no good: one line that says what is wrong, and nothing left behind."""
+"""Hostile bags, disks and files: each error is one line that states the cause, and nothing is left behind."""
 
 import os
 from collections.abc import Callable
@@ -32,7 +32,7 @@ def text_bag(path: Path, count: int = 10, topic: str = "/text", first_ns: int = 
 
 
 def two_typed_bag(path: Path) -> Path:
-    """Of two files: text on a topic in the one, numbers in the other."""
+    """Write a bag of two files: a topic has text in the first, and numbers in the second."""
     bag = BagWriter(path)
     bag.write("/both", TEXT, serialize(make(TEXT, data="a")), 1)
     del bag.topics["/both"]
@@ -50,7 +50,7 @@ def read_all(path: Path) -> None:
 
 @pytest.fixture
 def pipe(tmp_path: Path) -> Callable[[str], Path]:
-    """A function that makes a named pipe, to which nobody ever writes."""
+    """A function that makes a named pipe without a writer."""
 
     def made(name: str) -> Path:
         os.mkfifo(tmp_path / name)
@@ -73,7 +73,7 @@ def pipe(tmp_path: Path) -> Callable[[str], Path]:
 def test_metadata_with_absurd_values_do_not_hide_the_messages(
     tmp_path: Path, stated: str, instead: str
 ) -> None:
-    """The files state then what is in the bag, and the bag is called damaged."""
+    """The content is read from the files, and the bag is reported as damaged."""
     file = text_bag(tmp_path / "bag") / METADATA
     text = file.read_text(encoding="utf-8")
     assert stated in text

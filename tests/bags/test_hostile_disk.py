@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorder's disk: what it may remove, what it never does, and how long the space lasts."""
+"""The recorder's disk: files it may remove, files it keeps, and the time until the disk is full."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of other robots, of ROS 1 and ROS 2: each topic of theirs gets a role, and keeps how late it was."""
+"""Bags of other robots, in ROS 1 and ROS 2: each topic gets a role and keeps its lateness."""
 
 import copy
 import math
@@ -55,7 +55,7 @@ def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def changed(**topics: Any) -> dict[str, Any]:
-    """The mapping with other topics; `imu` stands for imu/data_raw, None removes."""
+    """The mapping with topics replaced; `imu` stands for imu/data_raw, None removes."""
     mapping = copy.deepcopy(MAPPING)
     for name, topic in topics.items():
         mapping["topics"][{"imu": "imu/data_raw"}.get(name, name)] = topic
@@ -64,7 +64,7 @@ def changed(**topics: Any) -> dict[str, Any]:
 
 
 def imported(log: Path, folder: Path, mapping: dict[str, Any] = MAPPING) -> tuple[Imported, dict[str, Any]]:
-    """What the importer says, and all messages by topic, each with its log time."""
+    """The importer's result, and all messages by topic, each with its log time."""
     (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
     found = import_log([log], read_mapping(folder / "map.yaml"), folder / "bag")
     messages: dict[str, list[tuple[int, Any]]] = {}
@@ -75,7 +75,7 @@ def imported(log: Path, folder: Path, mapping: dict[str, Any] = MAPPING) -> tupl
 
 
 def test_joints_become_sprockets(log: Path, tmp_path: Path) -> None:
-    """Sides are means of two wheels; the right ones turn the other way."""
+    """Each side is the mean of two wheels; the right ones turn the other way."""
     _, messages = imported(log, tmp_path)
     sprockets = [m for _, m in messages["/sprockets"]]
     assert sprockets[0].name == ["left_sprocket", "right_sprocket"]
@@ -125,7 +125,7 @@ def test_positions_or_velocities_alone_serve(log: Path, tmp_path: Path, use: str
 
 
 def test_speeds_of_a_base_controller_serve(log: Path, tmp_path: Path) -> None:
-    """Its v and ω are those of the wheels without slip, by its own geometry."""
+    """v and ω of the controller are converted to wheel speeds without slip, by the controller's geometry."""
     sprockets = {"from": "/odom", "geometry": GEOMETRY}
     _, messages = imported(log, tmp_path, changed(sprockets=sprockets))
     np.testing.assert_allclose([m.velocity for _, m in messages["/sprockets"]], TRUTH.wheels, atol=1e-12)
@@ -243,7 +243,7 @@ def test_a_cut_bag_of_ros1_names_what_mends_it(tmp_path: Path) -> None:
 
 
 def test_a_type_of_another_form_is_named(tmp_path: Path) -> None:
-    """A bag whose definition of JointState was damaged."""
+    """The bag's definition of JointState is damaged."""
     log = write_ros1(tmp_path / "robot.bag", TRUTH)
     log.write_bytes(log.read_bytes().replace(b"float64[] velocity", b"float64[] velocitx"))
     with pytest.raises(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""CSV logs as people have them: several files, blanks, dates, latitudes, ground speeds, one gyro axis."""
+"""Typical CSV logs: several files, blank cells, dates, latitudes, ground speeds, one gyro axis."""
 
 import math
 import re
@@ -35,7 +35,7 @@ CERTAIN = {"x": 0.1, "y": 0.1}
 def imported(
     folder: Path, logs: str | dict[str, str], topics: dict[str, Any], **more: Any
 ) -> tuple[Imported, dict[str, list[Any]]]:
-    """What the importer says of logs given as text, and the messages by topic."""
+    """The importer's result for logs given as text, and the messages by topic."""
     files = logs if isinstance(logs, dict) else {"log.csv": logs}
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -43,7 +43,7 @@ def imported(
 
 
 def covariance(message: Any) -> np.ndarray[Any, Any]:
-    """Of x, y, yaw."""
+    """(3, 3) covariance of x, y, yaw."""
     found: np.ndarray[Any, Any] = message.pose.covariance.reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
     return found
 
@@ -99,7 +99,7 @@ def test_which_file_must_be_clear(tmp_path: Path, of_file: dict[str, str], messa
 
 
 def test_a_blank_cell_is_no_value_in_this_row(tmp_path: Path) -> None:
-    """Rows of several rates in one file; a fix without a heading is one without a heading."""
+    """Rows of several rates share a file; a fix with a blank heading has no heading."""
     log = (
         "t,l,r,x,y,yaw,s\n1,2,3,,,,\n2,2,3,5,6,,0.2\n3,nan,NA,7,8,1.5,0.1\n4,2,,,,,\n,2,3,,,,\n5,2,3,5,6,1,\n"
     )
@@ -146,7 +146,7 @@ def test_one_gyro_axis_leaves_the_others_unknown(tmp_path: Path) -> None:
     ],
 )
 def test_speeds_of_any_kind_become_sprockets(tmp_path: Path, columns: dict[str, Any], row: str) -> None:
-    """1 and 2 m/s of the tracks are 2 and 4 rad/s; so are a twist, and means of two columns."""
+    """1 and 2 m/s of the tracks give 2 and 4 rad/s, as do a twist and means of two columns."""
     topic = {**columns, "geometry": GEOMETRY}
     _, messages = imported(tmp_path, f"t,l,r\n1,{row}\n", {"sprockets": topic})
     np.testing.assert_allclose(messages["sprockets"][0].velocity, (2.0, 4.0))
@@ -161,7 +161,7 @@ def test_positions_alone_give_velocities(tmp_path: Path) -> None:
 
 
 def test_latitude_and_longitude_become_fixes_and_local_poses(tmp_path: Path) -> None:
-    """A minute of latitude is a nautical mile, more or less; a receiver without a fix writes zeros."""
+    """A minute of latitude is about a nautical mile; a receiver without a fix writes zeros."""
     rows = ("1,48.0,11.0,4,0,0.01", "2,48.01666667,11.0,5,90,0.2", "3,0,0,0,0,9", "4,48,11.001,4,,0.01")
     log = "\n".join(("t,lat,lon,q,cog,s", *rows, ""))
     place = {k: {"column": k[:3], "unit": "deg"} for k in ("latitude", "longitude")}
@@ -217,7 +217,7 @@ def test_quaternions_give_the_yaw(tmp_path: Path) -> None:
 
 
 def test_receive_time_of_a_row_is_kept(tmp_path: Path) -> None:
-    """Stamps may then go back; the bag is in the order of arrival."""
+    """Stamps may then decrease; the bag has the order of arrival."""
     pose = {**XY, "stddev": CERTAIN, "received": {"column": "rx", "unit": "s"}}
     log = "t,rx,x,y\n1,1.5,1,0\n3,3.1,2,0\n2,3.2,3,0\n"
     found, messages = imported(tmp_path, log, {"gnss_pose": pose})

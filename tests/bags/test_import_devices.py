@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of a CAN bus and of a GNSS receiver become bags, as the drivers would have recorded them."""
+"""Logs of a CAN bus and of a GNSS receiver become the bags that the drivers would have recorded."""
 
 import math
 import re
@@ -39,7 +39,7 @@ _MF4 = pytest.mark.skipif(find_spec("asammdf") is None, reason="pip install -r r
 
 
 def write_bus(path: Path, channel: str | int = 0) -> Path:
-    """Two seconds of a bus, at our days."""
+    """Write two seconds of a bus with present-day stamps."""
     with WRITERS[f"drive{path.suffix}"](path) as log:
         for stamp_ns, name, data in unseen_bus.frames(S, 3 * S):
             log.on_message_received(
@@ -55,7 +55,7 @@ def write_bus(path: Path, channel: str | int = 0) -> Path:
 
 
 def imported(folder: Path, logs: list[Path], **sections: Any) -> tuple[Imported, dict[str, list[Any]]]:
-    """What the importer says, and the messages by topic."""
+    """The importer's result, and the messages by topic."""
     dbc, roles = unseen_bus.write(folder)
     mapping = {"vehicle": "pc05", **sections}
     if mapping.get("can") == {}:
@@ -156,7 +156,7 @@ def test_an_mf4_cut_short_is_refused_in_one_line_or_read(tmp_path: Path, size: i
 
 
 def epochs(*encoders: Any, begin_ns: int = BEFORE_MIDNIGHT_NS, count: int = 20) -> bytes:
-    """NMEA at 10 Hz, on a drive eastward."""
+    """NMEA at 10 Hz of a drive eastward."""
     found = b""
     for k in range(count):
         at = Position(begin_ns + k * S // 10, 48.1, 11.6 + 1e-6 * k, 520.0, 4, 0.6, 0.01, 0.02, 90.0, 0.2)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Headings of antenna pairs and angles of an upper structure, of bags and CSV logs, as they are read."""
+"""Headings of antenna pairs and angles of an upper structure, imported from bags and CSV logs."""
 
 import math
 from pathlib import Path
@@ -16,19 +16,19 @@ from trackslip_estimation.slip.measurements import HeadingFix
 from trackslip_estimation.slip.parameters import load_slip_parameters
 
 COMPASS = load_slip_parameters({"heading_sources": ["heading"]}).compasses()["heading"]
-UNKNOWN = COMPASS.stddev**2  # where the message has no variance
+UNKNOWN = COMPASS.stddev**2  # if the message has no variance
 EAST, NORTH = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 
 def headings(messages: list[Any]) -> list[tuple[float, float]]:
-    """Yaw and variance of each, as the estimator reads it."""
+    """Yaw and variance of each message, as the estimator reads them."""
     fixes = [heading_fix(message, "heading", COMPASS) for message in messages]
     assert all(isinstance(one, HeadingFix) for one in fixes)
     return [(one.heading, one.variance) for one in fixes if isinstance(one, HeadingFix)]
 
 
 def test_the_orientation_of_an_imu_without_rates_is_a_heading(tmp_path: Path) -> None:
-    """As nmea_gnss publishes it; what states that it has none is left out and counted."""
+    """nmea_gnss publishes such messages; those that state no orientation are left out and counted."""
     turns = [heading(0.0, EAST, 0.0, 1e-5), heading(0.2, EAST, -1.0, 0.0), heading(0.4, NORTH, 0.0, 0.0)]
     turns.append(heading(0.6, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0))
     sent = (("/gps/heading", one) for one in turns)
@@ -71,7 +71,7 @@ def test_columns_of_a_compass_are_headings(log: str, tmp_path: Path) -> None:
 
 
 def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
-    """Geared and the other way round; messages without it, or without its position, are counted."""
+    """With gear ratio and inverted sign; messages without the joint or its position are counted."""
     names = ["cab", "boom"]
     states = [joints(0.1 * k, names, [0.5 * k, 9.0], []) for k in range(3)]
     states += [joints(0.3, ["boom"], [9.0], []), joints(0.4, names, [], [1.0, 1.0])]
@@ -122,7 +122,7 @@ def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
 
 
 def wheels(apart_s: float) -> list[tuple[str, Any]]:
-    """Each wheel in a message of its own, the right one's stamp so much later."""
+    """Each wheel in its own message, that of the right one stamped ``apart_s`` later."""
     found = []
     for k in range(5):
         found.append(("/wheels", joints(0.1 * k, ["left"], [1.0 + k], [])))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Positions on the earth that are none of the map, or do not say how sure they are, of CSV logs and bags."""
+"""Positions off the map, without a standard deviation or too coarse for it, in CSV logs and bags."""
 
 import math
 from pathlib import Path
@@ -32,7 +32,7 @@ def import_fixes(folder: Path, fixes: list[Any], **more: Any) -> tuple[Imported,
 
 @pytest.fixture(params=["csv", "bag"])
 def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
-    """Imports a log of positions, of either kind."""
+    """A function that imports a log of positions, CSV or bag."""
 
     def run(places: list[tuple[float, float]], **more: Any) -> tuple[Imported, list[Any]]:
         if request.param == "csv":
@@ -46,7 +46,7 @@ def of_places(request: pytest.FixtureRequest, tmp_path: Path) -> Any:
 
 
 def test_datum_in_another_hemisphere_is_refused(of_places: Any, tmp_path: Path) -> None:
-    """One sign of the datum is wrong: the import fails, and names both positions."""
+    """One sign of the datum is wrong: the import fails and states both positions."""
     with pytest.raises(InputError) as caught:
         of_places(NEAR, datum=WRONG_SIGN)
     text = str(caught.value)
@@ -63,7 +63,7 @@ def test_a_log_too_far_from_the_datum_is_refused(of_places: Any) -> None:
 
 
 def test_wild_positions_are_left_out_and_counted(of_places: Any) -> None:
-    """As gnss_localizer does, by the same distance."""
+    """gnss_localizer has the same limit of distance."""
     wild = [(33.889, 151.193), (-35.0, 151.193)]
     found, messages = of_places([*NEAR[:3], *wild, *NEAR[3:]], datum=AT_SITE)
     assert found.left_out["/gnss_pose"] == {Reason.HEMISPHERE.value: 1, Reason.FAR.value: 1}
@@ -98,7 +98,7 @@ def test_a_latitude_that_is_none_is_left_out_of_a_bag(tmp_path: Path) -> None:
 
 
 def test_fix_without_covariance_does_not_refuse_the_bag(tmp_path: Path) -> None:
-    """In a CSV log such a row was left out and counted."""
+    """Such a fix is left out and counted, like such a row of a CSV log."""
     fixes = [fix(0.2 * k, *at, kind=0 if k == 3 else 2) for k, at in enumerate(NEAR)]
     fixes[5].position_covariance[4] = math.nan
     found, messages = import_fixes(tmp_path, fixes)
@@ -116,12 +116,12 @@ def test_bag_of_fixes_without_covariance_needs_a_stddev(tmp_path: Path) -> None:
 
 
 def at(k: int) -> tuple[float, float]:
-    """Degrees of a drive to the north east."""
+    """Latitude and longitude, deg, on a drive to the north east."""
     return SITE[0] + 2e-6 * k, SITE[1] + 2.7e-6 * k + 3e-6 * math.sin(k)
 
 
 def of_digits(digits: int) -> list[str]:
-    """Rows of it, as text of so many digits behind the point."""
+    """Rows of the drive with ``digits`` digits behind the decimal point."""
     return [f"{k},{at(k)[0]:.{digits}f},{at(k)[1]:.{digits}f}" for k in range(60)]
 
 
@@ -131,7 +131,7 @@ def of_32_bits() -> list[str]:
 
 @pytest.mark.parametrize("rows", [of_digits(5), of_32_bits()], ids=["five digits", "32 bit floats"])
 def test_positions_coarser_than_their_stddev_are_refused(rows: list[str], tmp_path: Path) -> None:
-    """An estimator was led away by 25 m and 1.4 m with certainty: steps beside fixes that stay."""
+    """Rounded positions repeat and step; with a small stddev they are wrong by 25 m or 1.4 m."""
     text = "\n".join(("t,lat,lon", *rows, ""))
     with pytest.raises(InputError, match=r"log\.csv: column 'l\w\w' is rounded by [\d.]+ m, and stddev of"):
         import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
@@ -142,7 +142,7 @@ def test_positions_coarser_than_their_stddev_are_refused(rows: list[str], tmp_pa
 
 @pytest.mark.parametrize("rows", [of_digits(8), [f"{k},{SITE[0]},{SITE[1] + 1e-5 * k}" for k in range(60)]])
 def test_positions_of_enough_digits_are_accepted(rows: list[str], tmp_path: Path) -> None:
-    """Also those of a drive at one speed, whose differences are one."""
+    """At a constant speed all differences of the positions are equal."""
     text = "\n".join(("t,lat,lon", *rows, ""))
     _, messages = import_csv(tmp_path, text, {"gnss_pose": {**CSV, **STDDEV}})
     assert len(messages) == len(rows)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Positions of joints that restarts after each turn, in bags and CSV logs."""
+"""Joint positions that restart after each turn, in bags and CSV logs."""
 
 import math
 from pathlib import Path
@@ -21,7 +21,7 @@ VEHICLE = {"kinematics": {"rolling_radius": 0.15, "tread": 0.6, "contact_length"
 
 
 def of_table(folder: Path, rows: list[str], topic: dict[str, Any]) -> list[Any]:
-    """What the importer makes of rows t, l, r."""
+    """Messages that the importer makes of rows t, l, r."""
     text = "\n".join(("t,l,r", *rows, ""))
     return import_csv(folder, text, {"sprockets": topic}, vehicle=VEHICLE)[1]
 
@@ -32,7 +32,7 @@ def wrapped(first: float) -> np.ndarray[Any, Any]:
 
 
 def of_bag(folder: Path, angles: Any, speeds: list[float]) -> list[Any]:
-    """What the importer makes of joint states."""
+    """Messages that the importer makes of joint states."""
     states = (joints(t, NAMES, row, speeds) for t, row in zip(T.tolist(), angles.tolist(), strict=True))
     topics = {"sprockets": {"from": "/joint_states", **SIDES}}
     return import_messages(folder, (("/joint_states", one) for one in states), topics, vehicle=VEHICLE)[1]
@@ -43,7 +43,7 @@ def of_bag(folder: Path, angles: Any, speeds: list[float]) -> list[Any]:
 def test_wrapping_positions_of_a_bag_are_continuous(
     first: float, speeds: list[float], tmp_path: Path
 ) -> None:
-    """Each joint jumps at a moment of its own, before the mean of its side and the ratio."""
+    """Each joint wraps at its own time and is unwrapped before the mean of the side and the ratio."""
     found = of_bag(tmp_path, wrapped(first), speeds)
     np.testing.assert_allclose([m.velocity for m in found], np.tile((5.0, 2.0), (len(T), 1)), atol=1e-9)
     positions = np.array([m.position for m in found])
@@ -58,7 +58,7 @@ def test_continuous_positions_of_a_bag_stay_as_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("unit", "turn"), [("rad", math.tau), ("deg", 360.0), ("rev", 1.0)])
 def test_wrapping_positions_of_a_csv_log_are_continuous(unit: str, turn: float, tmp_path: Path) -> None:
-    """A gear is behind the encoder; one cell is blank."""
+    """One encoder has a gear behind it; one cell is blank."""
     cells = (wrapped(-math.pi)[:, (0, 2)] / math.tau * turn).tolist()
     rows = [f"{t},{left:.12g},{right:.12g}" for t, (left, right) in zip(T.tolist(), cells, strict=True)]
     rows[100] = f"{T[100]},,"
@@ -75,7 +75,7 @@ def test_wrapping_positions_of_a_csv_log_are_continuous(unit: str, turn: float, 
 @pytest.mark.parametrize("bits", [8, 16, 24, 32])
 @pytest.mark.parametrize("is_signed", [False, True])
 def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Path) -> None:
-    """1000 counts a turn, which no counter holds a multiple of; the left counts up, the right down."""
+    """1000 counts a turn do not divide the counter's range; the left one counts up, the right one down."""
     modulus, least = 2**bits, -(2 ** (bits - 1)) if is_signed else 0
     speeds = np.array((600.0, -400.0))  # counts/s
     counts = np.round(np.outer(T, speeds)) + np.array((modulus - 100, 100))
@@ -91,7 +91,7 @@ def test_counters_that_are_full_restart(bits: int, is_signed: bool, tmp_path: Pa
 
 
 def test_positions_over_ground_have_no_turns(tmp_path: Path) -> None:
-    """Metres that jump by six did so."""
+    """A jump of six metres is no wrap."""
     topic = {f"{side}_position": {"column": side[0], "unit": "m"} for side in ("left", "right")}
     found = of_table(tmp_path, ["0,0,0", "0.5,6,0", "1,0.2,0"], topic)
     assert [m.position[0] * 0.15 for m in found] == pytest.approx([0.0, 6.0, 0.2])

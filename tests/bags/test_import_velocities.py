@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Velocities of receivers and radars, of bags and CSV logs, as they are read."""
+"""Velocities of receivers and radars, imported from bags and CSV logs."""
 
 import math
 from pathlib import Path

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A CSV log and a mapping become a bag; every mistake in either is one clear line."""
+"""A CSV log and a mapping become a bag; every mistake in either gives one clear line."""
 
 import argparse
 import copy
@@ -65,7 +65,7 @@ MAPPING: dict[str, Any] = {
 
 
 def import_text(folder: Path, log: str = LOG, mapping: dict[str, Any] = MAPPING) -> Path:
-    """Run the importer on a log and a mapping given as such; the bag's path."""
+    """Import a log and a mapping given as text; return the path of the bag."""
     (folder / "log.csv").write_text(log, encoding="utf-8")
     (folder / "map.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
     import_log([folder / "log.csv"], read_mapping(folder / "map.yaml"), folder / "bag")
@@ -77,7 +77,7 @@ def contents(bag: Bag, topic: str) -> list[Any]:
 
 
 def changed(**filters: Any) -> dict[str, Any]:
-    """The good mapping with dotted keys set (None removes); `__` stands for the dot."""
+    """The valid mapping with dotted keys changed (None removes); `__` stands for the dot."""
     mapping = copy.deepcopy(MAPPING)
     for dotted, value in filters.items():
         *parents, last = dotted.split("__")
@@ -131,7 +131,7 @@ def test_parameters_travel_in_the_bag(tmp_path: Path) -> None:
 
 
 def test_speeds_that_no_counts_show_in_have_no_count(tmp_path: Path) -> None:
-    """The usual one of the vehicle stood for it."""
+    """The resolution is 0 then, not the default of the vehicle."""
     speeds = 180.0 + 90.0 * np.sin(np.arange(120.0))
     rows = [f"{1000 + 50 * k},{v:.4f},{-v:.4f},0,0,90,{k},0,0,0,10,20" for k, v in enumerate(speeds)]
     log = "\n".join((LOG.splitlines()[0], *rows))

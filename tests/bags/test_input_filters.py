@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay changes before the estimator sees it: parsed and refused."""
+"""Filters that a replay applies to the input of the estimator: parsed and rejected."""
 
 import math
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder makes of numbers and times: lost messages, and the order of those sent again."""
+"""Counts and times at a recorder: lost messages, and the order of those sent again."""
 
 from trackslip_bags.recording import DeliveryOrder, Losses
 

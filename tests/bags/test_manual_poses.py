@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which topic of a bag tells of poses that somebody set."""
+"""Selection of the topic of a bag with manually set poses."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of earlier versions replay with what their parameters meant."""
+"""Bags of earlier versions replay with the meaning that their parameters had."""
 
 from typing import Any
 
@@ -57,7 +57,7 @@ def test_old_mapping_without_sources_applies_to_the_default_sources() -> None:
 @pytest.mark.parametrize("wrong", [True, None, 3, {"a": 1}, [None, ["box_pose"]]])
 @pytest.mark.parametrize("name", ["pose_sources", "slip_sources", "position_only", "pose_timeouts"])
 def test_malformed_list_of_sources_is_refused(name: str, wrong: Any) -> None:
-    """Old lists are converted without a check; the loader refuses malformed values."""
+    """Old lists are converted without a check; the loader rejects malformed values."""
     stated = current_names({"pose_timeouts": [1.0], "use_heading": True, name: wrong})
     if name.endswith("_sources"):
         with pytest.raises(InputError, match=name):

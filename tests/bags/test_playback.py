@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages of a bag a live graph is given, and when."""
+"""Messages of a bag that playback publishes, and their times."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +19,7 @@ BEGIN_NS = 1_000 * S
 
 
 def three() -> Iterator[Played]:
-    """At 0, 1 and 3 s."""
+    """Messages at 0, 1 and 3 s."""
     for t in (0, 1, 3):
         yield Played("/a", BEGIN_NS + t * S, str(t).encode())
 
@@ -30,7 +30,7 @@ def taken(playback: Playback, now_s: float) -> list[str]:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Ten messages, one each second, on each of four topics."""
+    """A bag of ten messages, one per second, on each of four topics."""
     with BagWriter(tmp_path / "bag") as bag:
         for t in range(10):
             for topic in ("/sprockets", "/odometry", "/clock", "/diagnostics"):

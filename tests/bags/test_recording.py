@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bag of a recorder on a disk that refuses, or is to take no more than so much."""
+"""The bag of a recorder on a disk that fails, or with a limited share of it."""
 
 import logging
 from collections.abc import Callable
@@ -19,7 +19,7 @@ Begin = Callable[..., Recording]
 
 @pytest.fixture
 def begin(tmp_path: Path) -> Begin:
-    """Begins a recording with parameters."""
+    """A function that begins a recording with parameters."""
     rest: dict[str, Any] = {"more_topics": "", "split_size": 0, "split_duration": 0.0, "max_disk": 0}
 
     def made(**parameters: Any) -> Recording:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip recover``: a whole bag of what a damaged one still holds, and a word on what it does not."""
+"""``trackslip recover``: a complete bag of the remains of a damaged one, and a report of the loss."""
 
 import hashlib
 import random
@@ -39,7 +39,7 @@ def imu(i: int) -> bytes:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """4 s of IMU at 100 Hz in eight chunks, sent before they were logged; and a silent topic."""
+    """A bag of 4 s of IMU at 100 Hz in eight chunks, published before they are logged; and a silent topic."""
     path = tmp_path_factory.mktemp("recover") / "bag"
     with BagWriter(path) as bag:
         bag.add_topic("/imu", IMU, LATCHED)
@@ -51,19 +51,19 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def damaged(whole: Path, tmp_path: Path) -> Path:
-    """A copy, to be damaged."""
+    """A copy of the bag, to be damaged."""
     return Path(shutil.copytree(whole, tmp_path / "bag"))
 
 
 def cut(path: Path, kept: float) -> None:
-    """Keep so much of a recording, and no metadata, as a power cut does."""
+    """Keep the share ``kept`` of a recording without metadata, as after a power cut."""
     file = path / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[: int(file.stat().st_size * kept)])
     (path / "metadata.yaml").unlink()
 
 
 def contents(path: Path) -> list[bytes]:
-    """The IMU messages of a bag that must be whole, by three readers that check it."""
+    """The IMU messages of a complete bag, by three readers that check it."""
     with open_bag(path) as bag:
         assert bag.damage == ""
         ours = [m.raw for m in bag.messages(["/imu"])]
@@ -136,7 +136,7 @@ def test_a_split_bag_keeps_its_files(tmp_path: Path) -> None:
     (tmp_path / "bag" / "metadata.yaml").unlink()
     shares: list[float] = []
     recovery = recover(tmp_path / "bag", tmp_path / "out", shares.append)
-    assert len(shares) > 4  # more than one of each file
+    assert len(shares) > 4  # several per file
     assert sum(shares) == pytest.approx(1.0)
     assert (recovery.cut, len(recovery.problems)) == (1, 1)
     assert len(list((tmp_path / "out").glob("*.mcap"))) == 4
@@ -189,7 +189,7 @@ def test_a_recorder_killed_before_its_first_chunk_leaves_an_empty_bag(tmp_path: 
 def test_bags_of_ros2_bag_are_read_and_recovered(
     tmp_path: Path, storage: StoragePlugin, mode: CompressionMode | None, with_metadata: bool
 ) -> None:
-    """A recorder that was killed states nowhere that it packed messages or files."""
+    """A recorder that was killed records nowhere that messages or files are compressed."""
     writer = Writer(tmp_path / "bag", version=9, storage_plugin=storage)
     if mode is not None:
         writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -280,7 +280,7 @@ def test_a_full_disk_leaves_no_half_recovery(
 
 @pytest.mark.parametrize("seed", range(40))
 def test_random_damage_never_makes_a_bad_bag(whole: Path, tmp_path: Path, seed: int) -> None:
-    """Cut, overwritten, doubled, or with a piece missing: all that comes back was in the bag, in order."""
+    """Truncated, overwritten, doubled or partly removed: all recovered messages were in the bag, in order."""
     random_ = random.Random(seed)
     data = bytearray((whole / "bag_0.mcap").read_bytes())
     for _ in range(random_.randint(1, 4)):

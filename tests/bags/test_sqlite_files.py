@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""SQLite bags are read with the companion files of their storage, as SQLite reads them."""
+"""SQLite bags are read with the companion files of their database, as by SQLite."""
 
 import shutil
 import sqlite3
@@ -27,7 +27,7 @@ def imu(i: int) -> bytes:
 
 
 def written(path: Path, count: int) -> Path:
-    """The database of a bag that another recorder wrote."""
+    """Write the database of a bag with another recorder; return its path."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
         connection = bag.add_connection("/imu", IMU, typestore=typestore())
         for i in range(count):
@@ -37,13 +37,13 @@ def written(path: Path, count: int) -> Path:
 
 
 def killed(tmp_path: Path, journal_mode: str, before: int) -> Path:
-    """A bag whose recorder was killed with ``before`` messages in the database, the others beside it."""
+    """A bag of a killed recorder: ``before`` messages in the database, the rest in its companion file."""
     file = written(tmp_path / "recording", before)
     bag = tmp_path / "bag"
     database = sqlite3.connect(file, isolation_level=None)
     database.execute(f"PRAGMA journal_mode={journal_mode}")
     database.execute("PRAGMA wal_autocheckpoint=0")
-    database.execute("PRAGMA cache_size=1")  # what a transaction changes goes to the disk before its end
+    database.execute("PRAGMA cache_size=1")  # changes are written before the transaction ends
     database.execute("BEGIN")
     for i in range(before, COUNT):
         row = (1, i * 10 * MS, imu(i))
@@ -81,7 +81,7 @@ def test_info_and_recover_count_the_write_ahead_log(
 
 
 def test_hot_journal_is_never_ignored(tmp_path: Path) -> None:
-    """The database holds half a transaction, which only the journal can undo."""
+    """The database holds half a transaction; only the journal can undo it."""
     bag = killed(tmp_path, "DELETE", 100)
     with pytest.raises(InputError, match="unfinished transaction"):
         open_bag(bag)

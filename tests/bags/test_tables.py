@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of topics: the numbers that live nodes read, whatever the strings and the form of the bag."""
+"""Tables of topics have the numbers that live nodes read, for any strings and any form of bag."""
 
 import re
 from collections.abc import Callable
@@ -75,7 +75,7 @@ def bag_of(path: Path, type_name: str, raws: list[bytes]) -> Bag:
 
 
 def numbers(rows: Any, texts: list[str]) -> list[Any]:
-    """Rows as what ``read`` gives, arrays as lists."""
+    """Rows in the form of ``read``'s result, arrays as lists."""
     found = []
     for row in rows:
         values = {name: row[name].tolist() for name in rows.dtype.names}
@@ -100,14 +100,14 @@ def tables(bag: Bag, topic: str = "/topic") -> list[TopicTable]:
         (JOINTS, [joints(k, names=SIDES if k % 2 else SIDES[::-1]) for k in range(9)]),
         (JOINTS, [joints(k, names=(*SIDES, "swing") if k % 2 else SIDES) for k in range(9)]),
         (JOINTS, [joints(0), joints(1, names=("a", "bcd")), joints(2, names=SIDES[:1]), joints(3, names=())]),
-        (JOINTS, [joints(k, frame=f"frame{k:03}") for k in range(100)]),  # nothing alike
+        (JOINTS, [joints(k, frame=f"frame{k:03}") for k in range(100)]),  # all different
         (REPORT, [report(k, ("sprockets", "imu/data_raw", "box_pose")[k % 3]) for k in range(30)]),
         (IMU, [make(IMU, header=header(k, "imu_link")) for k in range(3)]),
         (ODOMETRY, [odometry(k) for k in range(5)]),
     ],
 )
 def test_rows_hold_what_live_reads(type_name: str, messages: list[Any], tmp_path: Path) -> None:
-    """Strings of other lengths move the numbers behind them; joints may change places."""
+    """Strings of other lengths move the numbers after them; the order of joints may change."""
     kind = RECORDS[type_name]
     with bag_of(tmp_path / "bag", type_name, [serialize(m) for m in messages]) as bag:
         (table,) = tables(bag)
@@ -127,10 +127,10 @@ def test_every_record_class_fits_its_message(type_name: str, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     "raw",
     [
-        serialize(joints(1))[:-30],  # cut short
+        serialize(joints(1))[:-30],  # truncated
         serialize(joints(0)) + bytes(100),
         b"\0",
-        serialize(joints(0))[:28] + b"\xff" * 4 + serialize(joints(0))[32:],  # four thousand million names
+        serialize(joints(0))[:28] + b"\xff" * 4 + serialize(joints(0))[32:],  # 4·10⁹ names
     ],
 )
 def test_a_message_that_is_not_of_its_type_is_refused(raw: bytes, tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def write(path: Path, count: int = 20) -> Path:
 
 
 def read(path: Path) -> list[tuple[int, int, tuple[Any, ...]]]:
-    """Place, log time and row of each message."""
+    """Position, log time and row of each message."""
     found = []
     with open_bag(path) as bag:
         for table in tables(bag, "/sprockets"):
@@ -191,7 +191,7 @@ def _by_rosbags(storage: StoragePlugin, mode: CompressionMode) -> Callable[[Path
 
 
 def _message_by_message(path: Path) -> None:
-    """As ``ros2 bag record --compression-mode message`` writes MCAP."""
+    """Write MCAP like ``ros2 bag record --compression-mode message``."""
     with BagWriter(path) as bag:
         for k in range(20):
             bag.write("/sprockets", JOINTS, zstandard.compress(serialize(joints(k))), 1000 + k)

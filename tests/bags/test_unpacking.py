@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is packed small and unpacks to much: refused, and the memory it asks for is never taken."""
+"""Small files that decompress to large ones: rejected without allocating the stated memory."""
 
 import os
 import resource
@@ -25,7 +25,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.unpacking import LARGEST, message, unpack_file, unpacked
 from trackslip_common.errors import InputError
 
-MEMORY = 1_500_000_000  # bytes of address space that a reader is given
+MEMORY = 1_500_000_000  # bytes of address space of the reader
 PACKED = {
     "zstd": lambda size: zstandard.ZstdCompressor().compress(b"\0" * size),
     "zstd_in_frames": lambda size: zstandard.ZstdCompressor().compress(b"\0" * (size // 10)) * 10,
@@ -95,7 +95,7 @@ def _info(bag: Path) -> None:
 
 
 def test_131_kb_that_unpack_to_4_gb(tmp_path: Path, bomb: Callable[[Path, int], None]) -> None:
-    """A chunk that states 4 GB, in a process that may not have as much."""
+    """A chunk states 4 GB in a process with less memory."""
     file = tmp_path / "bomb.mcap"
     bomb(file, 4_000_000_000)
     assert file.stat().st_size < 200_000
@@ -123,7 +123,7 @@ def test_chunk_whose_stated_size_is_wrong_is_refused(
 
 @pytest.fixture
 def bomb() -> Callable[[Path, int], None]:
-    """A function that writes a file whose one chunk, of 0.1 MB, states another size."""
+    """A function that writes a file with one chunk of 0.1 MB that states another size."""
 
     def write(file: Path, stated: int) -> None:
         with file.open("wb") as stream:
@@ -139,7 +139,7 @@ def bomb() -> Callable[[Path, int], None]:
 
 
 def _restate(file: Path, stated: int) -> None:
-    """Write another uncompressed size into the chunk and into the index of chunks."""
+    """Write another uncompressed size into the chunk and into the chunk index."""
     (index,) = summary_of(file).chunk_indexes
     before, after = (n.to_bytes(8, "little") for n in (index.uncompressed_size, stated))
     data = file.read_bytes()
