@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions of callbacks are counted and reported, logged without a flood, and end a node only at last."""
+"""Exceptions of callbacks are counted, reported and logged without a flood; the node ends only after many."""
 
 import functools
 import inspect
@@ -20,7 +20,7 @@ from trackslip_common.nodes.health import ERROR, OK
 
 
 class Clock:
-    """Seconds that the test sets."""
+    """A clock in seconds, set by the test."""
 
     now = 100.0
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps that step out of line: one alone is a bad one, many that agree are another time."""
+"""Stamps out of line: a single one is wrong, many that agree are a new time of the clock."""
 
 import pytest
 
@@ -78,8 +78,8 @@ def test_contradicting_late_samples_confirm_a_clock_set_back() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
     monitor.sample(9 * S, 0)
     assert late(monitor, [8.1, 8.2], contradicts=True) == [IN_LINE] * 2
-    assert late(monitor, [8.3, 8.4], contradicts=False) == [IN_LINE] * 2  # by chance: they neither add
-    assert late(monitor, [8.5, 8.6], contradicts=True) == [IN_LINE, BACK]  # nor end the streak
+    assert late(monitor, [8.3, 8.4], contradicts=False) == [IN_LINE] * 2  # by chance: neither counted
+    assert late(monitor, [8.5, 8.6], contradicts=True) == [IN_LINE, BACK]  # nor a reset of the count
 
 
 def test_consistent_late_samples_show_no_clock_jump() -> None:
@@ -100,7 +100,7 @@ def test_a_new_head_or_a_step_down_ends_the_late_streak(interruption: list[float
 
 def test_other_sources_confirm_nothing() -> None:
     monitor = ClockMonitor(GAP_NS, CONFIRMATIONS)
-    assert monitor.other(HOUR_NS) is IN_LINE  # before there is a clock to hold it against
+    assert monitor.other(HOUR_NS) is IN_LINE  # no clock for comparison yet
     monitor.sample(S)
     assert {monitor.other(HOUR_NS + k) for k in range(3 * CONFIRMATIONS)} == {AHEAD}
     assert monitor.other(S + GAP_NS) is IN_LINE

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code on disk: found again by another process, and never older than its sources."""
+"""Compiled code on disk: loaded by another process, and never older than its sources."""
 
 import os
 import queue
@@ -53,7 +53,7 @@ print(sum_of_multiples(2.0, 3), len(multiple.overloads))
 
 
 def run(folder: Path) -> list[float]:
-    """The numbers that ``outer.py`` prints, with machine code of its own."""
+    """The numbers that ``outer.py`` prints, with its own cache of compiled code."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
     done = subprocess.run(
@@ -64,7 +64,7 @@ def run(folder: Path) -> list[float]:
 
 @pytest.mark.parametrize("package", ["", pytest.param("trackslip_below", marks=pytest.mark.slow)])
 def test_a_kernel_is_compiled_once_and_again_when_what_it_calls_changes(tmp_path: Path, package: str) -> None:
-    """In its own folder, and in another."""
+    """The callee is in the same folder or in another."""
     inner = tmp_path / package / "inner.py"
     inner.parent.mkdir(exist_ok=True)
     caller = CALLER.replace("from inner", f"from {package}.inner" if package else "from inner")
@@ -83,7 +83,7 @@ def test_kernel_is_compiled_once_for_all_constants_of_its_callers(tmp_path: Path
 
 @pytest.mark.slow
 def test_a_module_with_two_names_loads_machine_code_of_its_own(tmp_path: Path) -> None:
-    """``make test`` and ``colcon test`` import a file of tests by two names, and share what is on disk."""
+    """``make test`` and ``colcon test`` import a test file by two names and share the cache on disk."""
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "inner.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
     ask = "from {name} import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
@@ -114,7 +114,7 @@ machine_code.SHIPPED = Path("shipped")
 
 
 def write_kernel(folder: Path) -> None:
-    """A kernel in a folder of its own, which prints its result and how often it was found on disk."""
+    """Write a kernel in its own folder; its program prints the result and the number of cache hits."""
     folder.mkdir()
     (folder / "kernel.py").write_text(CALLEE.format(added=1.0), encoding="utf-8")
     text = f"{SHIPPED}\nfrom kernel import inner\nprint(inner(1.0), sum(inner.stats.cache_hits.values()))\n"
@@ -132,7 +132,7 @@ def test_machine_code_for_any_processor_is_found_at_another_path_on_this_one(
         assert run(made) == [2.0, 0.0]
     shutil.copytree(made / "cache", used / "shipped")
     assert run(used) == [2.0, 1.0]
-    assert not (used / "cache").exists()  # nothing was compiled
+    assert not (used / "cache").exists()  # no compilation
 
 
 def test_shipped_machine_code_of_another_source_version_is_not_used(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of ``config/``: found, read, refused when they are no parameter files, and all of them good."""
+"""The files of ``config/``: found, read, rejected when they are no parameter files; all of them are valid."""
 
 from pathlib import Path
 from typing import Any

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A publisher run wild takes no more of a node's time than the guard leaves it, and no other topic's."""
+"""A publisher at an excessive rate uses only its share of a node's time, and none of other topics."""
 
 import itertools
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files and texts that mean no good."""
+"""Hostile files and texts."""
 
 import os
 from pathlib import Path

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Imports run one way, pure code knows no ROS, records have types; each file has its licence."""
+"""Imports have one direction, pure code is free of ROS, records are typed, each file has its licence."""
 
 import ast
 import re
@@ -18,16 +18,16 @@ from trackslip_common import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 LAYERS = ("trackslip_common", "trackslip_estimation", "trackslip_bags", "trackslip_tools", "trackslip_sim")
-INTERFACE = "trackslip"  # to Python
+INTERFACE = "trackslip"  # from Python
 BELOW = {package: {*LAYERS[:k]} for k, package in enumerate(LAYERS)}
 BELOW["trackslip_drivers"] = {"trackslip_common"}
 for package in ("trackslip_bags", "trackslip_tools", "trackslip_sim"):
-    BELOW[package].add("trackslip_drivers")  # logs of devices are read as the devices are
+    BELOW[package].add("trackslip_drivers")  # device logs are decoded by the drivers
 BELOW[INTERFACE] = {package for package in LAYERS if package != "trackslip_sim"}
 ROS = re.compile(
     r"rclpy|launch|launch_ros|ament_index_python|rosidl_\w+|\w+_msgs|\w+_srvs|\w+_interfaces|tf2_ros"
 )
-# What a vehicle has beside ROS: numbers, machine code, parameters, ports and their protocols, geodesy
+# Libraries on a vehicle beside ROS: numbers, compiled code, parameters, ports and protocols, geodesy
 ON_VEHICLE = {
     "numpy",
     "scipy",
@@ -59,7 +59,7 @@ RECORDS = {
 
 @cache
 def sources() -> dict[str, Path]:
-    """Module → file, of all packages."""
+    """Files of all packages by module name."""
     found = {}
     for root in ROOT.glob("src/*/"):
         for file in (root / root.name).rglob("*.py"):
@@ -69,7 +69,7 @@ def sources() -> dict[str, Path]:
 
 
 def imports(module: str, *, deep: bool = False) -> set[str]:
-    """Modules that a module imports when it is loaded; ``deep``: or when its functions run."""
+    """Modules imported when a module is loaded; with ``deep`` also those imported inside functions."""
     tree, found = ast.parse(sources()[module].read_text(encoding="utf-8")), set()
     for node in ast.walk(tree) if deep else tree.body:
         if isinstance(node, ast.Import):
@@ -81,13 +81,13 @@ def imports(module: str, *, deep: bool = False) -> set[str]:
 
 
 def libraries(names: set[str]) -> set[str]:
-    """Those that are neither ours, nor ROS', nor Python's, by their first names."""
+    """Top-level names of third-party libraries: neither ours, nor ROS, nor the standard library."""
     tops = {name.split(".")[0] for name in names} - sys.stdlib_module_names
     return {top for top in tops if not ROS.fullmatch(top) and not top.startswith("trackslip")}
 
 
 def room(module: str) -> str:
-    """``kalman`` of ``trackslip_estimation.kalman.update``; the module itself where it is in none."""
+    """``kalman`` of ``trackslip_estimation.kalman.update``; a module outside of folders is its own room."""
     return module.split(".")[1] if module.count(".") > 1 else module
 
 
@@ -132,7 +132,7 @@ def test_only_nodes_import_ros() -> None:
 
 
 def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
-    """Of each function: its name, whether it is compiled, and what it takes and returns, by name."""
+    """Name of each function, whether it is compiled, and its annotations by argument name."""
     for node in ast.walk(ast.parse(sources()[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.FunctionDef):
             marks = {mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)}
@@ -144,7 +144,7 @@ def signatures(module: str) -> Iterator[tuple[str, bool, dict[str, str]]]:
 
 @pytest.mark.parametrize("of", ["attitude", "box", "gnss", "slip", "soil", "terramechanics"])
 def test_records_have_types_in_signatures(of: str) -> None:
-    """Of kernels all, of others those that are passed on to kernels: an editor finds where a field is."""
+    """All arguments of kernels have types, and those of other functions that are passed to kernels."""
     own = [module for module in sources() if module.startswith(f"trackslip_estimation.{of}.")]
     assert own
     wrong = {
@@ -175,7 +175,7 @@ def test_every_source_file_states_licence_and_copyright() -> None:
 
 
 def test_all_packages_state_one_version_one_home_and_one_level() -> None:
-    """A release changes them together: CONTRIBUTING.md lists where."""
+    """A release changes them together: CONTRIBUTING.md lists the places."""
     stated = set()
     for package in sorted(ROOT.glob("src/*/package.xml")):
         about = ElementTree.parse(package).getroot()
@@ -202,6 +202,6 @@ def test_all_packages_state_one_version_one_home_and_one_level() -> None:
 
 
 def test_the_tests_of_a_module_belong_to_one_worker(request: pytest.FixtureRequest) -> None:
-    """xdist reads the group from the name of a test; without it every worker makes a module's fixtures."""
-    is_shared_out = getattr(request.config.option, "loadgroup", False)  # of xdist, in its workers
+    """xdist reads the group from the test name; without it each worker makes the module's fixtures."""
+    is_shared_out = getattr(request.config.option, "loadgroup", False)  # xdist sets it in its workers
     assert request.node.nodeid.endswith("@tests/common/test_house.py") == is_shared_out

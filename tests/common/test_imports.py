@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``package.xml`` declares what a package imports; what runs on the vehicle loads no library of the desk."""
+"""``package.xml`` declares the imports of a package; programs of the vehicle load no library of the desk."""
 
 import ast
 import os
@@ -25,7 +25,7 @@ ROSDEP_KEYS = {
     "cantools": "python3-cantools-pip",
     "distributed": "python3-distributed-pip",
     "jinja2": "python3-jinja2",
-    "llvmlite": "python3-numba",  # is built on it
+    "llvmlite": "python3-numba",  # build dependency
     "lz4": "python3-lz4",
     "matplotlib": "python3-matplotlib",
     "mcap": "python3-mcap-pip",
@@ -44,12 +44,12 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
     "zstandard": "python3-zstandard",
 }
-OF_LIBRARIES = {"python3-msgpack"}  # python-can's udp_multicast imports it
+OF_LIBRARIES = {"python3-msgpack"}  # imported by python-can's udp_multicast
 SYSTEMS = {"debian", "ubuntu"}
 
 
 def imported(package: str) -> dict[str, set[str]]:
-    """Top-level names of what the files of a package import, at any depth of their code."""
+    """Top-level names imported by each file of a package, at any depth of the code."""
     files = sorted(file for room in (package, "launch") for file in (SOURCES / package / room).rglob("*.py"))
     assert files
     return {str(file.relative_to(SOURCES)): set(_names(file)) - {package} for file in files}
@@ -64,7 +64,7 @@ def _names(file: Path) -> Iterator[str]:
 
 
 def declared(package: str) -> set[str]:
-    """Keys of what the package needs where it runs."""
+    """Keys of the runtime dependencies of a package."""
     description = ElementTree.parse(SOURCES / package / "package.xml").getroot()
     return {str(element.text) for tag in ("depend", "exec_depend") for element in description.iter(tag)}
 
@@ -86,7 +86,7 @@ def test_package_declares_no_library_that_it_does_not_import(package: str) -> No
 
 
 DESK = {"rosbags", "polars", "bokeh", "matplotlib", "distributed", "dask", "rich", "jinja2", "ruamel"}
-# The definitions of its topics are what a recorder needs beyond its imports.
+# A recorder needs the definitions of its topics beyond its imports.
 RECORDS = """
 from trackslip_bags.writer import own_schema
 from trackslip_common.topics import TOPICS
@@ -97,7 +97,7 @@ for name, topic in TOPICS.items():
 
 
 def test_keys_that_install_by_pip_are_defined_for_each_system_that_the_packages_run_on() -> None:
-    """A rosdep database may lack them; so ours comes along, and has no key that nobody needs."""
+    """A rosdep database may lack them: ours is shipped, and has no unused key."""
     defined = yaml.safe_load((SOURCES.parent / "deploy" / "rosdep.yaml").read_text(encoding="utf-8"))
     assert {key for key, rules in defined.items() if rules.keys() != SYSTEMS} == set()
     needed = set.union(*(declared(package) for package in PACKAGES))
@@ -114,14 +114,14 @@ def test_rosdep_instructions_name_our_keys_and_the_remaining_pip_packages(file: 
 
 
 def least_numba() -> str:
-    """That of Debian 12 is too old for the kernels: pip's is put over it."""
+    """The requirement line of numba, whose version in Debian 12 is too old for the kernels."""
     lines = (SOURCES.parent / "requirements" / "with-apt-ros.txt").read_text(encoding="utf-8").splitlines()
     (line,) = (line for line in lines if line.startswith("numba"))
     return line
 
 
 def _sourced() -> list[str]:
-    """What to put before a command so that ROS is found, where this process was started without."""
+    """Command prefix that sources ROS, where this process was started without it."""
     script = Path(sys.prefix) / "trackslip.sh"
     if os.environ.get("AMENT_PREFIX_PATH") or not script.is_file():
         return []
@@ -129,7 +129,7 @@ def _sourced() -> list[str]:
 
 
 def test_recorder_loads_no_library_of_the_desk() -> None:
-    """Nor for the definitions of its topics; ``test_house.py`` holds what other programs import."""
+    """Definitions of topics load none either; ``test_house.py`` covers imports of other programs."""
     names = "{name.partition('.')[0] for name in sys.modules}"
     code = f"import sys, trackslip_bags.nodes.record\n{RECORDS}\nprint(*{names})"
     command = [*_sourced(), sys.executable, "-c", code]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of JSON that were cut, edited or made by others."""
+"""Lines of JSON that are truncated, edited or written by others."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -57,5 +57,5 @@ def test_entry_that_is_no_record_is_refused(entry: Any) -> None:
     "line", ["", "{", "[" * 100_000, '{"a": ' * 100_000, "[1]", "7" * 5000, "null", '"a"']
 )
 def test_lines_without_a_mapping_give_none(line: str) -> None:
-    """Also deeply nested ones."""
+    """Deeply nested lines give none too."""
     assert parse_line(line) is None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Headings as text: an interval, or that they are unknown."""
+"""Headings as text: an interval, or unknown."""
 
 import math
 
@@ -12,7 +12,7 @@ from trackslip_common.orientations import heading_text, headings_of, is_heading_
 
 @pytest.mark.parametrize("stddev", [1.81, 19.2, 1e9, math.inf, math.nan])
 def test_heading_with_a_large_deviation_is_unknown(stddev: float) -> None:
-    """π/√3 = 1.81 rad is the standard deviation of a uniform heading: ±1100° means nothing."""
+    """π/√3 = 1.81 rad is the standard deviation of a uniform heading: ±1100° gives no information."""
     assert heading_text(0.3, stddev**2, 2.0) == "unknown"
 
 
@@ -29,7 +29,7 @@ def test_known_headings_of_an_array() -> None:
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("number", [1e308, math.inf, math.nan])
 def test_quaternion_of_absurd_numbers_raises_no_warning(number: float) -> None:
-    """A bag with 1e308 in its odometry made ``replay`` and ``report`` print a warning of numpy."""
+    """``replay`` and ``report`` read bags whose odometry has 1e308."""
     rows = np.zeros(2, [(name, np.float64) for name in ("qx", "qy", "qz", "qw")])
     rows["qw"] = 1.0
     rows[1] = (number, number, number, number)

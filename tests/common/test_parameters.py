@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: each refusal is one line that names the thing, the value and what is accepted."""
+"""Parameters: each error is one line with the name, the value and the accepted range."""
 
 import math
 from array import array
@@ -24,7 +24,7 @@ class Wheel(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Cart(Parameters):
-    """One of each kind."""
+    """One parameter of each kind."""
 
     wheel: Wheel
     name: str = parameter("what it is called")
@@ -50,7 +50,7 @@ GOOD: dict[str, Any] = {
 
 
 def cart(**changes: Any) -> Cart:
-    """The good cart with dotted names changed; `__` stands for the dot."""
+    """The valid cart with dotted names changed; `__` stands for the dot."""
     return from_flat(Cart, GOOD | {k.replace("__", "."): v for k, v in changes.items()}, "cart")
 
 
@@ -82,7 +82,7 @@ def test_nested_mappings_flatten_to_dotted_names() -> None:
 
 def test_integers_are_accepted_as_floats() -> None:
     made = cart(mass=3, gears=[1, 2])
-    assert cart(gears=array("d", (1.0, 2.0))).gears == (1.0, 2.0)  # as ROS hands them over
+    assert cart(gears=array("d", (1.0, 2.0))).gears == (1.0, 2.0)  # as given by ROS
     assert (type(made.mass), made.mass) == (float, 3.0)
     assert [type(gear) for gear in made.gears] == [float, float]
 
@@ -182,7 +182,7 @@ def test_parameters_cannot_be_changed() -> None:
 
 
 def test_parity_n_without_quotes_is_text():
-    """YAML 1.1 takes n, no, off and their likes for booleans, in rcl's reader as in PyYAML."""
+    """YAML 1.1 reads n, no and off as booleans, in rcl's reader as in PyYAML."""
 
     @dataclass(frozen=True, kw_only=True)
     class Line(Parameters):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tests run where ROS comes from apt: beside its plugins for pytest, with the distribution's pytest."""
+"""The tests run with ROS from apt: beside its plugins for pytest, with the distribution's pytest."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = [ROOT / "pyproject.toml", *sorted(ROOT.glob("src/*/pytest.ini"))]
 PLUGINS = ("launch_testing", "launch_ros")
-# What launch_testing does with each module of tests, whatever the import mode: two of one name are too many.
+# launch_testing imports each test module, in any import mode: two with the same name clash.
 PLUGIN = """
 from _pytest.pathlib import import_path
 
@@ -21,7 +21,7 @@ def pytest_pycollect_makemodule(module_path):
     import_path(module_path, root=module_path.parent, **OPTIONS)
 """
 TWO_OF_ONE_NAME = ("tests/estimation/slip/test_swing.py", "tests/sim/test_swing.py")
-VERSIONS = {  # pytest → the plugins that it takes
+VERSIONS = {  # pytest → compatible plugins
     "7.4.4": ["pytest-rerunfailures==12.0", "pytest-timeout==2.2.0", "pytest-xdist==3.4.0"],  # Ubuntu 24.04's
     "8.4.2": ["pytest-rerunfailures==15.1", "pytest-timeout==2.4.0", "pytest-xdist==3.8.0"],
 }
@@ -49,7 +49,7 @@ def collected(settings: Path, *arguments: str, **environment: str) -> subprocess
 
 
 def with_entry_point(folder: Path, name: str) -> str:
-    """A directory for PYTHONPATH in which pytest finds a plugin under this name."""
+    """Write an entry point ``name`` of a pytest plugin; return the PYTHONPATH with it."""
     about = folder / f"{name}-1.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n", encoding="utf-8")
@@ -80,7 +80,7 @@ def test_plugins_of_ros_do_not_import_our_modules_again(tmp_path: Path, name: st
     done = collected(SETTINGS[0], *TWO_OF_ONE_NAME, PYTHONPATH=paths)
     assert done.returncode == 0, done.stdout + done.stderr
     enabled = collected(SETTINGS[0], "-p", f"plugin_of_{name}", *TWO_OF_ONE_NAME, PYTHONPATH=paths)
-    assert "ImportPathMismatchError" in enabled.stdout  # as they would
+    assert "ImportPathMismatchError" in enabled.stdout  # expected with the plugin
 
 
 @pytest.mark.parametrize("file", SETTINGS[1:], ids=lambda file: file.parent.name)

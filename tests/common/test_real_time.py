@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which machines are told to keep no real time: those whose host stalls, not those that are busy."""
+"""Warning about missed real time: for machines whose host stalls, not for busy ones."""
 
 import itertools
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from fixtures import real_time
 
 @pytest.fixture
 def watch_of(monkeypatch):
-    """A watch whose sleeps are late by what is given, again and again, for a second."""
+    """A function that returns a watch whose sleeps are late by ``late_s``, repeatedly, for a second."""
     now_s = 0.0
 
     def made(late_s):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declarations of records become dtypes."""
+"""dtypes from declarations of records."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
@@ -17,14 +17,14 @@ from trackslip_common.vehicle_files import WithVehicle, load_vehicle
 
 
 class Part(Record):
-    """Of another."""
+    """A nested record."""
 
     number: int
     is_sound: bool
 
 
 class Whole(Record):
-    """With all kinds of fields."""
+    """A record with all kinds of fields."""
 
     KIND: ClassVar[str] = "no field"
     value: float
@@ -36,21 +36,21 @@ class Whole(Record):
 
 
 class More(Whole):
-    """One with fields of its own behind."""
+    """A record with more fields after the inherited ones."""
 
     last: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Size(Parameters):
-    """A group."""
+    """A parameter group."""
 
     count: int = parameter("a number")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Numbers(Parameters):
-    """With a group, and another that may be absent."""
+    """A group of numbers, and another that may be absent."""
 
     size: Size
     share: float = parameter("a number")
@@ -59,13 +59,13 @@ class Numbers(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class Machine(Numbers, WithVehicle):
-    """With a text and a vehicle, which no record holds as they are."""
+    """Parameters with a text and a vehicle, which records cannot hold as they are."""
 
     frame: str = parameter("a text")
 
 
 class MachineRecord(Numbers, Record):
-    """What compiled code takes of them, and what it makes of them."""
+    """Parameters for compiled code, and a value computed from them."""
 
     vehicle: Vehicle
     square: float

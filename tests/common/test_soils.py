@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Soils: the tables as printed, and what is refused."""
+"""Soils: the tables as printed, and rejected values."""
 
 import math
 from dataclasses import FrozenInstanceError

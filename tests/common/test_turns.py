@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Angles that restarts after each turn become continuous ones; those that are stay as they are."""
+"""Angles that restart after each turn are unwrapped; continuous ones stay unchanged."""
 
 import math
 
@@ -17,14 +17,14 @@ STAMPS_NS = np.round(TIMES * 1e9).astype(np.int64)
 
 
 def wrapped(angles: np.ndarray, first: float, turn: float = math.tau) -> np.ndarray:
-    """Within the turn that begins with ``first``."""
+    """Angles wrapped to the turn that begins with ``first``."""
     return (angles - first) % turn + first
 
 
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("speed", [5.0, -5.0, 31.0, -70.0])
 def test_angles_that_wrap_are_followed(first: float, speed: float) -> None:
-    """At 70 rad/s they move by more than a fifth of a turn between two samples."""
+    """At 70 rad/s an angle moves by more than a fifth of a turn between two samples."""
     angles = 0.3 + speed * TIMES + 0.5 * np.sin(3.0 * TIMES)
     found = continuous(STAMPS_NS, wrapped(angles, first))
     np.testing.assert_allclose(found - found[0], angles - angles[0], atol=1e-9)
@@ -48,7 +48,7 @@ def test_angles_of_another_unit() -> None:
     st.floats(0.01, 100.0),
 )
 def test_continuous_angles_are_unchanged_bit_for_bit(start, speeds, factor):
-    """In the node, which receives one angle after the other, and in the import, which has all of them."""
+    """In the node, which receives angles one by one, and in the import, which has all of them."""
     angles = start + np.cumsum(speeds) * min(factor, 1.5 * math.pi / 3.0 - 1e-6)
     stamps_ns = np.arange(len(angles)) * 20_000_000
     assert continuous(stamps_ns, angles).tobytes() == angles.tobytes()
@@ -58,7 +58,7 @@ def test_continuous_angles_are_unchanged_bit_for_bit(start, speeds, factor):
 
 
 def test_angle_jump_that_the_speed_confirms_is_no_wrap() -> None:
-    """Two samples of a fast joint at 1 Hz, both within a turn."""
+    """Two samples of a fast joint at 1 Hz, both within one turn."""
     stamps_ns, angles = np.array((0, 10**9)), np.array((0.5, 6.0))
     assert continuous(stamps_ns, angles, np.array((5.4, 5.6))).tolist() == [0.5, 6.0]
     assert continuous(stamps_ns, angles, np.array((0.0, -0.8)))[1] == pytest.approx(6.0 - math.tau)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicle files: only the kinematics are required, and each fault is one line."""
+"""Vehicle files: only the kinematics are required, and each error is one line."""
 
 import re
 from pathlib import Path
@@ -29,7 +29,7 @@ BARE = "kinematics: {rolling_radius: 0.3, tread: 2.0, contact_length: 3.0}\n"
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """A vehicle of somebody's own, with what every vehicle must have."""
+    """A vehicle file with the required values only."""
     path = tmp_path / "digger.yaml"
     path.write_text(BARE, encoding="utf-8")
     return path
@@ -211,7 +211,7 @@ def test_a_machine_of_any_size_is_accepted(numbers: tuple[Any, ...], file: Path)
 @pytest.mark.parametrize("name", vehicle_names())
 def test_each_number_of_a_vehicle_file_is_explained(name: str) -> None:
     lines = (config_directory() / "vehicles" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
-    above: dict[int, bool] = {}  # indent → whether the group, or a comment of its own, says it
+    above: dict[int, bool] = {}  # indent → whether the group or its comment states it
     bare, explained = [], False
     for line in lines:
         value, _, comment = line.partition("#")

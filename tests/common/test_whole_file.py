@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are written beside their place: whole or not at all, never through a link that lies there."""
+"""Files are written beside their place: complete or not at all, never through a link at that place."""
 
 import ast
 import errno
@@ -25,7 +25,7 @@ def victim(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Path:
-    """In a folder of its own."""
+    """A path in a folder of its own."""
     (tmp_path / "folder").mkdir()
     return tmp_path / "folder" / "page"
 
@@ -94,12 +94,12 @@ def test_permissions_are_those_of_any_new_file(page: Path) -> None:
 MOVES = {
     "trackslip_common/whole_file.py",  # into place
     "trackslip_common/kept_files.py",  # aside
-    "trackslip_estimation/slip/state_file.py",  # aside, to the name of its machine
+    "trackslip_estimation/slip/state_file.py",  # aside, to the machine's name
 }
 
 
 def test_files_are_moved_into_place_by_one_module() -> None:
-    """``Path.replace`` and ``rename`` take one argument, ``str.replace`` two."""
+    """``Path.replace`` and ``rename`` have one argument, ``str.replace`` has two."""
     moving = set()
     for file in SOURCES.glob("*/*/**/*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML from anybody: read, or refused in one line, in moments."""
+"""Untrusted YAML: read, or rejected in one line, within moments."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +13,7 @@ from trackslip_common.config_files import read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.yaml_text import parse_yaml
 
-HOSTILE = {  # beside those of fixtures/damaged: what is large
+HOSTILE = {  # large texts, beside fixtures/damaged
     "a_number_too_long_to_show": f"tread: 0x{'f' * 100_000}",
     "deep_mappings": "".join(f"{' ' * k}a:\n" for k in range(500)),
     "two_megabytes": "a: " + "x" * 2_000_000,

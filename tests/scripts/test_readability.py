@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Words a sentence: code, tables and headings do not count."""
+"""Words per sentence, without code, tables and headings."""
 
 import pytest
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What ``make setup`` remembers and how it runs commands: damage and interruption leave nothing half done."""
+"""State and commands of ``make setup``: damage and interruption leave nothing half done."""
 
 import json
 import os
@@ -21,7 +21,7 @@ from setup_commands import Command, SetupError, beside, read_stamp, run, write_f
 
 @pytest.fixture(autouse=True)
 def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A log of the test's own."""
+    """A log file for one test."""
     path = tmp_path / "setup.log"
     path.touch()
     monkeypatch.setattr(setup_commands, "LOG", path)
@@ -62,7 +62,7 @@ def test_failed_command_shows_the_end_of_its_output(capsys: pytest.CaptureFixtur
 
 
 def runs(pid: Path) -> bool:
-    """Whether the process whose number a file holds is there, and not merely its exit code."""
+    """Whether the process with the number in a file runs, and is no zombie."""
     try:
         state = Path("/proc", pid.read_text().strip(), "stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
@@ -93,7 +93,7 @@ def test_block_waits_for_its_parallel_commands(tmp_path: Path) -> None:
 
 
 def test_interrupted_set_up_ends_all_it_started(tmp_path: Path) -> None:
-    """SIGTERM, say of a CI job that is cancelled: no pip goes on writing behind the next run's back."""
+    """SIGTERM, for example from a cancelled CI job: no pip keeps writing during the next run."""
     program = f"""
 import sys
 sys.path.insert(0, {str(Path(setup_commands.__file__).parent)!r})
@@ -112,7 +112,7 @@ setup_commands.run(setup_commands.Command(
 
 
 def choose(requested: str, before: str, monkeypatch: pytest.MonkeyPatch, **environment: str) -> str:
-    """What ``choose_ros`` takes, with a stamp from before and variables of the shell."""
+    """The distribution that ``choose_ros`` selects, with an earlier stamp and variables of the shell."""
     for name in ("ROS_DISTRO", "AMENT_PREFIX_PATH"):
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
@@ -164,7 +164,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("kind", ["environment", "file", "link to nothing"])
 def test_foreign_environment_is_refused_and_kept(checkout: Path, kind: str) -> None:
-    """Such as a user's own ``python3 -m venv .venv`` in the checkout."""
+    """For example a user's own ``python3 -m venv .venv`` in the checkout."""
     if kind == "environment":
         checkout.mkdir()
         (checkout / "pyvenv.cfg").write_text("mine")
@@ -190,7 +190,7 @@ def test_own_environment_with_a_damaged_stamp_is_replaced(checkout: Path, stamp:
     assert sorted(path.name for path in checkout.iterdir()) == ["made", "trackslip.json"]
     (checkout / "more").touch()
     setup_workspace.set_up("", checks=False)
-    assert (checkout / "more").exists()  # nothing had changed
+    assert (checkout / "more").exists()  # no change since
 
 
 @pytest.mark.parametrize("left", [[], ["trackslip.json.part"]])
@@ -223,7 +223,7 @@ def test_set_up_resumes_after_an_interruption_at_any_step(
         with pytest.raises(KeyboardInterrupt):
             setup_workspace.set_up("", checks=False)
     setup_workspace.set_up("", checks=False)
-    kept = {"half"} if step == "build_workspace" else set()  # .venv was complete
+    kept = {"half"} if step == "build_workspace" else set()  # .venv is complete
     assert {path.name for path in checkout.iterdir()} == {"made", "trackslip.json"} | kept
     assert read_stamp(checkout / "trackslip.json")["digest"]
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The wheel of the desk commands: complete, without ROS, and at work in an environment of its own."""
+"""The wheel of the desk commands: complete, without ROS, and usable in its own environment."""
 
 import json
 import re
@@ -26,7 +26,7 @@ def hatchling() -> None:
 
 @pytest.fixture(scope="module")
 def wheel(hatchling: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built from the checkout as it is, with the machine code that make wheel left, if it did."""
+    """The wheel of the checkout, with compiled code where make wheel has left it."""
     folder = tmp_path_factory.mktemp("dist")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
@@ -94,7 +94,7 @@ def test_example_in_the_wheel_is_small() -> None:
 
 @pytest.fixture(scope="module")
 def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A new virtual environment with the wheel and what it needs, and nothing else."""
+    """A new virtual environment with the wheel and its requirements only."""
     folder = tmp_path_factory.mktemp("bare")
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
     pip = [str(folder / "bin/python"), "-m", "pip", "install", "-q", "--prefer-binary"]
@@ -107,7 +107,7 @@ def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(bare: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A command with nothing of this environment: no ROS, no checkout, no machine code but the wheel's."""
+    """Run a command outside of this environment: no ROS, no checkout, no compiled code but the wheel's."""
     environment = {"PATH": f"{bare}/bin:/usr/bin:/bin", "HOME": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     environment["BROWSER"] = "true"  # opens nothing
     options = {"cwd": folder, "env": environment, "capture_output": True, "text": True}
@@ -122,7 +122,7 @@ def test_commands_run_from_the_wheel_alone(bare: Path, tmp_path: Path) -> None:
     has_code = any((bare / "lib").rglob("trackslip_common/kernels"))
     replayed = run(bare, tmp_path, "trackslip", "replay", example, "--json", "own.json")
     assert replayed.returncode == 0, replayed.stderr
-    assert ("compiling" in replayed.stderr) != has_code  # said once where there is no machine code for it
+    assert ("compiling" in replayed.stderr) != has_code  # stated once without compiled code
     for arguments in (
         ("info", example),
         ("check", example),
@@ -141,7 +141,7 @@ def test_commands_run_from_the_wheel_alone(bare: Path, tmp_path: Path) -> None:
     subprocess.run(command, check=True, capture_output=True)
     of_wheel, of_workspace = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("own", "here"))
     del of_wheel["real_time_factor"], of_workspace["real_time_factor"]
-    assert of_wheel == of_workspace  # to the last bit: machine code for any processor and for this one
+    assert of_wheel == of_workspace  # to the last bit: code for any processor and for this one
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_code_of_the_pages_runs_in_a_shell(bare: Path, wheel: Path, tmp_path: Pa
             elif code.language == "python":
                 python += code.text
                 done = run(bare, tmp_path, "python", "-c", python)
-            elif not code.text.startswith(("make ", ". ")):  # need the checkout
+            elif not code.text.startswith(("make ", ". ")):  # these need the checkout
                 done = run(bare, tmp_path, "bash", "-c", code.text)
             assert done.returncode == 0, (code, done.stderr)
     for name in (
