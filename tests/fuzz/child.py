@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs hostile work in a process of its own with limits, and finds what is wrong with how it ended."""
+"""Runs hostile work in a child process with limits, and reports how it ended."""
 
 import os
 import resource
@@ -14,20 +14,20 @@ from typing import NamedTuple
 from trackslip_common.errors import ExitCode, InputError
 
 CODES = (ExitCode.DONE, ExitCode.FAILED, ExitCode.BAD_INPUT)
-WAITING = 10  # times as long work may take where others have the processors
+WAITING = 10  # ratio of wall time to processor time while others use the processors
 
 
 class Ended(NamedTuple):
-    """How the work ended."""
+    """Result of the work."""
 
     code: int
     out: str
     err: str
-    seconds: float  # of a processor
+    seconds: float  # of processor time
     megabytes: int
 
     def problem(self, longest_s: float, most_mb: float) -> str:
-        """What is wrong with it; empty where nothing is."""
+        """The fault of the result, or an empty text."""
         if "Traceback" in self.err:
             return "\n" + self.err
         if self.code not in CODES:
@@ -43,7 +43,7 @@ class Ended(NamedTuple):
 
 
 def run_in_child(work: Callable[[], int | None], folder: Path, longest_s: int) -> Ended:
-    """Fork, and do it there; what it prints goes to two files in a folder."""
+    """Fork and run the work in the child; its output goes to two files in ``folder``."""
     sys.stdout.flush()
     child = os.fork()
     if child == 0:
@@ -57,7 +57,7 @@ def run_in_child(work: Callable[[], int | None], folder: Path, longest_s: int) -
 
 
 def _work(work: Callable[[], int | None], folder: Path, longest_s: int) -> None:
-    """In the child; never returns."""
+    """Run the work in the child; never returns."""
     code = 70
     try:
         resource.setrlimit(resource.RLIMIT_CPU, (longest_s + 5, longest_s + 5))

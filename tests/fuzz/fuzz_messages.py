@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages with any numbers in them, on every topic that the slip and the soil estimator subscribe to.
+"""Messages with arbitrary numbers, on every topic of the slip and the soil estimator.
 
-``make fuzz`` takes a hundred thousand of each topic, ``make test`` some. Good messages of a machine
-come between them. None raises; what is published is finite; what is refused is counted with its reason,
-and changes nothing; and the good messages are used.
+``make fuzz`` takes a hundred thousand of each topic, ``make test`` some, among valid messages of a
+machine. No message raises. Published values are finite. Each rejection is counted with its reason and
+changes nothing; the valid messages are used.
 """
 
 import argparse
@@ -45,9 +45,9 @@ from trackslip_estimation.soil.records import HYDRAULICS, Hydraulics, MachineSta
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 
-COUNT = 100_000  # messages of a topic
+COUNT = 100_000  # messages per topic
 _SENTINEL = 0.1234567890123
-_PERIOD_NS = 10_000_000  # from one good sample to the next
+_PERIOD_NS = 10_000_000  # between two valid samples
 _LOOK = 1000  # periods
 _VALUES = np.array(
     (math.nan, math.inf, -math.inf, 0.0, -0.0, 1.0, -1.0, 1e-300, -1e-300, 5e-324, 1e300, -1e300, 1.7e308)
@@ -65,7 +65,7 @@ PARAMETERS: dict[str, Any] = {
 
 
 class Topic(NamedTuple):
-    """What comes on a topic, and how an estimator takes it."""
+    """Message type of a topic, and its conversion for an estimator."""
 
     type_name: str
     convert: Callable[[Any], Any]
@@ -74,14 +74,14 @@ class Topic(NamedTuple):
 
 
 class Findings(NamedTuple):
-    """What the messages did."""
+    """Results of the messages."""
 
-    counts: Counter[str]  # what became of them
-    faults: list[str]  # what must not be
+    counts: Counter[str]  # by outcome
+    faults: list[str]  # violations
 
 
 class Mutator:
-    """Messages of a topic with any numbers in them."""
+    """Messages of a topic with arbitrary numbers."""
 
     def __init__(self, topic: Topic, rng: np.random.Generator) -> None:
         fields = {
@@ -99,7 +99,7 @@ class Mutator:
         self._topic, self._rng, self._packed = topic, rng, packed_topic(self._kind)
 
     def measured(self, stamp_ns: int) -> Any:
-        """One, converted."""
+        """A mutated message, converted."""
         raw = bytearray(self._raw)
         if self._rng.random() < 0.02:
             stamp_ns = int(self._rng.integers(-(2**31), 2**31)) * 1_000_000_000
@@ -111,7 +111,7 @@ class Mutator:
         return self._topic.convert(deserialize_message(bytes(raw), self._kind))
 
     def _values(self) -> list[float]:
-        """Any numbers, or in half of the messages plain ones but for up to three."""
+        """Arbitrary numbers; in half of the messages all are plain except for up to three."""
         n = len(self._places)
         if self._rng.random() < 0.5:
             return _numbers(self._rng, n)
@@ -123,7 +123,7 @@ class Mutator:
 
 
 def _fill(message: Any, joints: int, values: Callable[[str, int], FloatArray]) -> None:
-    """Put ``values(name, n)`` where a message has n numbers of a name."""
+    """Set the numbers of each field ``name`` of a message to ``values(name, n)``."""
     for name, text in message.get_fields_and_field_types().items():
         found = getattr(message, name)
         if text == "double":
@@ -137,14 +137,14 @@ def _fill(message: Any, joints: int, values: Callable[[str, int], FloatArray]) -
 
 
 def _plain(name: str, n: int) -> FloatArray:
-    """(n,) numbers as sensors state them: a rotation of 20°, a covariance that is diagonal, 0.1 elsewhere."""
+    """(n,) numbers as of sensors: a rotation of 20°, a diagonal covariance, 0.1 elsewhere."""
     if name.endswith("covariance"):
         return np.eye(math.isqrt(n)).ravel() * 0.1
     return np.full(n, math.sqrt(0.97) if name == "w" else 0.1)
 
 
 def _numbers(rng: np.random.Generator, n: int) -> list[float]:
-    """``n`` numbers: plausible ones, of any size, or none at all."""
+    """``n`` numbers: plausible, of any size, or not finite."""
     largest = 308.0 if rng.random() < 0.3 else 6.0
     values = 10.0 ** rng.uniform(-largest, largest, n) * rng.choice((-1.0, 1.0), n)
     tame = rng.random(n) < rng.choice((0.0, 0.5, 0.95))
@@ -156,7 +156,7 @@ def _numbers(rng: np.random.Generator, n: int) -> list[float]:
 
 
 def slip_topics() -> dict[str, Topic]:
-    """Those of the slip estimator with all kinds of sources."""
+    """Topics of the slip estimator with all kinds of sources."""
     p = load_slip_parameters(PARAMETERS)
     pose, joints, imu = (
         "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -189,7 +189,7 @@ def slip_topics() -> dict[str, Topic]:
 
 
 def soil_topics() -> dict[str, Topic]:
-    """Those of the soil estimator."""
+    """Topics of the soil estimator."""
     return {
         HYDRAULICS: Topic("trackslip_msgs/msg/TrackHydraulics", soil_conversions.hydraulics),
         MACHINE_STATE: Topic("trackslip_msgs/msg/MachineState", soil_conversions.machine_state),
@@ -197,7 +197,7 @@ def soil_topics() -> dict[str, Topic]:
 
 
 def fuzz_slip(count: int, seed: int = 0) -> Findings:
-    """``count`` messages of each topic of the slip estimator, between good ones of a machine that stands."""
+    """Process ``count`` messages of each slip topic, among valid ones of a machine at standstill."""
     rng, p = np.random.default_rng(seed), load_slip_parameters(PARAMETERS)
     estimator, watch, local = SlipEstimator(p), SourceWatch(p.timeouts_ns()), LocalOdometry()
     mutators = {name: Mutator(topic, rng) for name, topic in slip_topics().items()}
@@ -246,7 +246,7 @@ def _newest(estimator: SlipEstimator) -> bytes:
 
 
 def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, faults: list[str]) -> None:
-    """Whether all that is published of it is finite."""
+    """Add a fault for each message of the estimate that is not finite."""
     if estimate is None:
         return
     for message in (
@@ -262,7 +262,7 @@ def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, fault
 
 
 def _is_finite(message: Any) -> bool:
-    """Whether all float64 of a message are, but for a reserve that is not known."""
+    """Whether all float64 of a message are finite, except for an unknown reserve."""
     for name, text in message.get_fields_and_field_types().items():
         found = getattr(message, name)
         if "double" in text and not name.endswith("thrust_reserve") and not np.isfinite(found).all():
@@ -273,7 +273,7 @@ def _is_finite(message: Any) -> bool:
 
 
 def fuzz_soil(count: int, seed: int = 0) -> Findings:
-    """``count`` messages of each topic of the soil estimator, between good ones of a machine that drives."""
+    """Process ``count`` messages of each soil estimator topic, among valid ones of a driving machine."""
     rng, p = np.random.default_rng(seed), load_soil_parameters({"vehicle": PARAMETERS["vehicle"]})
     estimator = SoilEstimator(p)
     mutators = [Mutator(topic, rng) for topic in soil_topics().values()]
@@ -305,7 +305,7 @@ def fuzz_soil(count: int, seed: int = 0) -> Findings:
 
 
 def main() -> int:
-    """Send random messages; returns the exit code, 1 where anything was found."""
+    """Send random messages; return the exit code, 1 where anything was found."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "count", type=int, nargs="?", default=COUNT, help="of each topic (default: %(default)s)"

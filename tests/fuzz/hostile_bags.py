@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The readers of bags that ``hostile_files.py`` tries: bags of which a part is hostile."""
+"""Readers of bags for ``hostile_files.py``; part of each bag is hostile."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -52,7 +52,7 @@ module builtin_interfaces { module msg { struct Time { int32 sec; uint32 nanosec
 
 
 def carried(folder: Path) -> Reader:
-    """Parameters or vehicle as a text in a bag."""
+    """A bag with hostile parameters or a hostile vehicle as text."""
     compile_replay()
     with open_bag(BAG) as bag:
         others = [m for m in bag.messages(None, None, bag.start_ns + 2_200_000_000) if m.topic not in _TEXTS]
@@ -76,7 +76,7 @@ def carried(folder: Path) -> Reader:
 
 
 def ros1(folder: Path) -> Reader:
-    """A bag of ROS 1, as it is and with chunks that are packed."""
+    """A ROS 1 bag, with and without compressed chunks."""
     store, seeds = get_typestore(Stores.ROS1_NOETIC), []
     kinds = store.types
     for packed in (None, Ros1Writer.CompressionFormat.BZ2, Ros1Writer.CompressionFormat.LZ4):
@@ -97,7 +97,7 @@ def ros1(folder: Path) -> Reader:
 
 
 def metadata(folder: Path) -> Reader:
-    """The text beside the files of a bag."""
+    """The metadata.yaml of a bag."""
     bag = folder / "recorded"
     bag.mkdir()
     for file in BAG.glob("*.mcap"):
@@ -113,7 +113,7 @@ def metadata(folder: Path) -> Reader:
 
 
 def definition(folder: Path) -> Reader:
-    """What a bag says that its types are, and messages of them."""
+    """Type definitions in a bag, with messages of the types."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds, kind = store.types, "sensor_msgs/msg/JointState"
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1000, 0), "base_link")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that are hostile around their messages: metadata, records of MCAP, names of files, others beside."""
+"""Bags that are hostile outside of their messages: metadata, MCAP records, file names, other files."""
 
 import os
 import struct
@@ -61,7 +61,7 @@ _FIELDS: dict[tuple[Any, ...], tuple[Any, ...]] = {
 
 
 def metadata() -> Family:
-    """One value of ``metadata.yaml``, and texts that are none."""
+    """Each field of ``metadata.yaml`` with hostile values, and texts that are no metadata."""
     for names, values in _FIELDS.items():
         for value in values:
             swap = partial(_set, names, value)
@@ -146,7 +146,7 @@ def _with_text(text: bytes, folder: Path) -> Path:
 
 
 def damages() -> Family:
-    """The file cut, with bytes changed, holes, tails."""
+    """Truncated files, changed bytes, gaps, appended data."""
     variants: dict[str, Callable[[bytearray], bytes]] = {
         "twice": lambda b: bytes(b + b),
         "head twice": lambda b: bytes(b[: len(b) // 2] + b),
@@ -187,7 +187,7 @@ def _over(share: float, piece: bytes, content: bytearray) -> bytes:
 
 
 def records() -> Family:
-    """MCAP files of strange records."""
+    """MCAP files with unusual records."""
     writers: dict[str, Callable[[Writer], None]] = {
         "60000 schemas": lambda w: _many(w, schemas=60_000, channels=1),
         "60000 channels": lambda w: _many(w, schemas=1, channels=60_000),
@@ -316,7 +316,7 @@ def _metadata_records(writer: Writer) -> None:
 
 
 def _defined(writer: Writer, text: str, encoding: str = "ros2msg") -> None:
-    """Each topic by its good name, with this as the definition of its type."""
+    """Write valid messages whose types have ``text`` as definition."""
     types = sorted({line.type_name for line in good()})
     schemas = {
         name: writer.register_schema(name, encoding, text.replace("a/msg/B", name).encode()) for name in types
@@ -386,11 +386,11 @@ def _bare_schemas(folder: Path) -> Path:
     return file
 
 
-# --- names, and what lies beside
+# --- names, and other files
 
 
 def names() -> Family:
-    """Directories and files of strange names, and what is in a directory of a bag and none of its files."""
+    """Unusual names of directories and files, and foreign entries in the directory of a bag."""
     texts = {
         "not utf8": b"b\xff\xfe",
         "steering": b"\x1b[2J",
@@ -466,5 +466,5 @@ def _packed_zeros() -> bytes:
 
 
 def families() -> Iterator[Callable[[], Family]]:
-    """All of this module."""
+    """All families of this module."""
     yield from (metadata, damages, records, names)

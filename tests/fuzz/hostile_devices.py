@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Readers of logs of devices for ``hostile_files.py``: of a CAN bus in each format, of a GNSS receiver."""
+"""Readers of device logs for ``hostile_files.py``: a CAN bus in each format, a GNSS receiver."""
 
 import zlib
 from collections.abc import Callable
@@ -29,7 +29,7 @@ _BEGIN_S = 1_790_000_000.0
 
 
 def can_log(kind: str, folder: Path) -> Reader:
-    """A log of our own bus."""
+    """A log of our own CAN bus."""
     p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     frames = load_frames(p)
     writer, suffix = WRITERS[kind]
@@ -50,7 +50,7 @@ def can_log(kind: str, folder: Path) -> Reader:
 
 
 def _bomb(log: bytes) -> bytes:
-    """A BLF with containers that unpack to a thousand times their size, in which an object does not end."""
+    """A BLF with containers that decompress to a thousand times their size; one object does not end."""
     whole = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, 1 << 31, 86) + bytes(1 << 28)
     packed = blf.LOG_CONTAINER_STRUCT.pack(blf.ZLIB_DEFLATE, 1 << 17) + zlib.compress(whole)
     head = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, 16 + len(packed), blf.LOG_CONTAINER)
@@ -62,7 +62,7 @@ def _bomb(log: bytes) -> bytes:
 
 
 def receiver_log(kinds: str, folder: Path) -> Reader:
-    """Sentences, UBX messages, or both, of a receiver."""
+    """A receiver log of sentences, UBX messages, or both."""
     sentences, messages = b"", b""
     for k in range(20):
         at = nmea_sentences.Position(k * 10**8, 48.1, 11.6, 520.0, 4, 0.6, 0.01, 0.02, 90.0, 0.2)

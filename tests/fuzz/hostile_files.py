@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gives hostile files to every reader of files that a user hands over: part of ``make fuzz``.
+"""Gives hostile files to every reader of user files: part of ``make fuzz``.
 
-Each file is read in a process of its own. The reader may refuse it by ``InputError``, or use it. A finding is
-any other exception, a line that steers a terminal, more than ten seconds of a processor, or more than 1.5 GB:
-then the file is kept in ``out/hostile/<reader>/``, and the exit code is 1. So it is where a good file is
-refused, for then no change of it reaches what comes after. To see a hostile file again:
+Each file is read in a process of its own. The reader may use it, or reject it by ``InputError``. A finding
+is any other exception, a control character in the output, more than ten seconds of a processor, or more
+than 1.5 GB: then the file is kept in ``out/hostile/<reader>/``, and the exit code is 1. The exit code is 1
+too where a valid file is rejected, because its mutations then do not reach the code behind the check. To
+read a hostile file again:
 ``.venv/bin/python tests/fuzz/hostile_files.py --reader scenario out/hostile/scenario/7.yaml``.
 """
 
@@ -36,7 +37,7 @@ MOST_MB = 1500
 
 
 def main() -> int:
-    """Run all readers, or one; returns the exit code."""
+    """Run all readers, or one; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -55,7 +56,7 @@ def main() -> int:
 
 
 def _report(name: str, files: int) -> bool:
-    """One reader in a process of its own, one line about it; whether it found nothing."""
+    """Run one reader in a process, print a line about it; return whether nothing was found."""
     shutil.rmtree(OUT / name, ignore_errors=True)
     (OUT / name).mkdir(parents=True)
     began = time.monotonic()
@@ -69,7 +70,7 @@ def _report(name: str, files: int) -> bool:
 
 
 def _work(name: str, files: int, cases: list[Path]) -> int:
-    """All files of one reader; its last line is the count."""
+    """Read all files of one reader; the last line of the output is the count."""
     folder = Path(tempfile.mkdtemp(prefix="trackslip_hostile_"))
     os.chdir(folder)
     try:

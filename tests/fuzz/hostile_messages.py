@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags whose messages are hostile: contents, stamps, types, missing topics, parameters and vehicles.
+"""Bags with hostile messages: contents, stamps, types, missing topics, parameters and vehicles.
 
-Each family gives names and what makes the bag of that name; ``hostile_recordings.py`` has the others.
+Each family yields names, and functions that make the bag; ``hostile_recordings.py`` has the others.
 """
 
 import dataclasses
@@ -30,19 +30,19 @@ from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_tools.cli.main import main
 
 TEXT = "std_msgs/msg/String"
-LAST_S = 7.0  # of the good recording: a straight, and turns
-# of which a few do as well
+LAST_S = 7.0  # s, of the valid recording: a straight, and turns
+# topics of which few messages suffice
 _THINNED = ("/truth/", "/odometry", "/track_slip", "/machine_state", "/attitude", "/imu/mag")
 _S = 1_000_000_000
 _BAG = Path(__file__).resolve().parents[2] / "bags" / "slalom_sand"
 
-Change: TypeAlias = Callable[[Any, int], None]  # of a message in place, and its number on its topic
-Made: TypeAlias = Callable[[Path], Path]  # writes a bag into a folder, and says what to hand over
+Change: TypeAlias = Callable[[Any, int], None]  # changes a message in place; number on its topic
+Made: TypeAlias = Callable[[Path], Path]  # writes a bag into a folder, and returns the path
 Family: TypeAlias = Iterator[tuple[str, Made]]
 
 
 class Line(NamedTuple):
-    """One message."""
+    """A recorded message."""
 
     topic: str
     type_name: str
@@ -52,7 +52,7 @@ class Line(NamedTuple):
 
 @cache
 def good() -> tuple[Line, ...]:
-    """A short recording with every topic of a live one: sensors, estimates, journal, lights, parameters."""
+    """A short recording with all live topics: sensors, estimates, journal, lights, parameters."""
     with TemporaryDirectory(prefix="trackslip_hostile_") as folder:
         output = Path(folder) / "estimates"
         with redirect_stdout(io.StringIO()):
@@ -88,7 +88,7 @@ def _text(topic: str, text: str, log_ns: int) -> Line:
 
 
 def write(lines: Iterable[Line], folder: Path, name: str = "bag") -> Path:
-    """A bag of these lines, in their order."""
+    """Write a bag of the lines in their order."""
     with BagWriter(folder / name) as bag:
         for line in lines:
             bag.write(line.topic, line.type_name, line.raw, line.log_ns)
@@ -97,12 +97,12 @@ def write(lines: Iterable[Line], folder: Path, name: str = "bag") -> Path:
 
 @cache
 def first() -> dict[str, Line]:
-    """The first message of each topic of the good recording."""
+    """The first message of each topic of the valid recording."""
     return {line.topic: line for line in reversed(good())}
 
 
 def topics() -> list[str]:
-    """All of the good recording."""
+    """All topics of the valid recording."""
     return sorted(first())
 
 
@@ -113,12 +113,12 @@ def stamped_topics() -> list[str]:
 
 
 def _message(line: Line) -> Any:
-    """The message of a line, to be changed."""
+    """The message of a line, a new object."""
     return deserialize(line.raw, line.type_name)
 
 
 def without(*names: str) -> Iterator[Line]:
-    """The good recording but for some topics."""
+    """The valid recording without some topics."""
     return (line for line in good() if line.topic not in names)
 
 
@@ -140,9 +140,9 @@ NUMBERS: dict[str, float] = {
 
 
 def _with_numbers(message: Any, value: float, only: str = "", at: str = "") -> None:
-    """Every float of a message, within a message too, or the one at a path, becomes this one.
+    """Set every float of a message, nested ones too, or the one at a path, to ``value``.
 
-    In 32 bits it may become infinity.
+    In 32 bits it may become infinite.
     """
     if _is_of_float32(message):
         with np.errstate(over="ignore"):
@@ -163,7 +163,7 @@ def _is_of_float32(message: Any) -> bool:
 
 
 def _changed(topic: str, change: Change, every: int, folder: Path) -> Path:
-    """The good recording, in which each so manieth message of a topic is changed."""
+    """The valid recording with each ``every``-th message of a topic changed."""
     lines, seen = [], 0
     for line in good():
         if line.topic == topic:
@@ -190,7 +190,7 @@ def contents() -> Family:
 
 
 def fields() -> Family:
-    """One field of all messages of a topic."""
+    """One field in all messages of a topic."""
     for topic in stamped_topics():
         for path in _floats(_message(first()[topic])):
             for name in ("nan", "1e308", "1e30", "minus_1"):
@@ -230,7 +230,7 @@ _STAMPS: dict[str, Callable[[int, int, int], tuple[int, int]]] = {
 
 
 def stamps() -> Family:
-    """Stamps of a topic, one in fifty or all; and of all topics together."""
+    """Stamps of a topic, in one message of fifty or all; and of all topics together."""
     for name, of in _STAMPS.items():
         change = partial(_set_stamp, of)
         for topic in stamped_topics():
@@ -252,7 +252,7 @@ def _changed_together(change: Change, folder: Path) -> Path:
 
 
 def log_times() -> Family:
-    """When messages were logged; their stamps stay."""
+    """Log times; the stamps stay."""
     lines = good()
     begin = lines[0].log_ns
     variants: dict[str, Callable[[int, int], int]] = {
@@ -281,7 +281,7 @@ def log_times() -> Family:
 
 
 def sequences() -> Family:
-    """Lists of messages: none, cut, too long; texts that are strange."""
+    """Lists in messages: empty, truncated, too long; unusual texts."""
     long_name = "x" * 200_000
     for topic in (topic for topic in topics() if _type(topic) == "sensor_msgs/msg/JointState"):
         for name, count in (("none", 0), ("one", 1), ("three", 3), ("many", 5000)):
@@ -338,11 +338,11 @@ def _lights(text: str, message: Any, _: int) -> None:
     for status in message.status:
         status.name = status.message = status.hardware_id = text
         status.values = [make("diagnostic_msgs/msg/KeyValue", key=text, value=text)] * 50
-        status.level = -1  # 255 as a byte has it
+        status.level = -1  # 255 as a byte
 
 
 def raw_bytes() -> Family:
-    """Messages that are not of their type."""
+    """Bytes that are no message of their type."""
     variants: dict[str, Callable[[bytes], bytes]] = {
         "empty": lambda _: b"",
         "header": lambda raw: raw[:4],
@@ -374,7 +374,7 @@ def _type(topic: str) -> str:
 
 
 def kinds() -> Family:
-    """Every topic of the list with messages of another type; the good ones too, or instead."""
+    """Every topic with messages of another type, beside the valid ones or instead."""
     begin_ns = good()[0].log_ns
     others: list[Any] = [make(TEXT, data="hello"), make(TEXT, data=""), make("sensor_msgs/msg/JointState")]
     others += [make("sensor_msgs/msg/LaserScan"), make("nav_msgs/msg/Odometry"), make("std_msgs/msg/Empty")]
@@ -387,7 +387,7 @@ def kinds() -> Family:
 
 
 def _with_others(other: Line, folder: Path) -> Path:
-    """The good recording with this message in place of all that its topic has, once a second."""
+    """The valid recording with ``other`` once a second instead of the topic's messages."""
     others = [other._replace(log_ns=other.log_ns + k * _S) for k in range(9)]
     return write([*others, *without(other.topic)], folder)
 
@@ -436,7 +436,7 @@ def _alone(topic: str, folder: Path) -> Path:
 
 
 def _empty(topic: str, folder: Path) -> Path:
-    """A topic that is known, and has no message."""
+    """A topic without messages."""
     with BagWriter(folder / "bag") as bag:
         bag.add_topic(topic, _type(topic))
         for line in without(topic):
@@ -451,7 +451,7 @@ _OTHERS: tuple[Any, ...] = (True, None, "x", [], {}, [1.0], 10**400, "\x1b[2J", 
 
 
 def vehicles() -> Family:
-    """One number of the vehicle in the bag, and texts that are none."""
+    """The vehicle of the bag with one changed number, and texts that are no vehicle."""
     text = vehicle_text(load_vehicle())
     for name, value in to_flat(load_vehicle()).items():
         for size in _SIZES if isinstance(value, float) else _OTHERS:
@@ -472,7 +472,7 @@ def vehicles() -> Family:
 
 
 def parameters() -> Family:
-    """Parameters in the bag: each at the ends of what is accepted, and texts that are none."""
+    """Parameters of the bag: each at the ends of its range, and texts that are no parameters."""
     p = load_slip_parameters()
     text = parameters_text(to_flat(p), "slip_estimator")
     low: dict[str, Any] = {}
@@ -516,12 +516,12 @@ def _set(text: str, names: Sequence[str], value: Any) -> str:
 
 
 def _carrying(topic: str, text: str, folder: Path) -> Path:
-    """The good recording with this text on a topic."""
+    """The valid recording with ``text`` on a topic."""
     return write([_text(topic, text, good()[0].log_ns), *without(topic)], folder)
 
 
 def _texts(topic: str, good_text: str) -> Family:
-    """What is no YAML, or not of a form."""
+    """Texts that are no YAML, or not of the form."""
     texts = {
         "empty": "",
         "word": "x",

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The readers of files that ``hostile_files.py`` tries: each with good files, and what is done with one."""
+"""Readers of files for ``hostile_files.py``: each with valid files, and the processing of one."""
 
 import contextlib
 import io
@@ -47,12 +47,12 @@ BAG = ROOT / "bags" / "slalom_sand"
 
 @dataclass(frozen=True)
 class Reader:
-    """``read`` gives an exit code where it is a command's, and raises ``InputError`` where it is none."""
+    """``read`` returns the exit code of a command, or raises ``InputError`` where it is none."""
 
-    seeds: Sequence[bytes]  # good files: none of them may be refused
+    seeds: Sequence[bytes]  # valid files: none may be rejected
     read: Callable[[Path], int | None]
     suffix: str = ".yaml"
-    bombs: Sequence[bytes] = ()  # files to begin with that are refused
+    bombs: Sequence[bytes] = ()  # hostile files to begin with
 
 
 def _config(pattern: str) -> list[bytes]:
@@ -60,7 +60,7 @@ def _config(pattern: str) -> list[bytes]:
 
 
 def vehicle(_: Path) -> Reader:
-    """A vehicle's file, and its text on a bag's topic."""
+    """A vehicle file, and its text on a topic of a bag."""
 
     def read(path: Path) -> None:
         found = load_vehicle(str(path))
@@ -71,7 +71,7 @@ def vehicle(_: Path) -> Reader:
 
 
 def scenario(folder: Path) -> Reader:
-    """Driven for a moment, with what the sensors see of it."""
+    """A scenario, simulated briefly with its sensors."""
 
     def read(path: Path) -> int:
         output = folder / "bag"
@@ -84,7 +84,7 @@ def scenario(folder: Path) -> Reader:
 
 
 def terrain(folder: Path) -> Reader:
-    """Driven on for a moment."""
+    """A terrain, driven on briefly."""
 
     def read(path: Path) -> int:
         options = ["--scenario", "straight", "--terrain", str(path), "--duration", "0.3"]
@@ -93,12 +93,12 @@ def terrain(folder: Path) -> Reader:
         return code
 
     with contextlib.redirect_stdout(io.StringIO()):
-        read(config_directory() / "terrains" / "hill.yaml")  # compiles
+        read(config_directory() / "terrains" / "hill.yaml")  # compiles the kernels
     return Reader(_config("terrains/*.yaml"), read)
 
 
 def limits(_: Path) -> Reader:
-    """What a report judges by."""
+    """The limits of a report."""
 
     def read(path: Path) -> None:
         load_limits([str(path)])
@@ -141,7 +141,7 @@ def plan(_: Path) -> Reader:
 
 
 def roles(folder: Path) -> Reader:
-    """Roles of a CAN bus."""
+    """The roles of a CAN bus."""
     p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     dbc = config_directory() / p.dbc_file
 
@@ -152,7 +152,7 @@ def roles(folder: Path) -> Reader:
 
 
 def dbc(_: Path) -> Reader:
-    """The contract of a CAN bus."""
+    """The DBC of a CAN bus."""
     p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
     own = load_frames(p)
     assert own.codecs
@@ -161,7 +161,7 @@ def dbc(_: Path) -> Reader:
 
 
 def mapping(folder: Path) -> Reader:
-    """How a log is imported."""
+    """The mapping of an import."""
     log = folder / "log.csv"
     log.write_bytes(LOG)
 
@@ -182,7 +182,7 @@ def table(folder: Path) -> Reader:
 def importing(
     folder: Path, mapping: str, log: Callable[[Path], Path] = lambda path: path
 ) -> Callable[[Path], int]:
-    """What imports a log, made of the case, by a mapping."""
+    """A function that imports a log made of the case, with ``mapping``."""
     (folder / "mapping.yaml").write_text(mapping, encoding="utf-8")
 
     def read(path: Path) -> int:
@@ -237,7 +237,7 @@ LOG = b"t,l,r,x,y,h\n" + b"".join(b"%.2f,%d,2e0,%d.5,7,-3e1\n" % (0.1 * k, k, 3 
 
 
 def state(_: Path) -> Reader:
-    """What the slip estimator has learned; two in three with a checksum that is right."""
+    """Learned states of the slip estimator; two in three have a valid checksum."""
     p = load_slip_parameters()
     estimator = SlipEstimator(p)
     with open_bag(BAG) as bag:
@@ -263,7 +263,7 @@ def state(_: Path) -> Reader:
 
 
 def track(_: Path) -> Reader:
-    """The track that the box localizer keeps, and where it seeks the box then."""
+    """The track that the box localizer keeps, and the search area that follows from it."""
     p = load_parameters(BoxNodeParameters, BOX_NODE, BOX_FILES)
     headings = Headings(CERTAIN, SideEvidence())
     begun = Track.begun(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
@@ -280,7 +280,7 @@ def track(_: Path) -> Reader:
 
 
 def journal(_: Path) -> Reader:
-    """Scores of an interrupted search, and what the search makes of them."""
+    """Scores of an interrupted search, and their use by the search."""
     score = Score(1.5, {"box_pose": 1.0}, {"box_pose": 3}, 0.1, math.nan, 2.0, -3.0)
     empty = Path("empty.jsonl")
     with Journal(empty, (), ("a", "b")) as made:
@@ -300,7 +300,7 @@ def journal(_: Path) -> Reader:
 
 
 def cache(_: Path) -> Reader:
-    """Finished pieces of a study."""
+    """Finished parts of a study."""
     path = Path("cache.jsonl")
     examples: dict[Any, Any] = {str: "sand", int: 3, float: 0.5}
     row = Row(*(examples.get(kind, (0.1, 0.9)) for kind in get_type_hints(Row).values()))
@@ -320,13 +320,13 @@ def cache(_: Path) -> Reader:
 
 
 def compile_replay() -> None:
-    """The first replay takes as long as ten hostile ones."""
+    """Compile by a first replay, which takes as long as ten hostile ones."""
     with contextlib.redirect_stdout(io.StringIO()):
         main(["replay", str(BAG), "--stop", "1"])
 
 
 def remove(bag: Path) -> None:
-    """A bag, where one was made."""
+    """Remove a bag if it exists."""
     for file in bag.iterdir() if bag.is_dir() else ():
         file.unlink()
     if bag.is_dir():

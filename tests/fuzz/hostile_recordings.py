@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gives hostile bags to every command that takes one: part of ``make fuzz``.
 
-A bag is hostile in one way of a family: its messages, stamps, types, topics, parameters, metadata, records,
-names. Of each family some are drawn, the same for the same ``--seed``. Each command runs in a process of its
-own. A finding is a traceback, an exit code that is none, a line that steers a terminal, more than 60 s of a
-processor, or more than 1 GB. To see one again:
+A bag is hostile in one way of a family: its messages, stamps, types, topics, parameters, metadata,
+records, names. Of each family some are drawn, the same for the same ``--seed``. Each command runs in a
+process of its own. A finding is a traceback, an undefined exit code, a control character in the output,
+more than 60 s of a processor, or more than 1 GB. To run one again:
 ``.venv/bin/python tests/fuzz/hostile_recordings.py 'scan=angles nan' --command report``.
 """
 
@@ -54,17 +54,17 @@ COMMANDS = {
 
 
 class Run(NamedTuple):
-    """What one command did with one bag."""
+    """Result of one command with one bag."""
 
     bag: str
     command: str
-    problem: str  # empty where nothing is wrong
-    seconds: float  # of a processor
+    problem: str  # empty if none
+    seconds: float  # of processor time
     megabytes: int
 
 
 def main() -> int:
-    """Make the bags, run the commands; returns the exit code."""
+    """Make the bags, run the commands; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -101,12 +101,12 @@ def main() -> int:
 
 @cache
 def made_by_name() -> dict[str, Made]:
-    """Every hostile bag."""
+    """Every hostile bag by name."""
     return {name: made for family in (*FAMILIES_OF_MESSAGES, *families()) for name, made in family()}
 
 
 def drawn(count: int, seed: int) -> list[str]:
-    """So many bags, of each family as many as of another while there are any."""
+    """Names of ``count`` bags, evenly from all families while these last."""
     draw = random.Random(seed)
     by_family = [[name for name, _ in family()] for family in (*FAMILIES_OF_MESSAGES, *families())]
     for names in by_family:
@@ -120,7 +120,7 @@ def drawn(count: int, seed: int) -> list[str]:
 
 
 def _begin(commands: Sequence[str]) -> None:
-    """In a worker: what every command needs is loaded, and compiled, before its children are made."""
+    """In a worker: load and compile what the commands need before the children are forked."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         bag = write(good(), Path(folder))
         for command in commands:
@@ -134,7 +134,7 @@ def _words(command: str, bag: Path, output: Path) -> list[str]:
 
 
 def _work(name: str, commands: Sequence[str]) -> list[Run]:
-    """All commands over one bag."""
+    """Run all commands on one bag."""
     folder = Path(tempfile.mkdtemp(prefix="trackslip_hostile_"))
     try:
         (folder / "in").mkdir()

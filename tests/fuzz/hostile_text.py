@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes hostile files of good ones: bytes damaged, two files joined, values of other types, YAML's bombs."""
+"""Makes hostile files from valid ones: damaged bytes, two joined files, values of other types, YAML bombs."""
 
 import json
 import random
@@ -13,7 +13,7 @@ import yaml
 
 Place: TypeAlias = tuple[Any, Any]  # mapping or list, and the key in it
 
-# What a parser may trip over, put anywhere.
+# Texts that are difficult for parsers, inserted anywhere.
 TOKENS = (
     *("[" * 5000, "{" * 5000, "]" * 50, "- " * 3000, "? " * 500, "7" * 5000, "'" * 3, '"', "\t", "\0"),
     *("&a [*a]", "&a [*b]", "*a", "<<: *a", "<<: {<<: {}}", "---", "...", "%YAML 9.9", "%TAG ! !!", "\n: \n"),
@@ -35,7 +35,7 @@ SWAPS: tuple[Any, ...] = (
 
 
 def hostile(seeds: Sequence[bytes], seed: int) -> bytes:
-    """One file, the same for the same number; every third is still of a form that parsers get through."""
+    """One hostile file per ``seed``; every third has a form that parsers accept."""
     draw = random.Random(seed)
     variants: list[Callable[[random.Random, bytes, bytes], bytes]] = [_damaged, _joined, _swapped]
     made = variants[seed % len(variants)](draw, draw.choice(seeds), draw.choice(seeds))
@@ -43,7 +43,7 @@ def hostile(seeds: Sequence[bytes], seed: int) -> bytes:
 
 
 def _damaged(draw: random.Random, content: bytes, _: bytes) -> bytes:
-    """Bytes changed, cut out, doubled, and tokens put in."""
+    """Bytes changed, removed, doubled, and tokens inserted."""
     for _time in range(draw.choice((1, 1, 2, 5))):
         at, length = draw.randrange(len(content) + 1), draw.choice((1, 1, 2, 8, 100))
         token = draw.choice(TOKENS).encode()
@@ -69,7 +69,7 @@ def _joined(draw: random.Random, one: bytes, other: bytes) -> bytes:
 
 
 def _overwritten(draw: random.Random, content: bytes) -> bytes:
-    """Some bytes replaced, so that all others keep their addresses."""
+    """Some bytes replaced without moving the others."""
     changed = bytearray(content)
     for _time in range(draw.choice((1, 1, 2, 5))):
         at, length = draw.randrange(len(content)), draw.choice((1, 1, 2, 8))
@@ -79,9 +79,9 @@ def _overwritten(draw: random.Random, content: bytes) -> bytes:
 
 
 def _swapped(draw: random.Random, content: bytes, other: bytes) -> bytes:
-    """Of YAML, or of lines of JSON, some values replaced by others and by whole branches of another file.
+    """YAML or lines of JSON with values replaced by others, also by whole branches of another file.
 
-    Of a binary file some bytes are: readers find its parts by their addresses.
+    In binary files bytes are overwritten, because readers find parts by their addresses.
     """
     if b"\0" in content:
         return _overwritten(draw, content)
@@ -105,7 +105,7 @@ def _swapped(draw: random.Random, content: bytes, other: bytes) -> bytes:
 
 
 def _swap(draw: random.Random, tree: list[Any], other: list[Any]) -> None:
-    """One value of the tree: replaced, removed, or under another name."""
+    """Replace or rename one value of the tree."""
     places = list(_places(tree))
     if not places:
         return
@@ -119,7 +119,7 @@ def _swap(draw: random.Random, tree: list[Any], other: list[Any]) -> None:
 
 
 def _places(tree: Any) -> Iterator[Place]:
-    """Every value, as what it is in and its key there."""
+    """Every value as its container and key."""
     items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     for key, value in list(items):
         yield tree, key

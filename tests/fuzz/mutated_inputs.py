@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mutated messages of GNSS receivers, and mutated pairs of DBC and roles: part of ``make fuzz``.
 
-Fields, bytes and lengths change; the checksum is that of the changed content, but in one of eight inputs.
-Nothing raises anything but ``InputError``; what comes out is finite; good messages afterwards are read.
-A finding prints its input and its traceback, and the exit code is 1.
+Fields, bytes and lengths change; in seven of eight inputs the checksum matches the changed content.
+Nothing raises anything but ``InputError``; results are finite; valid messages afterwards are read. A
+finding prints its input and its traceback, and the exit code is 1.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from trackslip_drivers.protocols.nmea_stream import NmeaStream
 COUNTS = {"nmea": 1_000_000, "ubx": 1_000_000, "dbc": 100_000}
 MOST_MB = 1500
 _MS = 1_000_000
-_LOOK = 1000  # inputs between two looks for a good fix
+_LOOK = 1000  # inputs between two checks with a valid fix
 _MOST_FINDINGS = 10
 _FIELDS = (
     *("", "0", "-0", "1e9", "nan", "inf", "-", ".", "9" * 40, "0x10", "1_0", "١٢", "4806.0", "60.0", "99"),
@@ -60,7 +60,7 @@ _FIX = {"fixType": 3, "gnssFixOk": 1, "carrSoln": 2, "lat": 48.1, "lon": 11.6, "
 
 
 class Receiver:
-    """A stream of a receiver that is fed mutated messages."""
+    """A receiver stream that gets mutated messages."""
 
     def __init__(self, seeds: list[bytes], mutate: Callable[[random.Random, bytes], bytes]) -> None:
         self._seeds, self._mutate = seeds, mutate
@@ -68,7 +68,7 @@ class Receiver:
         self._now_ns = self._count = 0
 
     def feed(self, draw: random.Random) -> None:
-        """One input."""
+        """Process one input."""
         self._now_ns += draw.choice((0, 1, 40, 400)) * _MS
         content = self._mutate(draw, draw.choice(self._seeds))
         for sample in self._stream.feed(content, self._now_ns):
@@ -79,7 +79,7 @@ class Receiver:
             self._look()
 
     def _look(self) -> None:
-        """After a silence a good epoch is read."""
+        """Check that a valid epoch is read after a silence."""
         self._now_ns += 5000 * _MS
         self._stream.flush()
         later = _AT._replace(time_ns=90_000_000_000 + self._now_ns % 10**12)
@@ -89,14 +89,14 @@ class Receiver:
 
 
 def nmea() -> Receiver:
-    """Of all kinds of sentences that are read."""
+    """A receiver of all supported NMEA sentences."""
     encoders = (nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, nmea_sentences.pashr)
     seeds = [encode(_AT)[1:].partition(b"*")[0] for encode in encoders]
     return Receiver([*seeds, *(text.encode() for text in _SENTENCES)], _mutated_sentence)
 
 
 def ubx() -> Receiver:
-    """Of all messages that are read, and one that is not."""
+    """A receiver of all supported UBX messages, and one that is not supported."""
     messages = (
         UBXMessage("NAV", "NAV-PVT", GET, iTOW=20_000, **_FIX),
         UBXMessage("NAV", "NAV-HPPOSLLH", GET, iTOW=20_000, lat=48.1, lon=11.6, hAcc=10.0, vAcc=15.0),
@@ -121,7 +121,7 @@ def _mutated_sentence(draw: random.Random, body: bytes) -> bytes:
 
 
 def _mutated_message(draw: random.Random, body: bytes) -> bytes:
-    """Class, id, length and payload."""
+    """A UBX message with mutated class, id, length and payload."""
     content = bytearray(body)
     for _ in range(draw.choice((0, 1, 2, 8))):
         at = draw.randrange(2 if draw.randrange(8) else 0, len(content))
@@ -140,7 +140,7 @@ def _damaged(draw: random.Random, content: bytes) -> bytes:
 
 
 class Bus:
-    """A DBC and roles that are mutated, and frames that are decoded by them."""
+    """A mutated DBC and roles, and frames that are decoded with them."""
 
     def __init__(self) -> None:
         self._p = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
@@ -150,7 +150,7 @@ class Bus:
         self._folder = Path(tempfile.mkdtemp(prefix="trackslip_mutated_"))
 
     def feed(self, draw: random.Random) -> None:
-        """One pair, and some frames of each of its ids."""
+        """Process one pair, and some frames of each of its ids."""
         which = draw.randrange(3)
         dbc, roles = self._folder / "a.dbc", self._folder / "a.yaml"
         dbc.write_text(_mutated_text(draw, self._dbc) if which != 1 else self._dbc, encoding="utf-8")
@@ -195,7 +195,7 @@ KINDS: dict[str, Callable[[], Receiver | Bus]] = {"nmea": nmea, "ubx": ubx, "dbc
 
 
 def main() -> int:
-    """All kinds, or one; returns the exit code."""
+    """Run all kinds, or one; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -212,7 +212,7 @@ def main() -> int:
 
 
 def _run(kind: str, first: int, count: int) -> int:
-    """Inputs of one kind; how many were findings."""
+    """Process inputs of one kind; return the number of findings."""
     began, found, target = time.monotonic(), 0, KINDS[kind]()
     for number in range(first, first + count):
         try:

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random steps of the slip estimator: measurements of every kind, variances from 1e-12 to 1e12.
 
-``make fuzz`` takes ten million, ``make test`` a hundred thousand. An episode is one machine with
-sensors of its own that drives about at random. What its sensors show is true within what they state, as
-a rule; sometimes it is far off, singular or late. After each part of an episode all states are finite,
-their covariances positive semidefinite and all that is published finite; and a replay of the whole ends
-with the same bits.
+``make fuzz`` takes ten million, ``make test`` a hundred thousand. An episode is one machine with its own
+sensors, driven at random. Measurements are consistent with their stated noise, as a rule; sometimes they
+are outliers, singular or late. After each part of an episode all states are finite, their covariances
+positive semidefinite and all published values finite; and a replay of the whole ends with the same bits.
 """
 
 import argparse
@@ -35,12 +34,12 @@ from trackslip_estimation.slip.records import (
 
 Records = NDArray[np.void]
 
-STEPS = 2000  # of an episode
-_REPORTED = 100_000  # steps from one line of progress to the next
-_SHOWN = 20  # faults, in words
-_PART = 50  # arrivals between two looks at the states
-_TOLERANCE = 1e-12  # of the largest eigenvalue
-_UPPER = {f"sources.{name}.mount": "upper" for name in ("mast", "imu_top", "compass")}  # of the cab
+STEPS = 2000  # per episode
+_REPORTED = 100_000  # steps between two lines of progress
+_SHOWN = 20  # faults that are printed
+_PART = 50  # arrivals between two checks of the states
+_TOLERANCE = 1e-12  # relative to the largest eigenvalue
+_UPPER = {f"sources.{name}.mount": "upper" for name in ("mast", "imu_top", "compass")}  # on the cab
 _LEVER = {"sources.gnss.lever_arm_x": 0.8, "sources.gnss.lever_arm_y": -0.3, "sources.gnss.lever_arm_z": 2.0}
 _ALL: dict[str, Any] = {
     "pose_sources": ["box_pose", "gnss", "mast"],
@@ -69,16 +68,16 @@ MACHINES: tuple[dict[str, Any], ...] = (
 
 
 class Findings(NamedTuple):
-    """What an episode showed."""
+    """Results of an episode."""
 
     steps: int
-    outcomes: NDArray[np.int64]  # (n,) how often each of ``Outcome`` came
+    outcomes: NDArray[np.int64]  # (n,) count of each ``Outcome``
     least: float  # least eigenvalue of a covariance, over its largest
-    faults: list[str]  # what must not be
+    faults: list[str]  # violations
 
 
 def episode(number: int, steps: int = STEPS) -> Findings:
-    """One episode, repeatable by its number."""
+    """Run one episode, repeatable by its number."""
     rng = np.random.default_rng(number)
     p = load_slip_parameters(MACHINES[number % len(MACHINES)])
     live, replay = SlipEstimator(p), SlipEstimator(p)
@@ -108,9 +107,9 @@ def episode(number: int, steps: int = STEPS) -> Findings:
 
 
 def _least_eigenvalue(states: Records, size: int, where: str, faults: list[str]) -> float:
-    """The least of the covariances of (n,) states and of their correlations, over the largest of each.
+    """Least eigenvalue of the covariances and correlations of (n,) states, over the largest of each.
 
-    ``size``: of the states in use.
+    ``size``: number of states in use.
     """
     P = states["covariance"][:, :size, :size]
     if not (
@@ -135,7 +134,7 @@ def _all_finite(records: Any) -> bool:
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Whether records agree bit for bit, the gaps between their fields apart."""
+    """Whether records agree bit for bit, except for padding between their fields."""
     if one.dtype.names is None:
         return bool(one.tobytes() == other.tobytes())
     return all(_same(one[name], other[name]) for name in one.dtype.names)
@@ -144,7 +143,7 @@ def _same(one: Any, other: Any) -> bool:
 def random_arrivals(
     rng: np.random.Generator, p: SlipEstimatorParameters, estimator: SlipEstimator, steps: int
 ) -> Records:
-    """(steps,) records of ``MEASUREMENT`` in the order of their arrival, some of them late."""
+    """(steps,) records of ``MEASUREMENT`` in order of arrival, some of them late."""
     named = {
         POSE: list(p.poses()),
         YAW_RATE: list(p.gyros()),
@@ -155,7 +154,7 @@ def random_arrivals(
         SLIPS: [name for name in p.slip_sources if name],
     }
     sources = [(kind, estimator.sources[name]) for kind, own in named.items() for name in own]
-    chosen = rng.integers(-len(sources), len(sources), steps)  # half of them sprockets
+    chosen = rng.integers(-len(sources), len(sources), steps)  # half are sprockets
     kinds = np.array([SPROCKETS if k < 0 else sources[k][0] for k in chosen])
     kinds[0] = SPROCKETS
     m = np.zeros(steps, MEASUREMENT)
@@ -185,7 +184,7 @@ def random_arrivals(
 
 
 def _walk(rng: np.random.Generator, steps: int, size: int) -> FloatArray:
-    """(steps, size) speeds of sprockets, which stay the same for some time."""
+    """(steps, size) sprocket speeds that are constant for some time."""
     changes = rng.random(steps) < 0.02
     levels = rng.uniform(-3.0, 3.0, (steps, size)) * (rng.random((steps, 1)) < 0.8)
     last = np.maximum.accumulate(np.where(changes, np.arange(steps), 0))
@@ -193,7 +192,7 @@ def _walk(rng: np.random.Generator, steps: int, size: int) -> FloatArray:
 
 
 def _poses(speeds: FloatArray, dt: FloatArray, p: SlipEstimatorParameters) -> FloatArray:
-    """(steps, 3) x, y, heading of a machine whose tracks slip by a twentieth."""
+    """(steps, 3) x, y, heading of a machine with a slip of a twentieth."""
     vehicle = p.vehicle.kinematics
     v = 0.95 * vehicle.rolling_radius * speeds.mean(axis=1)
     heading = np.cumsum(0.6 * vehicle.rolling_radius * (speeds[:, 1] - speeds[:, 0]) / vehicle.tread * dt)
@@ -202,7 +201,7 @@ def _poses(speeds: FloatArray, dt: FloatArray, p: SlipEstimatorParameters) -> Fl
 
 
 def _correlations(rng: np.random.Generator, steps: int) -> FloatArray:
-    """(steps, 3, 3) correlation matrices: none, some, or nearly and wholly singular ones."""
+    """(steps, 3, 3) correlation matrices: none, some, nearly singular or singular."""
     directions = rng.normal(size=(steps, 3, 3))
     directions[:, :, 1:] *= (10.0 ** rng.uniform(-9.0, 0.0, steps))[:, None, None]
     directions[rng.random(steps) < 0.1, :, 1:] = 0.0
@@ -216,7 +215,7 @@ def _correlations(rng: np.random.Generator, steps: int) -> FloatArray:
 def _set_others(
     rng: np.random.Generator, m: Records, truth: FloatArray, speeds: FloatArray, p: SlipEstimatorParameters
 ) -> None:
-    """What of each kind is no pose."""
+    """Set the values of all measurements that are no pose."""
     steps, vehicle = len(m), p.vehicle.kinematics
     rates = 0.6 * vehicle.rolling_radius * (speeds[:, 1] - speeds[:, 0]) / vehicle.tread
     of = m["kind"]
@@ -242,7 +241,7 @@ def _set_others(
 
 
 def main() -> int:
-    """Make random steps on all cores; returns the exit code, 1 where anything was found."""
+    """Run random steps on all cores; return the exit code, 1 where anything was found."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("steps", type=int, nargs="?", default=10_000_000, help="(default: %(default)s)")
     requested = parser.parse_args().steps

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""After any frames on the CAN bus, with a good checksum or not, good frames are decoded."""
+"""Valid frames on the CAN bus are decoded after any frames, with a valid checksum or not."""
 
 import math
 
@@ -17,7 +17,7 @@ from trackslip_sim.devices.can_device import ENCODERS, PRESSURES, SPOOLS
 
 Piece = tuple[
     int, int, bytes, bool
-]  # silence before it, ms; identifier, payload, whether its checksum is good
+]  # preceding silence, ms; identifier, payload, whether the checksum is valid
 
 MS, CYCLE_NS = 1_000_000, 10_000_000
 P = load_parameters(CanDriverParameters, NODE, DEFAULT_FILES)
@@ -54,4 +54,4 @@ def test_good_frames_are_decoded_after_any_frames(conversation: list[Piece]) -> 
                 assert math.isfinite(sample.right_velocity), sample
     received = [decoder.decode(*frame, now_ns + n * CYCLE_NS) for n, frame in enumerate(GOOD, 1)]
     assert not any(isinstance(one, Rejection) for one in received), received
-    assert received[2], "third frame held back"  # the second may be: a silence hides a turn of the counter
+    assert received[2], "third frame held back"  # the second may be: silence hides a wrap of the counter

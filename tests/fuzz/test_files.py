@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags and logs of any content are read, recovered, imported, or refused by ``InputError``."""
+"""Bags and logs of any content are read, recovered, imported, or rejected by ``InputError``."""
 
 import contextlib
 import shutil
@@ -20,18 +20,18 @@ from trackslip_bags.recovery.recover import recover
 from trackslip_bags.writer import BagWriter
 from trackslip_common.errors import InputError
 
-Damage = tuple[float, int, bytes]  # where, as a share of the file; bytes cut out, and put in
+Damage = tuple[float, int, bytes]  # position as a share of the file; bytes removed, bytes inserted
 
 damages = st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 64), st.binary(max_size=64)), max_size=4)
 _ALL = settings().max_examples
-of_folders = settings(  # files take longer than bytes; each replaces the one before
+of_folders = settings(  # files are slow; each replaces the one before
     max_examples=min(_ALL, max(_ALL // 50, 100)), suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """An MCAP file of three seconds."""
+    """The bytes of an MCAP file of three seconds."""
     with BagWriter(tmp_path_factory.mktemp("seed") / "bag") as bag:
         for n in range(3):
             joints = make("sensor_msgs/msg/JointState", header=header(n, "base_link"), position=[0.5])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The hostile bags of ``make fuzz`` can be made; one that cannot is reported, and the others are tried."""
+"""All hostile bags of ``make fuzz`` can be made; one that cannot is reported, and the others still run."""
 
 import re
 from pathlib import Path

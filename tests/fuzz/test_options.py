@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Any text behind an option of ``trackslip replay`` is used, or refused by ``InputError``."""
+"""Any text after an option of ``trackslip replay`` is used, or rejected by ``InputError``."""
 
 import contextlib
 from collections.abc import Callable

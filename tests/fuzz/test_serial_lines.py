@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""After anything on a serial line good messages are found: of SICK scanners, Watson IMUs, NMEA."""
+"""Valid messages are found after any bytes on a serial line: SICK scanners, Watson IMUs, NMEA."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,7 +35,7 @@ from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 Piece = tuple[int, bytes]  # kind and content
 
 MS = 1_000_000
-RAW, FRAMED, CUT, HEAD, ACK, SILENCE, SCAN = range(7)  # kinds of pieces; a further one is raw, too
+RAW, FRAMED, CUT, HEAD, ACK, SILENCE, SCAN = range(7)  # kinds of pieces; any other is raw
 
 kinds = st.one_of(st.integers(RAW, SCAN), st.just(FRAMED))
 contents = st.one_of(st.binary(max_size=24), st.binary(max_size=768))
@@ -50,7 +50,7 @@ POWER_ON = b"\x90PLS101-312\x10"
 
 
 def on_line(kind: int, content: bytes, address: int) -> tuple[bytes, int]:
-    """The bytes of a piece, and how long they are in coming, ns."""
+    """The bytes of a piece, and the duration of their transfer, ns."""
     payload = scan_payload(content) if kind == SCAN else content or b"\0"
     whole = frame(payload[:MAX_PAYLOAD], address) if kind in (FRAMED, CUT, SCAN) else content
     forms = {
@@ -63,14 +63,14 @@ def on_line(kind: int, content: bytes, address: int) -> tuple[bytes, int]:
 
 
 def scan_payload(content: bytes) -> bytes:
-    """A scan of as many values as the first two bytes say, the last byte filling what is missing."""
+    """A scan with the number of values in the first two bytes, padded with the last byte."""
     head, values = content[:2].ljust(2, b"\0"), content[2:] or b"\0"
     size = 2 * (int.from_bytes(head, "little") & 0x1FF)
     return b"\xb0" + head + values.ljust(size, values[-1:])[:size] + values[-1:]
 
 
 SCAN_OF_ZEROS = RawScan(np.zeros(10, dtype=np.uint16), status=0).payload()
-CONVERSATIONS: list[list[Piece]] = [  # what a scanner may say
+CONVERSATIONS: list[list[Piece]] = [  # possible output of a scanner
     [(ACK, b""), (FRAMED, b"\xa0\x00\x10"), (RAW, b"\x06\x15\xff"), (SILENCE, b"")],
     [(SCAN, count.to_bytes(2, "little") + b"\xf7\x1f\x80") for count in (180, 4457, 16745)],
     [(FRAMED, POWER_ON), (FRAMED, b"\x91\x10"), (FRAMED, b"\x92\x10"), (FRAMED, b"\xb1abc\x10")],
@@ -95,18 +95,18 @@ def test_session_streams_again_after_any_bytes(conversation: list[Piece]) -> Non
         session.receive(sent, now_ns)
         session.step(now_ns)
     now_ns = start_streaming(session, now_ns) + SILENCE_NS
-    session.receive(b"", now_ns)  # false starts are the telegram parser's affair
+    session.receive(b"", now_ns)  # false starts are tested with the telegram parser
     scans = [scan for n in (1, 2) for scan in session.receive(SCANS[n - 1], now_ns + 40 * MS * n)]
     assert any(abs(s.sample.ranges[0] - 2.51) < 1e-9 for s in scans)
     assert all(isinstance(scan, Scan) for scan in scans)
 
 
 def start_streaming(session: SickSession, now_ns: int) -> int:
-    """Be the scanner that answers everything with yes; gives the time at which it streams."""
+    """Answer all commands as a scanner that accepts them; return the time at which it streams."""
     for _ in range(100_000):
         if session.phase is Phase.STREAMING:
             return now_ns
-        now_ns += 100 * MS  # far longer than its answers take: time-outs pass quickly
+        now_ns += 100 * MS  # far above the answer times: time-outs pass quickly
         asked = session.step(now_ns).write
         session.receive(bytes((Control.ACK.value,)) + MODE_OK if asked else b"", now_ns)
     raise AssertionError(f"still {session.phase.value}")
@@ -128,7 +128,7 @@ def test_emulated_scanner_answers_after_any_command(conversation: list[Piece]) -
         now_ns += duration_ns
         device.receive(sent, now_ns, None)
         device.step(now_ns)
-    for _ in range(2):  # silence: what was begun is given up, what that lays bare is done
+    for _ in range(2):  # silence: drop what was begun, process what follows
         now_ns += 2_000 * MS
         device.receive(b"", now_ns, None)
         device.step(now_ns)
@@ -148,7 +148,7 @@ parts = st.lists(
 @example(sent=b"WATSON INDUSTRIES, INC.\r" + LINES[0] + LINES[0].replace(b"+0000", b"*****"), cut=8)
 @example(sent=BINARY[0][:-1] + BINARY[1], cut=256)
 def test_second_message_of_the_imu_after_any_bytes_is_found(good: list[bytes], sent: bytes, cut: int) -> None:
-    """``cut``: as reads may come, bytes."""
+    """``cut``: bytes per read."""
     last = WatsonStream(LAYOUT, 9600, 0, Tally()).feed(good[1], 0)[0].angular_velocity
     stream = WatsonStream(LAYOUT, 9600, 0, Tally())
     for at in range(0, len(sent), cut):
@@ -164,7 +164,7 @@ _ENCODERS: tuple[Callable[[nmea_sentences.Position], bytes], ...] = (
     *(nmea_sentences.gga, nmea_sentences.gst, nmea_sentences.rmc, hdt, nmea_sentences.pashr),
 )
 SENTENCES = [encode(AT) for encode in _ENCODERS]
-AFTER = AT._replace(time_ns=90_000_000_000)  # of an epoch that no input has
+AFTER = AT._replace(time_ns=90_000_000_000)  # an epoch of no input
 LATER = nmea_sentences.gga(AFTER) + nmea_sentences.gst(AFTER)
 BODIES = [message[1:].partition(b"*")[0] for message in SENTENCES]
 fields = st.one_of(
@@ -178,7 +178,7 @@ bodies = st.one_of(
 @given(st.lists(bodies, max_size=8))
 @example([b"GNTHS,12.5,A", b"GNHDT,,T", b"PASHR,POS,1"])
 def test_good_fix_after_any_sentences_is_found(sent: list[bytes]) -> None:
-    """Whole with a right checksum, or as they come."""
+    """Sentences with a valid checksum, or unchanged bytes."""
     stream, now_ns = NmeaStream(NMEA, Tally()), 0
     for content in sent:
         now_ns += 40 * MS
@@ -212,7 +212,7 @@ ubx = st.lists(
 @given(ubx)
 @example(list(enumerate(PAYLOADS)))
 def test_good_fix_after_any_binary_messages_is_found(sent: list[Piece]) -> None:
-    """Whole with a right checksum, or as they come."""
+    """Messages with a valid checksum, or unchanged bytes."""
     stream, now_ns = NmeaStream(NMEA, Tally()), 0
     for kind, content in sent:
         now_ns += 40 * MS
@@ -225,6 +225,6 @@ def test_good_fix_after_any_binary_messages_is_found(sent: list[Piece]) -> None:
 
 
 def ubx_frame(content: bytes) -> bytes:
-    """Class, id and payload with what stands around them."""
+    """A UBX frame of class, id and payload."""
     body = content[:2] + (len(content) - 2).to_bytes(2, "little") + content[2:]
     return b"".join((b"\xb5\x62", body, calc_checksum(body)))
