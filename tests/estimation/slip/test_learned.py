@@ -114,7 +114,7 @@ def test_estimator_starts_from_learned_states(driven: list[Measurement], learned
 
 
 def test_learned_states_reduce_the_error_of_the_next_start(learned: Learned) -> None:
-    """Its first metres improve the gyro scale more than a start from the prior."""
+    """After its first metres the gyro scale is more accurate than after a start from the prior."""
     again = drive(Machine(gyro_scale=0.97, fix_noise=0.04, duration=8.0, seed=1)).measurements
     errors = []
     for start in (None, learned):

@@ -37,7 +37,7 @@ def of_receiver() -> SlipEstimatorParameters:
 
 
 def spoilt(recording: Recording, shown: Shown) -> list[Measurement]:
-    """The measurements with the angles ``shown`` of the encoder."""
+    """The measurements with encoder angles from the function ``shown``."""
     measurements, at_begin = list(recording.measurements), math.nan
     for k, m in enumerate(measurements):
         if isinstance(m, SwingAngle):
