@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Buses that the project never saw, by a roles file alone; and what is refused in one line."""
+"""CAN buses that a DBC and a roles file alone describe are decoded; invalid files are refused in one line."""
 
 import dataclasses
 import math
@@ -26,7 +26,7 @@ S = 1_000_000_000
 
 
 def over_virtual_bus(driver, sent, channel):
-    """What the driver makes of the frames that python-can brings it, by kind."""
+    """Samples by type that the driver makes of these frames, sent through python-can's virtual bus."""
     found = defaultdict(list)
     port = CanBus("virtual", channel, {})
     with can.Bus(channel, interface="virtual", preserve_timestamps=True) as peer:
@@ -45,11 +45,11 @@ def over_virtual_bus(driver, sent, channel):
 def test_a_bus_of_another_shape_by_its_roles_file(tmp_path):
     driver = machine(tmp_path)
     found = over_virtual_bus(driver, unseen_bus.frames(S, 11 * S), "unseen")
-    assert set(driver.tally.total.values()) == {1}  # the first of each, as below, and nothing else
-    assert driver.decoder.others == 200  # the radio's
+    assert set(driver.tally.total.values()) == {1}  # one count of each kind, listed below
+    assert driver.decoder.others == 200  # frames of the radio
     assert {kind: len(samples) for kind, samples in found.items()} == {
         SprocketSample: 500,
-        HydraulicsSample: 199,  # the first pressures came before any spools
+        HydraulicsSample: 199,  # the first pressures arrive before any spool positions
         SwingSample: 199,  # the first angle has no velocity
     }
     for sample in found[SprocketSample]:
@@ -65,7 +65,7 @@ def test_a_bus_of_another_shape_by_its_roles_file(tmp_path):
         assert sample.velocity == pytest.approx(unseen_bus.SWING_RATE, abs=0.02)
     intervals = np.diff([sample.stamp_ns for sample in found[SprocketSample]])
     assert intervals == pytest.approx(unseen_bus.FLOW_NS, abs=1000)
-    assert driver.period == pytest.approx(0.02, rel=1e-3)  # measured: the DBC says nothing of it
+    assert driver.period == pytest.approx(0.02, rel=1e-3)  # measured: the DBC states no cycle
 
 
 def test_messages_of_that_bus(tmp_path):
@@ -76,7 +76,7 @@ def test_messages_of_that_bus(tmp_path):
     hydraulics = conversions.fill_track_hydraulics(
         conversions.blank_track_hydraulics(make, "base_link"), found[HydraulicsSample][-1]
     )
-    assert hydraulics.left_pressure == pytest.approx(78.84e5, abs=1e4)  # it was published as 78.84 Pa
+    assert hydraulics.left_pressure == pytest.approx(78.84e5, abs=1e4)  # in Pa, not in the DBC's unit
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ COUNTED = "frames: {LeftEncoder: {counter: Beat}, RightEncoder: {counter: Beat}}
 
 
 def encoder_frames(cycle_s, count, late=lambda k: 0.0, has=lambda k: True):
-    """Sprockets at 2.5 and −1 rad/s."""
+    """Frames of two encoders at 2.5 and −1 rad/s of the sprockets."""
     database = cantools.database.load_string(ENCODERS, "dbc")
     for k in range(count):
         t = k * cycle_s
@@ -192,7 +192,7 @@ def test_encoders_of_any_resolution_sense_and_ratio_in_frames_of_their_own(tmp_p
 
 @pytest.mark.parametrize("counter", ["", COUNTED], ids=["no counter", "counters"])
 def test_a_sender_of_50_hz_does_not_double_the_speed(tmp_path, counter):
-    """The DBC says 10 ms."""
+    """The DBC states a cycle of 10 ms."""
     driver = machine(tmp_path, ENCODER_ROLES + counter, ENCODERS)
     samples = drive(driver, encoder_frames(0.02, 100))
     assert len(samples) >= 95
@@ -216,7 +216,7 @@ def test_sides_at_50_and_20_hz_are_published_at_20_with_both_at_the_same_time(tm
 
 
 def test_a_sender_that_stalls_and_catches_up_without_a_counter(tmp_path):
-    """Motion is neither invented nor lost, whatever is published in the stall."""
+    """The position after the stall equals the true one, whatever is published during the stall."""
     driver = machine(
         tmp_path, ENCODER_ROLES.replace("20.0", "1.0"), ENCODERS.replace("(0.0109863", "(0.0054932")
     )

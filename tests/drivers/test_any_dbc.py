@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The DBC of somebody else: what of it is read, and what is refused."""
+"""DBC files of other makers: which parts are read, and which files are refused."""
 
 import math
 import re
@@ -25,7 +25,7 @@ UNREADABLE = {
     "two multiplexers at a place": 'BO_ 1029 X: 8 MC\n SG_ A m0 : 0|8@1+ (1,0) [0|0] "" ECU\n'
     "SG_MUL_VAL_ 1029 A Gone 0-0;\n",
 }
-UNUSED = {  # by the roles
+UNUSED = {  # unused according to the roles
     **UNREADABLE,
     "choices of no signal": 'VAL_ 387 Gone 1 "on" 0 "off" ;\n',
     "choices of no frame": 'VAL_ 999 Gone 1 "on" 0 "off" ;\n',
@@ -72,7 +72,7 @@ def test_a_position_in_steps_of_more_than_a_turn_is_refused(tmp_path, factor):
 
 
 def test_a_signal_of_a_role_has_64_bits_at_most(tmp_path):
-    """One of 1024 bits left no number for its range."""
+    """A DBC with a signal of more bits is refused."""
     signal = re.search(r"SG_ (\w+) : (\d+)\|(\d+)@(\S+) \(0.1,0\) \[0\|359.9\]", unseen_bus.DBC)
     assert signal is not None
     wide = signal[0].replace(f"{signal[2]}|{signal[3]}@{signal[4][0]}", "0|1100@1")
@@ -96,7 +96,7 @@ def test_frames_longer_than_the_dbc_are_read_unless_unused_bits_are_zero(tmp_pat
 
 
 def of_j1939(dbc):
-    """The flows in a parameter group of J1939, from the source address FE that stands for any."""
+    """The DBC with the flows as a parameter group of J1939; its source address FE stands for any address."""
     return dbc.replace("BO_ 385", f"BO_ {0x98FF0AFE}")
 
 
@@ -208,7 +208,7 @@ def test_degree_sign_in_utf_8_is_read(tmp_path, encoding):
     ids=["0.1 deg", "360/65536 deg, rounded", "mrad"],
 )
 def test_swing_without_a_range_is_continuous_over_its_wrap(tmp_path, signal, unit, low):
-    """The published rate stays that of the motion at each wrap."""
+    """The published rate equals that of the motion at each wrap."""
     swing = f'Swing : 7|{signal} [0|0] "{unit}"'
     dbc = unseen_bus.DBC.replace('Swing : 7|16@0+ (0.1,0) [0|359.9] "deg"', swing)
     if low == 0.0:
@@ -232,7 +232,7 @@ def test_swing_without_a_range_is_continuous_over_its_wrap(tmp_path, signal, uni
 
 
 def test_the_example_for_pilot_pressures_binds(tmp_path):
-    """To any DBC that has its signals; the maker's own is not shipped."""
+    """The roles file fits any DBC that has its signals; the maker's own DBC is not shipped."""
     roles = config_file("can_roles_zx200.yaml")
     entries = yaml.safe_load(roles.read_text(encoding="utf-8"))["roles"]
     given = [e if isinstance(e, dict) else {"signal": e} for e in entries.values()]

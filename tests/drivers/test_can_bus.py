@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN bus by itself, on python-can's virtual one."""
+"""The CAN bus class on python-can's virtual bus."""
 
 import can
 

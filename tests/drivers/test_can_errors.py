@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Error frames of a CAN controller: what they report, and that bus-off has the bus reopened."""
+"""Error frames of a CAN controller: the reported bus state; bus-off reopens the bus."""
 
 import can
 import pytest

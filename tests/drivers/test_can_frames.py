@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The frames of the excavator: exact bytes, each rejection, and the samples made of them."""
+"""Frames of the excavator: exact bytes, each reason for rejection, and the resulting samples."""
 
 import itertools
 import math
@@ -88,7 +88,7 @@ def test_unknown_frames_are_ignored_and_error_frames_counted(decoder, tally, fra
     assert decoder.decode(0x0CFF1080 | STANDARD_FLAG, data, 0) == ()
     assert decoder.decode(ERROR_FLAG | 0x40, bytes(8), 0) is Rejection.ERROR_FRAME
     assert tally.total == {(BUS, "error frame"): 1}
-    assert decoder.others == 2  # a bus has other traffic: that is nothing to warn of
+    assert decoder.others == 2  # frames with other identifiers are normal and give no warning
 
 
 def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
@@ -99,7 +99,7 @@ def test_damage_is_rejected_and_commits_nothing(decoder, tally, frames):
         damaged[place] ^= error
         assert decoder.decode(arbitration_id, bytes(damaged), 0) is Rejection.CHECKSUM
     other_id, _ = frames.encode(SPOOLS, SPOOL, 3)
-    assert decoder.decode(other_id, data, 0) is Rejection.CHECKSUM  # right bytes under a wrong id
+    assert decoder.decode(other_id, data, 0) is Rejection.CHECKSUM  # identifier of another message
     assert len(decoder.decode(arbitration_id, data, 0)) == 1
     assert tally.total[ENCODERS, "checksum"] == 8 * 255
 
@@ -114,7 +114,7 @@ def test_raw_value_outside_the_contract(decoder, tally):
 
 
 def receive(decoder, frames, alive, cycle):
-    """Cycles before each frame that is known now."""
+    """Elapsed cycles before each frame whose time is settled by this call."""
     found = decoder.decode(*frames.encode(SPOOLS, SPOOL, alive), round(cycle * CYCLE_NS))
     return [frame.elapsed_ns / CYCLE_NS for frame in found]
 
@@ -126,7 +126,7 @@ def test_stuck_counter_stays_rejected(decoder, frames, tally):
         assert receive(decoder, frames, 7, cycle) == []
     for alive in (8, 9):
         assert receive(decoder, frames, alive, alive + 92) == []
-    assert receive(decoder, frames, 10, 102) == [97, 1, 1]  # by then six turns of the counter have passed
+    assert receive(decoder, frames, 10, 102) == [97, 1, 1]  # the 4-bit counter has wrapped six times by then
     assert tally.total[SPOOLS, "alive counter repeated"] == 99
 
 
@@ -164,7 +164,7 @@ def test_sprockets_of_a_sender_that_stalls_for_150_ms_keep_their_speed(excavator
             positions.append(sample.left_position - 2.5 * sample.stamp_ns * 1e-9)
     assert len(speeds) == 99
     assert speeds == pytest.approx([2.5] * 99, abs=0.06)
-    assert np.ptp(positions) < 2.5 * 1e-3  # stamps are those of the readings, not of their late arrival
+    assert np.ptp(positions) < 2.5 * 1e-3  # stamps are measurement times, not arrival times
     assert (ENCODERS, "lost") not in tally.total
 
 
@@ -273,7 +273,7 @@ def test_payloads_are_those_of_cantools(changes, tmp_path):
     for name, message in frames.by_name.items():
         signals = [s for s in message.signals if s.name not in ("alive_counter", "checksum")]
         for alive in range(200):
-            share = rng.random(len(signals)) * 0.1 + 0.45  # within what fewer bits can hold
+            share = rng.random(len(signals)) * 0.1 + 0.45  # within the range of the shorter signals
             low_high = [(float(s.minimum), float(s.maximum)) for s in signals]
             values = {
                 s.name: low + part * (high - low)
@@ -285,7 +285,7 @@ def test_payloads_are_those_of_cantools(changes, tmp_path):
             found = frames.codecs[name].unpack(
                 *(int.from_bytes(payload, order) for order in ("little", "big"))
             )
-            scaling = name != ENCODERS  # positions stay raw
+            scaling = name != ENCODERS  # positions are raw counts
             decoded = message.decode_simple(payload, scaling=scaling)
             assert found == {k: v for k, v in decoded.items() if k in values}
 

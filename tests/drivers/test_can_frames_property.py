@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""CAN frames: round trips within the resolution, and nothing that arrives breaks the decoder."""
+"""CAN frames: round trips are exact to the resolution; arbitrary bytes raise no exception in the decoder."""
 
 from typing import Any
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bus that falls silent and comes back: what turned meanwhile is neither invented nor lost."""
+"""Motion during a silence of the bus is neither invented nor lost."""
 
 import itertools
 import math
@@ -23,7 +23,7 @@ OFF_S = 1.5
 
 
 def speeds(t):
-    """Left and right, rad/s: from a standstill to a turn, within the lag of a valve."""
+    """Left and right sprocket speed, rad/s: from standstill to a turn with the lag of a valve."""
     rise = 1.0 - np.exp(-t / 0.15)
     return 2.4 * rise, 1.1 * rise
 
@@ -42,7 +42,7 @@ def hydraulics(stamp_ns):
 
 
 def received(silence_s, *, reopened=True, restarted=False):
-    """Samples of a drive of 3 s, on a bus that is off for so long in the middle of it."""
+    """Samples of a drive of 3 s; the bus is off for ``silence_s`` in the middle."""
     device, driver = CanDevice(FRAMES, sprockets, hydraulics, S), ExcavatorCan(PARAMETERS, FRAMES, Tally())
     off_ns, samples, was_off = round((1.0 + OFF_S) * S), [], False
     for now_ns in range(S, 4 * S + 1, CYCLE_NS):
@@ -53,7 +53,7 @@ def received(silence_s, *, reopened=True, restarted=False):
         if was_off and reopened:
             driver.resume()
         if was_off and restarted:
-            device.start(now_ns)  # its counter restarts
+            device.start(now_ns)  # the device's counter restarts
             sent = device.step(now_ns)
         was_off = False
         for frame in sent:
@@ -62,7 +62,7 @@ def received(silence_s, *, reopened=True, restarted=False):
 
 
 def heading(samples):
-    """Of the estimator, by the sprockets alone."""
+    """Final heading of an estimator that receives these sprocket samples alone, rad."""
     estimator = SlipEstimator(load_slip_parameters(START, {}))
     for s in samples:
         estimate = estimator.process(Sprockets("sprockets", s.stamp_ns, s[3], s[4], (s[1], s[2])))[1] or None
@@ -76,10 +76,10 @@ def heading(samples):
     "how", [{}, {"reopened": False}, {"restarted": True}], ids=["reopened", "silent", "reset"]
 )
 def test_heading_is_kept_over_a_bus_off_of_up_to_450_ms(silence_s, how):
-    """Positions continue where they were."""
+    """Positions agree with those of the drive without a silence."""
     whole, broken = received(0.0), received(silence_s, **how)
     assert heading(broken) == pytest.approx(heading(whole), abs=0.15)
-    assert broken[-1][1:3] == pytest.approx(whole[-1][1:3], abs=2e-3)  # positions go on where they are
+    assert broken[-1][1:3] == pytest.approx(whole[-1][1:3], abs=2e-3)
     assert len(whole) - len(broken) <= silence_s * 100 + 1
 
 
@@ -91,7 +91,7 @@ def test_sample_after_a_long_silence_has_no_position():
     assert before.left_velocity == pytest.approx(2.4, abs=0.1)
     for a, b in itertools.pairwise(known):
         if a.stamp_ns < before.stamp_ns < b.stamp_ns:
-            continue  # nobody takes these two together: the one between has none
+            continue  # the estimator does not pair two samples across one without a position
         assert b.left_position - a.left_position == pytest.approx(
             2.4 * (b.stamp_ns - a.stamp_ns) * 1e-9, abs=0.04
         )
@@ -101,7 +101,7 @@ def test_sample_after_a_long_silence_has_no_position():
 def test_estimator_keeps_its_heading_over_a_sample_without_positions():
     whole = received(0.0)
     at = next(k for k, s in enumerate(whole) if s.stamp_ns >= 2.8 * S)
-    offset = 0.7  # the count goes on from elsewhere
+    offset = 0.7  # the encoder count restarts at another value
     gap = [*whole[: at - 30], whole[at]._replace(left_position=math.nan, right_position=math.nan)]
     after = [s._replace(left_position=s.left_position + offset) for s in whole[at + 1 :]]
     assert heading(gap + after) == pytest.approx(heading(whole), abs=0.3)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cycle of a sender as it is measured, on hosts that are busy and from senders that stall."""
+"""The measured cycle of a sender is correct on busy hosts and for senders that stall."""
 
 from collections import Counter
 from typing import Any
@@ -25,7 +25,7 @@ def measured(nominal_ms, arrivals_ms):
 
 
 def busy(cycle_ms, count, seed):
-    """Arrivals on a host that falls behind by up to some cycles and catches up, again and again."""
+    """Arrival times, ms, on a host that repeatedly falls behind by up to 2.5 cycles and catches up."""
     rng = np.random.default_rng(seed)
     times = np.arange(count) * cycle_ms + rng.exponential(0.1 * cycle_ms, count)
     for at in rng.choice(count, count // 15, replace=False):
@@ -35,7 +35,7 @@ def busy(cycle_ms, count, seed):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_busy_host_does_not_change_the_cycle_of_the_dbc(seed):
-    """Late frames and the burst after them both count."""
+    """A late frame and the burst after it average out."""
     found = measured(10.0, busy(10.0, 3000, seed))
     assert found[-1] == 10.0 * MS
     assert {cycle for cycle in found if cycle is not None} == {10.0 * MS}
@@ -65,7 +65,7 @@ def test_a_sender_that_changes_its_cycle_is_followed():
 
 
 def test_cycle_is_measured_where_no_block_equals_the_median():
-    """The median of four blocks lies between them, and no block agrees with it."""
+    """The median of four blocks lies between the blocks' values."""
     blocks = np.repeat([10.0, 10.0, 12.0, 12.0, 10.0], 32)
     assert measured(10.0, np.cumsum([0.0, *np.full(8, 10.0), *blocks]))[-1] == 10.0 * MS
 
@@ -76,7 +76,7 @@ def test_cycle_is_measured_after_a_burst_of_100_frames():
 
 
 def counted(cycle_ns):
-    """Frames of a counter that turns at 16, and how often each event was reported of them."""
+    """A ``CountedFrames`` with a counter modulo 16, and the number of its reports of each event."""
     events = Counter()
     return CountedFrames(cycle_ns, 16, lambda event, times: events.update({event: times}), *SENDER), events
 
@@ -84,7 +84,7 @@ def counted(cycle_ns):
 @pytest.mark.parametrize("at_once", [2, 9, 12, 17, 40, 300])
 @pytest.mark.parametrize("nominal_ms", [0.0, 10.0])
 def test_burst_at_the_start_is_not_taken_for_the_cycle(nominal_ms, at_once):
-    """The first frames wait on a busy host and are read at once."""
+    """The first frames wait on a busy host and are read together."""
     timing, lost = counted(nominal_ms * MS)
     arrivals = np.arange(at_once + 600) * 10 * MS
     arrivals[:at_once] = arrivals[at_once - 1] + np.arange(at_once) * 39_000 - at_once * 39_000
@@ -95,7 +95,7 @@ def test_burst_at_the_start_is_not_taken_for_the_cycle(nominal_ms, at_once):
 
 
 def test_wrong_cycle_is_corrected():
-    """Thousands of frames at once look like a fast sender; a second of other frames resets the cycle."""
+    """Thousands of frames at once resemble a fast sender; a second of normal frames resets the cycle."""
     timing, lost = counted(0.0)
     first = np.arange(2000) * 39_000
     arrivals = np.concatenate((first, first[-1] + np.arange(1, 400) * 10 * MS))
@@ -106,9 +106,9 @@ def test_wrong_cycle_is_corrected():
 
 
 def standing_still(count, seed, apart_ms, elapsed_ms, stood_ms):
-    """Arrivals of a cycle of 10 ms on a host that stands still for 100 to ``stood_ms``, again and again.
+    """Arrival times, ns, of a cycle of 10 ms on a host that repeatedly stalls for 100 to ``stood_ms``.
 
-    In between it runs for 20 to ``elapsed_ms``, and works off what has waited, ``apart_ms`` apart.
+    Between stalls it runs for 20 to ``elapsed_ms`` and reads the backlog ``apart_ms`` apart.
     """
     rng = np.random.default_rng(seed)
     arrivals, now, stops = [], 0.0, 1000.0
@@ -127,7 +127,7 @@ def standing_still(count, seed, apart_ms, elapsed_ms, stood_ms):
         ((0.2, 120.0, 350.0), 20, 320),
         ((1.0, 120.0, 350.0), 20, 320),
         ((3.0, 400.0, 350.0), 20, 320),
-        ((0.7, 60.0, 800.0), 600, 3000),  # it stands for 90 % of the time, longer than a turn of the counter
+        ((0.7, 60.0, 800.0), 600, 3000),  # stalled for 90 % of the time, longer than one wrap of the counter
         ((3.0, 300.0, 800.0), 600, 3000),
     ],
 )
@@ -140,12 +140,12 @@ def test_backlog_of_a_stalled_host_is_not_taken_for_the_cycle(seed, host, most_o
     elapsed = np.array([one.elapsed_ns for one in placed[1:]]) / np.diff([one.values for one in placed])
     off = np.count_nonzero(np.abs(elapsed / (10.0 * MS) - 1.0) > 0.5)
     print(f"{off} of {len(placed)} off, {lost}")
-    assert off <= most_off  # where it stood still again before all was worked off
+    assert off <= most_off  # where the next stall began before the backlog was read
     assert lost[TimingEvent.LOST] <= most_lost
 
 
 def test_late_frame_after_a_gap_is_not_taken_for_a_stall():
-    """76 frames are lost and the next one is 6 ms late: all 76 are counted, also turns of the counter."""
+    """76 frames are lost and the next one is 6 ms late: all 76 are counted, across wraps of the counter."""
     timing, events = counted(10.0 * MS)
     placed = []
     for number in (*range(100), *range(176, 200)):
@@ -156,12 +156,12 @@ def test_late_frame_after_a_gap_is_not_taken_for_a_stall():
 
 
 def number_of(placed: Any) -> int:
-    """Of a frame; here its values are the number."""
+    """Number of a frame; these tests use it as the frame's values."""
     return int(placed.values)
 
 
 def test_loss_followed_by_a_stall_counts_the_lost_frames():
-    """76 frames are lost; then the sender is some cycles late and catches up."""
+    """76 frames are lost; the next ones are some cycles late and then catch up."""
     timing, lost = counted(10.0 * MS)
     placed = []
     for number in (*range(100), *range(176, 220)):
@@ -172,7 +172,7 @@ def test_loss_followed_by_a_stall_counts_the_lost_frames():
 
 
 def test_faster_sender_after_a_silence_is_not_held_back():
-    """Frames less than half a cycle apart count as a burst only until the silence is made up."""
+    """Frames less than half a cycle apart count as a burst only until they make up for the silence."""
     timing = CountedFrames(10.0 * MS, 16, lambda *_: None, *SENDER)
     found = [timing.add(number % 16, 10 * number * MS, number) for number in range(100)]
     found += [timing.add(number % 16, (1500 + 4 * (number - 100)) * MS, number) for number in range(100, 500)]

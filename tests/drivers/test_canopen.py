@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Encoders on CANopen: their PDOs by a DBC, and the start that they wait for."""
+"""CANopen encoders: a DBC describes their PDOs; the driver starts the nodes."""
 
 import pytest
 from fixtures.unseen_bus import drive, machine
@@ -59,7 +59,7 @@ def test_positions_of_encoders_are_sprockets_over_their_wrap(tmp_path):
 def test_node_in_bootup_or_preoperational_state_is_started(name, data, node):
     expected = None if node is None else (STANDARD_FLAG, bytes((1, node)))
     assert start_of(name | STANDARD_FLAG, data) == expected
-    assert start_of(name, data) is None  # of 29 bits: no CANopen
+    assert start_of(name, data) is None  # 29-bit identifier: not CANopen
 
 
 def test_first_start_command_addresses_all_nodes():

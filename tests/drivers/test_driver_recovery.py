@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Drivers' pure halves against the emulated devices in simulated time: stamps, corruption, coming back."""
+"""Drivers' protocols against emulated devices in simulated time: stamps, corrupted bytes, recovery."""
 
 import dataclasses
 from collections import Counter
@@ -53,11 +53,11 @@ def can_device():
     return CanDevice(FRAMES, sprockets, hydraulics, 0)
 
 
-GATHER = 5.0  # ms that a serial port waits from the first byte to the read
+GATHER = 5.0  # ms from the first byte to the read of a serial port
 
 
 def reads(seed, seconds, gather=0.0):
-    """When a host's reads return, ns: 1 ms apart as a rule, with a stall of up to 40 ms each second or so."""
+    """Times when a host's reads return, ns: 1 ms apart, with a stall of up to 40 ms about once a second."""
     random, now = np.random.default_rng(seed), 0
     while now < seconds * S:
         stall = random.uniform(5.0, 40.0) if random.random() < 1e-3 else 0.0
@@ -66,7 +66,7 @@ def reads(seed, seconds, gather=0.0):
 
 
 def p99(stamps, device):
-    """Of the distance from each stamp to the nearest true one, ms."""
+    """99th percentile of the distance from each stamp to the nearest true stamp, ms."""
     true = np.sort(np.array(device.stamps))
     after = np.clip(np.searchsorted(true, stamps), 1, len(true) - 1)
     errors = np.minimum(np.abs(true[after] - stamps), np.abs(true[after - 1] - stamps))
@@ -83,7 +83,7 @@ def test_stamps_of_frames():
                     stamps.append(sample.stamp_ns)
                     arrivals.append(now)
     assert p99(np.array(stamps), device) < 1.0
-    assert p99(np.array(arrivals), device) > 2.0  # so the filter was needed
+    assert p99(np.array(arrivals), device) > 2.0  # unfiltered arrival times are worse
 
 
 def test_stamps_of_the_inertial_unit():
@@ -112,7 +112,7 @@ def test_stamps_after_a_host_stall_are_right_within_10_ms():
 
 
 class Scanner:
-    """A scanner on a line, and the driver's session, in simulated time."""
+    """An emulated scanner on a serial line, and the driver's session, in simulated time."""
 
     def __init__(self, baud, boot=0.5):
         self.boot = boot
@@ -127,7 +127,7 @@ class Scanner:
         self.powered = True
 
     def exchange(self, now):
-        """Both ways; stamps of the scans that came."""
+        """Pass bytes both ways; stamps of the received scans, ns."""
         sent = self.device.step(now) if self.powered else b""
         received = sent if self.host == self.device.baud else b""
         scans = self.session.receive(received, now)
@@ -148,7 +148,7 @@ def test_stamps_of_scans(baud):
 
 @pytest.mark.parametrize("baud", [38400, 500000])
 def test_scans_within_a_second_of_power(baud):
-    """Whenever and for however long the power was gone, counted from the end of the boot."""
+    """Scans return within a second of the end of the boot, for any time and duration of the power failure."""
     random = np.random.default_rng(4)
     for _ in range(10):
         scanner = Scanner(baud, boot=random.uniform(0.3, 3.0))
@@ -176,7 +176,7 @@ def test_no_wrong_telegram_passes_one_percent_of_corruption():
     parser = TelegramParser(FROM_SENSOR, 38400, 11, tally, "scan")
     true, accepted, now = set(), [], 0
     for k in range(3000):
-        count = (361, 40, 8)[k % 3]  # a whole scan hardly ever gets through
+        count = (361, 40, 8)[k % 3]  # a whole scan rarely arrives uncorrupted
         payload = RawScan(random.integers(0, 1 << 13, count).astype(np.uint16), 0).payload()
         true.add(payload)
         now += 240 * MS
@@ -188,7 +188,7 @@ def test_no_wrong_telegram_passes_one_percent_of_corruption():
 
 
 def test_no_wrong_frame_passes_one_percent_of_corruption():
-    """Of 30000. In the long run three in ten million do; a real bus has its own CRC-15 beneath."""
+    """Of 30000 frames. In the long run three in ten million pass; a real bus adds its own CRC-15."""
     random = np.random.default_rng(6)
     device, decoder, outcome = can_device(), FrameDecoder(FRAMES, Tally()), Counter()
     for now in range(0, 100 * S, 10 * MS):
@@ -202,7 +202,7 @@ def test_no_wrong_frame_passes_one_percent_of_corruption():
 
 
 def watson_outcome(rate, lines):
-    """(accepted right, accepted wrong, rejected) of decimal lines at a rate of corrupted bytes."""
+    """(accepted unchanged, accepted corrupted, rejected) decimal lines at a rate of corrupted bytes."""
     random = np.random.default_rng(7)
     device = WatsonDevice(LAYOUT, BaudLine(9600, 10), inertia, True, 0)
     stream, clean = (WatsonStream(LAYOUT, 9600, 0, Tally()) for _ in range(2))
@@ -218,7 +218,7 @@ def watson_outcome(rate, lines):
 
 
 def test_corrupt_lines_without_checksum_pass_in_under_3_percent():
-    """No checksum: a digit that becomes another digit cannot be seen. See the docstring of ``watson``."""
+    """Without a checksum a digit that becomes another digit is undetectable. See ``watson``."""
     right, wrong, rejected = watson_outcome(0.01, 3000)
     assert right / 3000 == pytest.approx(0.99**65, abs=0.04)
     assert wrong / 3000 < 0.03

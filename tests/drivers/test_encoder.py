@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One encoder: wraps, silences, jumps, and the noise of its velocity."""
+"""A single encoder: wraps, silences, jumps, and the noise of its velocity."""
 
 import math
 
@@ -15,7 +15,7 @@ PER_COUNT = 2.0 * math.pi / (3 * COUNTS)
 
 
 class Encoder:
-    """Fed in cycles."""
+    """A ``SprocketEncoder`` whose time is given in cycles."""
 
     def __init__(self, window, max_speed):
         self._unit = SprocketEncoder(PER_COUNT, COUNTS, max_speed, window)
@@ -57,7 +57,7 @@ def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
     motion = unit.update(3010, 1)
     assert isinstance(motion, Motion)
     assert math.isnan(motion.position)
-    assert motion.velocity == pytest.approx(10 * PER_COUNT / CYCLE_S)  # nothing of before the gap
+    assert motion.velocity == pytest.approx(10 * PER_COUNT / CYCLE_S)  # samples after the gap only
     positions = [unit.update(3010 + 10 * k, 1).position for k in (1, 2)]
     assert positions[1] - positions[0] == pytest.approx(10 * PER_COUNT)
 
@@ -65,7 +65,7 @@ def test_longer_gap_that_does_not_fit_the_speeds_around_it_has_no_position():
 @pytest.mark.parametrize("speed", [-3.0, -1.0, 0.0, 0.4, 2.0, 3.14])
 @pytest.mark.parametrize("gap", [25, 30, 45, 60])
 def test_silence_neither_adds_nor_loses_motion(speed, gap):
-    """At the speeds of a drive that goes on, or brakes steadily; the sprocket is then where it is."""
+    """At constant and at steadily decreasing speed; the position after the silence is the true one."""
     unit, position, cycle = encoder(), 7.0, 0
     last = None
     for k in range(40):
@@ -100,7 +100,7 @@ def test_a_single_jump_is_dropped_and_a_persistent_one_restarts():
     assert events[0] is EncoderEvent.JUMP
     assert events.count(EncoderEvent.RESTARTED) == 1
     after = events[events.index(EncoderEvent.RESTARTED) + 1 :]
-    assert math.isnan(after[0].position)  # what was turned is unknown
+    assert math.isnan(after[0].position)  # the rotation before the restart is unknown
     assert after[-1].velocity == 0.0
     assert not math.isnan(after[-1].position)
 

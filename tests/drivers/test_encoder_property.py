@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Unwrapped position against a continuous truth, whatever the motion and the frames lost."""
+"""The unwrapped position follows a continuous truth for any motion and any lost frames."""
 
 import math
 
@@ -13,7 +13,7 @@ COUNTS = 4096
 CYCLE_S, CYCLE_NS = 0.01, 10_000_000
 PER_COUNT = 2.0 * math.pi / (3 * COUNTS)
 MAX_SPEED = 5.0
-LONGEST_GAP = 20  # cycles; half an encoder turn takes 20.9 at the greatest speed
+LONGEST_GAP = 20  # cycles; half an encoder turn takes 20.9 cycles at the maximum speed
 seeded = settings(derandomize=True, max_examples=200, deadline=None)
 
 

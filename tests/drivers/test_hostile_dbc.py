@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A DBC with numbers that are of no CAN bus is refused before cantools makes anything of them."""
+"""A DBC with numbers that no CAN bus can have is refused before cantools processes it."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ PLAIN = ' SG_ S : 0|16@1+ (1,0) [0|0] "" A\n'
 
 
 def nested(levels: int) -> str:
-    """Multiplexers in each other, each of two selectors: cantools makes 2ⁿ of them."""
+    """A DBC of nested multiplexers with two selectors each; cantools expands them to 2ⁿ nodes."""
     signals = [' SG_ M0 M : 0|1@1+ (1,0) [0|0] "" A\n']
     signals += [f' SG_ M{k} m0M : {k}|1@1+ (1,0) [0|0] "" A\n' for k in range(1, levels)]
     ranges = [f"SG_MUL_VAL_ 1 M{k} M{k - 1} 0-1;\n" for k in range(1, levels)]
@@ -31,7 +31,7 @@ def multiplexed(selectors: str) -> str:
 
 
 def chosen(count: int) -> str:
-    """Two multiplexers in each other, of which each has names for its selectors."""
+    """A DBC of two nested multiplexers with a name for each of ``count`` selectors."""
     words = " ".join(f'{k} "x"' for k in range(count))
     values = "".join(f"VAL_ 1 M{k} {words} ;\n" for k in range(2))
     signals = ' SG_ M0 M : 0|16@1+ (1,0) [0|0] "" A\n SG_ M1 m0M : 16|16@1+ (1,0) [0|0] "" A\n'
@@ -108,7 +108,7 @@ def test_own_contract_is_read_in_any_encoding(tmp_path: Path, encoding: str) -> 
 
 
 def test_file_of_another_kind_is_refused_whatever_its_suffix(tmp_path: Path) -> None:
-    """By its suffix cantools would read an ARXML, whose entities may be in each other."""
+    """cantools reads a file with this suffix as ARXML, whose XML entities may be nested."""
     path = tmp_path / "bus.arxml"
     path.write_text("<?xml version='1.0'?><AUTOSAR/>", encoding="utf-8")
     with pytest.raises(InputError, match="not a usable DBC"):

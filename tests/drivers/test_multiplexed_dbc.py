@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Payloads give the values that cantools finds in them: multiplexers, byte orders, signs, floats, scales."""
+"""Decoded payloads equal those of cantools: multiplexers, byte orders, signs, floats, scales."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ FRAMES: list[dict[str, Any]] = json.loads(VENDORED.read_text(encoding="utf-8"))
 
 @st.composite
 def trees(draw: st.DrawFn) -> list[Signal]:
-    """Up to three multiplexers in each other, of two bits each, and signals below them."""
+    """Up to three nested multiplexers of two bits each, with signals below them."""
     depth = draw(st.integers(1, 3))
     signals = [Signal("M0", 0, 2, is_multiplexer=True)]
     selectors = st.sampled_from([(0,), (1,), (2, 3), (0, 3), (1, 2)])
@@ -37,7 +37,7 @@ def trees(draw: st.DrawFn) -> list[Signal]:
 
 @st.composite
 def places(draw: st.DrawFn) -> list[Signal]:
-    """Signals of any kind, which may overlap."""
+    """Signals of any kind, possibly overlapping."""
     signals = []
     numbers = st.one_of(st.integers(-1000, 1000), st.sampled_from([0.1, -0.5, 1e-7, 360 / 65536, 2.5e6]))
     for k in range(draw(st.integers(1, 8))):
@@ -57,14 +57,14 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def codec(path: Path, length: int, signals: list[Signal]) -> Codec:
-    """Of a frame with these signals."""
+    """Codec of a frame with these signals."""
     path.write_text(dbc("Frame", length, signals), encoding="utf-8")
     (message,) = read_dbc(path).database.messages
     return Codec(message, [signal.name for signal in signals], (), Protection())
 
 
 def unpacked(decoder: Codec, data: bytes) -> dict[str, float] | None:
-    """Its values."""
+    """Signal values in ``data``, by name; None if the decoder rejects it."""
     return decoder.unpack(int.from_bytes(data, "little"), int.from_bytes(data, "big"))
 
 
@@ -77,11 +77,11 @@ def test_multiplexed_values_equal_those_of_cantools(
     for data in payloads:
         try:
             expected = message.decode(data, decode_choices=False)
-        except DecodeError:  # a selector that selects nothing
+        except DecodeError:  # a selector without signals
             continue
         found = unpacked(decoder, data)
         finite = {name: value for name, value in expected.items() if abs(value) < float("inf")}
-        if len(finite) < len(expected):  # not a number, or infinite: no value
+        if len(finite) < len(expected):  # NaN and infinity are no values
             assert found is None
         else:
             assert found == {name: float(value) for name, value in expected.items()}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""NMEA sentences: exact ones, each reason to refuse one, both halves against each other, any bytes."""
+"""NMEA sentences: exact examples, each reason for rejection, encoder against decoder, arbitrary bytes."""
 
 import math
 
@@ -30,7 +30,7 @@ GGA = "GNGGA,101530.20,3352.1234567,S,15112.7654321,E,{},18,0.6,41.20,M,22.10,M,
 
 
 def line(content: str) -> bytes:
-    return sentence(content)[:-1]  # without the LF that ends it
+    return sentence(content)[:-1]  # without the final LF
 
 
 def test_position_is_south_and_east_above_the_ellipsoid():

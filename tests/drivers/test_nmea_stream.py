@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a receiver's bytes to positions and headings: which variances, which stamps."""
+"""From a receiver's bytes to positions and headings: variances and stamps."""
 
 import math
 from dataclasses import replace
@@ -34,7 +34,7 @@ def stream(p=P, utc=None):
 
 
 def received(parser, epochs, encoders, late=lambda k: 20 * MS, first=0, start_ns=5 * S):
-    """Samples of epochs that a receiver tells of; its clock shows ``epochs[k]`` at k · 0.1 s of ours."""
+    """Samples of a receiver whose clock shows ``epochs[k]`` at host time ``start_ns`` + k · 0.1 s."""
     samples = []
     for k, time_ns in enumerate(epochs, first):
         burst = b"".join(encode(at(time_ns)) for encode in encoders)
@@ -43,7 +43,7 @@ def received(parser, epochs, encoders, late=lambda k: 20 * MS, first=0, start_ns
 
 
 def errors_ms(samples, start_ns=5 * S):
-    """Of stamps, against the true epochs."""
+    """Errors of the stamps against the true epochs, ms."""
     stamps = [s.stamp_ns for s in samples if isinstance(s, FixSample)]
     return [(stamp - start_ns - k * S // 10) / MS for k, stamp in enumerate(stamps)]
 
@@ -54,7 +54,7 @@ EPOCHS = [3600 * S + k * S // 10 for k in range(50)]
 @pytest.mark.parametrize("encoders", [(gga, gst), (gst, gga), (rmc, gga, gst), (gst, rmc, gga)])
 def test_variances_are_those_of_the_gst_of_the_same_epoch(encoders):
     parser = stream()
-    samples = received(parser, EPOCHS[:1], encoders)  # before it is known that a GST follows
+    samples = received(parser, EPOCHS[:1], encoders)  # before the parser has found that a GST follows
     for k in range(1, 10):
         burst = b"".join(encode(at(EPOCHS[k], stddev=0.01 * k)) for encode in encoders)
         samples += parser.feed(burst, 5 * S + k * S // 10)
@@ -182,7 +182,7 @@ def test_an_accuracy_of_zero_beside_a_valid_fix_is_unknown():
 @pytest.mark.parametrize("size", [20, 100, 600, 1500, 5000])
 @pytest.mark.parametrize("form", ["ubx", "rtcm", "cut ubx", "random", "zeros", "dollars"])
 def test_binary_bursts_lose_no_sentence(size, form):
-    """Without a line end between them."""
+    """The bursts have no line end between binary and sentences."""
     random, parser, samples = np.random.default_rng(size), stream(), []
     for k, time_ns in enumerate(EPOCHS):
         payload = random.integers(0, 256, size, np.uint8).tobytes()
@@ -276,7 +276,7 @@ def test_fixes_without_a_time_are_stamped_at_arrival():
 
 
 def test_backlog_keeps_its_times():
-    """The line holds everything back for 1.2 s; it was measured when it was."""
+    """The line delays all bytes for up to 1.2 s; the stamps are the measurement times."""
     late = {k: (52 - k) * S // 10 for k in range(40, 52)}
     epochs = [7 * S + k * S // 10 for k in range(100)]
     errors = errors_ms(received(stream(), epochs, (gga, gst), lambda k: late.get(k, 20 * MS)))

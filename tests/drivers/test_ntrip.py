@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Corrections from a caster on loopback: whatever it does, whole messages arrive and no password leaks."""
+"""Corrections from a caster on loopback: whole messages arrive under any fault; no password is disclosed."""
 
 import base64
 import socket
@@ -51,7 +51,7 @@ def parameters(port: int, **more: object) -> NtripParameters:
 
 
 class Receiver:
-    """What has reached it, from a client that runs while it is entered."""
+    """A running client inside a ``with`` block, its received messages, and its faults."""
 
     def __init__(self, caster: Caster, gga: bytes | None = GGA, **more: object) -> None:
         self.got: list[bytes] = []
@@ -67,7 +67,7 @@ class Receiver:
         self.client.stop()
 
     def wait(self, until: Callable[[], bool]) -> None:
-        """For something that a working client brings about; half a minute is for a busy host."""
+        """Wait up to half a minute for a condition, and record the client's faults."""
         end = time.monotonic() + 30.0
         while not until() and time.monotonic() < end:
             fault = self.client.state().fault
@@ -81,7 +81,7 @@ class Receiver:
 
 
 def streams(count: int, answer: bytes = OK) -> Serve:
-    """As many messages, then silence until the client leaves."""
+    """A caster that sends ``count`` messages, then nothing until the client disconnects."""
 
     def serve(connection: socket.socket, _: bytes) -> None:
         connection.sendall(answer)

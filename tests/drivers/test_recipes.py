@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The receivers of docs/hardware.md, each on a synthetic recording: one fix and heading an epoch."""
+"""The receivers of docs/hardware.md on synthetic recordings: each epoch gives one fix and one heading."""
 
 import math
 from dataclasses import replace

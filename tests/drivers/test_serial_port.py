@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port by itself, on real ptys."""
+"""The serial port class on real ptys."""
 
 import termios
 import time
@@ -45,7 +45,7 @@ def test_bytes_that_arrive_in_drips_are_read_at_once(pty_port, monkeypatch):
 
     def drip(duration):
         pty_port.write(b"def")
-        sleep(duration + 0.1)  # the kernel hands it over in its own time
+        sleep(duration + 0.1)  # the kernel delivers the bytes with a delay
 
     monkeypatch.setattr(time, "sleep", drip)
     pty_port.write(b"abc")
@@ -59,7 +59,7 @@ def test_pty_counts_unread_bytes(pty_port):
     accepted = pty_port.write(bytes(sent))
     assert 0 < accepted < sent
     assert pty_port.bytes_lost == sent - accepted
-    port = SerialPort(str(pty_port.link), 9600, "N")  # opening discards what is old
+    port = SerialPort(str(pty_port.link), 9600, "N")  # opening discards earlier bytes
     assert port.read() == []
     pty_port.write(b"new")
     assert port.read()[0][0] == b"new"

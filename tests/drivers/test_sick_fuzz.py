@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever comes down the line: no exception, bounded memory, every byte accounted for, no wrong scan."""
+"""Arbitrary bytes on the line: no exception, bounded memory, every byte counted, no wrong scan."""
 
 import itertools
 
@@ -26,7 +26,7 @@ from trackslip_drivers.protocols.sick_telegram import (
 MS = 1_000_000
 
 words = st.lists(st.integers(0, 0xFFFF), min_size=361, max_size=361)
-# Noise that often looks like the start of a telegram.
+# Noise that often resembles the start of a telegram.
 noise = st.lists(
     st.one_of(
         st.binary(max_size=40),
@@ -43,7 +43,7 @@ def scan_frame(seed: int) -> bytes:
 
 
 class Receiver:
-    """A parser with a clock."""
+    """A parser with a simulated clock."""
 
     def __init__(self) -> None:
         self.tally = Tally()
@@ -100,7 +100,7 @@ def test_every_scan_after_noise_is_received(before: bytes, seed: int) -> None:
     receiver.feed(before)
     for scan in scans:
         receiver.feed(scan)
-    # A false start holds back less than two scans; it loses none.
+    # A false start delays less than two scans and loses none.
     assert receiver.payloads[:1] == [scans[0][4:-2]]
     receiver.wait()
     assert receiver.payloads == [scan[4:-2] for scan in scans]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The host's session with a scanner that answers as no emulated one does."""
+"""The host's session with a scanner whose replies differ from those of the emulated one."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ SET_BAUD = commands.set_baud(38400)
 
 
 class Puppet:
-    """A session whose scanner is the test; the scanner is found at 9600."""
+    """A session whose scanner is played by the test; the session finds it at 9600 Bd."""
 
     def __init__(self) -> None:
         self.session = SickSession(PLS, Tally())
@@ -38,7 +38,7 @@ class Puppet:
         return action.write
 
     def answer(self, *telegrams: bytes, ack: bytes = b"\x06") -> bytes:
-        """Answer a command 30 ms after it; gives what is written next."""
+        """Acknowledge and answer a command after 30 ms; returns the next bytes that the session writes."""
         self.now_ns += 30 * MS
         self.session.receive(ack + b"".join(frame(t, FROM_SENSOR) for t in telegrams), self.now_ns)
         return self.step(0)

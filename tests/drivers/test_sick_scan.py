@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scans of SICK scanners: units, flags, reserved values, geometry, stamps, and their parameters."""
+"""Scans of SICK scanners: units, flags, reserved values, geometry, stamps, and parameters."""
 
 import math
 from dataclasses import replace
@@ -123,7 +123,7 @@ def test_severity_is_named(severity: int, text: str) -> None:
 
 @pytest.mark.parametrize(("count", "steps"), [(101, 1), (100, 1), (201, 2), (200, 2), (401, 4), (400, 4)])
 def test_field_of_100_degrees_is_decoded(count: int, steps: int) -> None:
-    """Field of an LMS from −50°; its interlaced scans have one value less."""
+    """Field of an LMS from −50°; an interlaced scan has one value less."""
     sample = decoded(raw(*[700] * count).payload(), LMS).sample
     assert sample.angle_min == pytest.approx(math.radians(-50.0))
     assert sample.angle_increment == pytest.approx(math.radians(1.0 / steps))
@@ -131,7 +131,7 @@ def test_field_of_100_degrees_is_decoded(count: int, steps: int) -> None:
 
 
 def test_scan_of_a_scanner_upside_down_is_not_mirrored() -> None:
-    """Its first ray is at +90° of its frame; the last one measured is the first counter-clockwise."""
+    """Its first ray is at +90° of its frame; the last ray measured is the first one counter-clockwise."""
     hanging = replace(PLS, clockwise=True)
     scan = raw(*range(100, 461))
     upright, turned = decoded(scan.payload()).sample, decoded(scan.payload(), hanging).sample

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The host's session and the emulated scanner talk over a line with the true rates, in simulated time."""
+"""The host's session and the emulated scanner on a line with true rates, in simulated time."""
 
 import random
 from dataclasses import replace
@@ -28,7 +28,7 @@ TURN_NS = 40 * MS
 
 
 def room(stamp_ns: int) -> NDArray[np.float64]:
-    """Ranges (m) that tell the turn they belong to, with rays that have none."""
+    """Ranges, m, that identify the mirror turn; the first ray is NaN, the second infinite."""
     turn = (stamp_ns - EPOCH_NS) // TURN_NS
     ranges = 3.0 + 0.01 * ((np.arange(361, dtype=np.float64) + turn) % 500)
     ranges[:2] = [np.nan, np.inf]
@@ -36,7 +36,7 @@ def room(stamp_ns: int) -> NDArray[np.float64]:
 
 
 class Bench:
-    """A session and a device with the line between them; the host polls every 1 to 10 ms."""
+    """A session and an emulated scanner on one line; the host polls every 1 to 10 ms."""
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class Bench:
         return (self.now_ns - began_ns) / S
 
     def hold_the_host(self, seconds: float) -> None:
-        """What comes while the host is held waits, and is then read 4096 bytes at a time."""
+        """Stop the host for so long; the bytes that arrive meanwhile are then read 4096 at a time."""
         end_ns, waiting = self.now_ns + round(seconds * S), b""
         while self.now_ns < end_ns:
             self.now_ns += 5 * MS
@@ -98,7 +98,7 @@ class Bench:
 
 
 def streaming(parameters: SickParameters = PLS, **more: Any) -> Bench:
-    """A bench whose session streams within 3 s."""
+    """A bench whose session starts streaming within 3 s."""
     bench = Bench(parameters, **more)
     bench.run_until(Phase.STREAMING, within=3.0)
     return bench
@@ -136,7 +136,7 @@ def test_stamps_and_ranges_are_those_of_the_sweep(longest_poll_ms: int) -> None:
 @pytest.mark.parametrize("baud", [9600, 38400, 500000])
 @pytest.mark.parametrize("held_s", [0.5, 5.0, 60.0])
 def test_scans_read_after_a_host_stall_are_stamped_at_their_measurement(baud: int, held_s: float) -> None:
-    """Stamps are within 5 ms of the sweep after the host is held."""
+    """Each stamp is within 5 ms of the true time of its sweep."""
     bench = streaming(replace(PLS, serial_baud=baud))
     bench.run(2.0)
     bench.hold_the_host(held_s)
@@ -242,7 +242,7 @@ def test_stopping_without_a_scanner_takes_no_longer_than_its_acknowledgement() -
 def test_refused_rate_is_replaced_by_the_next_lower_one(
     parameters: SickParameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On an RS-232 line the scanner has no 500000 Bd: it streams at the next lower rate."""
+    """An RS-232 line has no 500000 Bd: the scanner streams at the next lower rate."""
     bauds = {code: baud for baud, code in commands.BAUD_CODES.items() if baud != 500000}
     monkeypatch.setattr(sick_device, "_BAUDS", bauds)
     bench = Bench(replace(parameters, serial_baud=500000))
@@ -266,6 +266,6 @@ def test_a_line_that_does_not_carry_a_rate_is_used_at_a_lower_one() -> None:
     for _ in range(2):
         bench.run_until(Phase.CHANGING_RATE, within=15.0)
         bench.run_until(Phase.PROBING, within=5.0)
-        bench.device.power_cycle(bench.now_ns)  # or it would be deaf for ever
+        bench.device.power_cycle(bench.now_ns)  # otherwise the device would stay at another rate
     bench.run_until(Phase.STREAMING, within=15.0)
     assert bench.host_baud == 38400

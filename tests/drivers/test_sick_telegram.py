@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""SICK telegrams: every byte vector known, the search for telegrams in garbage, and their times."""
+"""SICK telegrams: known byte vectors, the search for telegrams in garbage, and their times."""
 
 from random import Random
 
@@ -61,7 +61,7 @@ ACK, NAK = b"\x06", b"\x15"
 
 
 class Receiver:
-    """A parser, its tally, and a short way to ask for counts."""
+    """A parser with its tally, and a shorthand for the counts."""
 
     def __init__(self, address: int = FROM_SENSOR) -> None:
         self.tally = Tally()

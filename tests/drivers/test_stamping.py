@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps: the filter is never worse than raw, the host's clock may be set, order is kept."""
+"""Filtered stamps are never worse than raw ones, tolerate steps of the host's clock, and stay ordered."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_stamps_with_counted_cycles_are_never_later_than_raw_ones(delays, lost, 
     raw = np.ceil(true) + delays
     stamps = filtered(raw, cycles)
     assert (stamps <= raw).all()
-    assert (stamps >= true - 1.0).all()  # 1 ns of rounding
+    assert (stamps >= true - 1.0).all()  # rounding: 1 ns
 
 
 @given(
@@ -48,7 +48,7 @@ def test_stamps_with_short_delays_are_never_worse_than_raw_ones(delays, lost):
 
 
 def recorded_like(rng, count):
-    """Delays as a busy host makes them, ns: prompt as a rule, now and then a stall that ends in a burst."""
+    """Delays on a busy host, ns: short, with occasional stalls that end in a burst."""
     delays = rng.exponential(0.4 * MS, count)
     for begin in rng.integers(0, count, count // 100):
         stall = rng.uniform(5, 60) * MS
@@ -69,7 +69,7 @@ def test_recorded_jitter_is_removed(drift):
 
 
 def test_wrong_period_is_detected():
-    """1 % longer than configured: the filter runs ahead for no longer than its patience."""
+    """At a period 1 % longer than configured the filter runs ahead for at most 200 periods (patience)."""
     true = (np.arange(3000) * PERIOD * 1.01).astype(np.int64)
     errors = filtered(true) - true
     assert errors.min() >= -200 * PERIOD * 0.01
@@ -80,14 +80,14 @@ def test_a_sender_that_restarts_is_followed():
     stamps = PeriodicStamps(PERIOD, TOLERANCE, patience=200)
     for k in range(100):
         stamps.filter(k * PERIOD, 1)
-    assert stamps.filter(100 * PERIOD + 3 * MS, 0) == 100 * PERIOD + 3 * MS  # 0: it says that it is new
-    assert stamps.filter(120 * PERIOD + 4 * MS, 20) == 120 * PERIOD + 4 * MS  # too long ago
+    assert stamps.filter(100 * PERIOD + 3 * MS, 0) == 100 * PERIOD + 3 * MS  # 0: the count restarted
+    assert stamps.filter(120 * PERIOD + 4 * MS, 20) == 120 * PERIOD + 4 * MS  # too long after the last stamp
     stamps.restart()
     assert stamps.filter(121 * PERIOD + 9 * MS, 1) == 121 * PERIOD + 9 * MS
 
 
 class Clocks:
-    """A host's clock and a steady one, and the driver's view of both."""
+    """A host clock, a steady clock, and the driver's ``HostTime`` of both."""
 
     def __init__(self):
         self.steady_ns = 5 * S
@@ -108,7 +108,7 @@ class Clocks:
             self.stamps.append(self.order.next(self.time.stamp(arrival)))
 
     def ahead(self):
-        """Last stamp less the host's time at the arrival."""
+        """Last stamp minus the host's time at that arrival, ns."""
         return self.stamps[-1] - (self.steady_ns - MS + self.offset_ns)
 
 
@@ -121,7 +121,7 @@ def test_clock_jump_is_detected_and_stamps_stay_in_order(jump_s):
     assert clocks.time.jumps == 1
     steps = np.diff(clocks.stamps)
     assert (steps > 0).all()
-    assert (np.delete(steps, 99) == PERIOD).all()  # all but the one across the jump
+    assert (np.delete(steps, 99) == PERIOD).all()  # all steps except the one across the clock jump
     assert clocks.ahead() == max(0, round(-jump_s * S))
     clocks.offset_ns -= round(jump_s * S)
     clocks.run(1.0)
@@ -149,7 +149,7 @@ def test_arrival_from_before_a_jump_is_stamped_now():
 
 
 def test_arrival_of_5_s_ago_keeps_its_time():
-    """A reader may be late by seconds; the arrival lies after the port was last empty."""
+    """A reader may be seconds late if the arrival lies after the port was last empty."""
     clocks = Clocks()
     clocks.run(10.0)
     arrived_ns, between_ns = clocks.steady_ns - 5 * S, (clocks.steady_ns - 6 * S, clocks.steady_ns)
@@ -166,7 +166,7 @@ def test_stamp_outside_its_read_interval_is_replaced_by_now():
 
 def test_data_count_as_delayed_until_a_held_up_reader_empties_the_port():
     look = Look(0)
-    for step_ns in (10 * S, 10 * S + 90 * MS):  # as long as opening takes; a wait in vain
+    for step_ns in (10 * S, 10 * S + 90 * MS):  # duration of an opening; a wait without data
         look.step(step_ns)
     look.found_nothing()
     assert look.emptied_ns == 10 * S + 90 * MS
@@ -174,8 +174,8 @@ def test_data_count_as_delayed_until_a_held_up_reader_empties_the_port():
     for found_ns in (12 * S, 12 * S + MS):
         look.step(found_ns)
         assert look.emptied_ns == 10 * S + 90 * MS
-        assert look.waited(found_ns - MS, found_ns)  # it seems to be new
-        assert not look.waited(found_ns - S, found_ns)  # it brought its time along
+        assert look.waited(found_ns - MS, found_ns)  # apparently new data
+        assert not look.waited(found_ns - S, found_ns)  # data with an arrival time of their own
     look.found_nothing()
     assert not look.waited(12 * S, 12 * S + MS)
 
@@ -203,7 +203,7 @@ def test_host_clock_sees_the_host_set_back(monkeypatch):
 
 @pytest.mark.parametrize("silence_ms", [10, 400])
 def test_interrupted_clock_reading_keeps_the_arrival_time(monkeypatch, silence_ms):
-    """The host is busy between the two clock readings, after a while without data."""
+    """The process is interrupted between two clock readings, after a while without data."""
     import time
 
     now = {"steady": 5 * S, "busy": 0}

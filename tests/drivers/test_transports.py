@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The loop around ports and buses, on real ptys and sockets."""
+"""The read loop of links to ports and buses, on real ptys and sockets."""
 
 import math
 import os
@@ -20,12 +20,12 @@ from trackslip_drivers.transports.serial_port import SerialPort
 from trackslip_sim.devices.pty_port import PtyPort
 
 IGNORED = Handlers(lambda *_: None, lambda: None)
-UDP_PORT = 44000 + os.getpid() % 10000  # parallel test runs must not receive each other's frames
+UDP_PORT = 44000 + os.getpid() % 10000  # separates parallel test runs
 GROUP = "239.74.163.2"
 
 
 class Received:
-    """Collects what a link hands on."""
+    """Collects the data, stamps and openings that a link reports."""
 
     def __init__(self):
         self.data = []
@@ -58,7 +58,7 @@ def start_link(received):
     yield start
     for link in links:
         link.stop()
-        link._thread.join(PATIENCE)  # ``stop`` waits less than a host may stall
+        link._thread.join(PATIENCE)  # the time-out of ``stop`` is shorter than a possible stall of the host
         assert not link._thread.is_alive()
 
 
@@ -93,7 +93,7 @@ def test_reconnects_when_the_device_comes_back(tmp_path, received, start_link):
     first.write(b"one")
     wait_for(lambda: b"".join(received.data) == b"one")
     first.close()
-    wait_for(lambda: link.state().errors >= 2)  # the loss, and an opening in vain
+    wait_for(lambda: link.state().errors >= 2)  # the loss, and a failed opening
     assert not link.write(b"x")
     wait_for(lambda: link.state().last_error == "No such file or directory")
     second = PtyPort(tmp_path / "device")
@@ -110,7 +110,7 @@ def test_socket_url(received, start_link):
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
         link = start_link(partial(SerialPort, url, 9600, "E"))
         client, _ = server.accept()
-        wait_for(lambda: received.openings == 1)  # opening discards what came before
+        wait_for(lambda: received.openings == 1)  # opening discards earlier bytes
         client.sendall(b"x" * 10000)
         wait_for(lambda: sum(map(len, received.data)) == 10000)
         client.close()
@@ -124,7 +124,7 @@ def test_socket_url(received, start_link):
 
 
 def test_silence_is_reported_only_after_an_empty_read(received, start_link):
-    """Bytes that wait while the reader is busy are no silence."""
+    """Bytes that wait while the reader is busy are not a silence."""
     reads = [[(b"a", 1)], [(b"b", 2)], [], [(b"c", 3)], []]
     reported = []
 
@@ -152,7 +152,7 @@ def test_silent_port_is_reopened(pty_port, received, start_link):
 
 
 def test_reason_of_a_locked_or_missing_port_does_not_repeat_its_name(pty_port, tmp_path, start_link):
-    """The node prints the device, its port, and this reason."""
+    """The node prints the device and its port before this reason."""
     first = SerialPort(str(pty_port.link), 9600, "N")
     for place, reason in (
         (str(pty_port.link), "locked: another program has it open"),
@@ -166,7 +166,7 @@ def test_reason_of_a_locked_or_missing_port_does_not_repeat_its_name(pty_port, t
 
 
 class BrokenPort:
-    """Fails as asked; every kind of error must end in a new opening."""
+    """A port that raises the given error; every kind of error must lead to a new opening."""
 
     note = "broken"
 
@@ -194,7 +194,7 @@ def test_any_error_closes_counts_and_reopens(start_link, error):
     link.stop()
     state = link.state()
     assert state.openings == len(closed)
-    assert state.openings - state.errors in (0, 1)  # stopped before the last one was read
+    assert state.openings - state.errors in (0, 1)  # may be stopped before the last error
     assert str(error.args[-1]) in state.last_error
     assert not state.connected
 
@@ -262,11 +262,11 @@ def test_stop_does_not_wait_for_an_opening_that_hangs():
     link = Link("test", hang, IGNORED)
     link.start()
     link.stop()
-    assert link._thread.is_alive()  # it returned although the opening still hangs
+    assert link._thread.is_alive()  # ``stop`` returned although the opening still hangs
     release.set()
     link._thread.join(PATIENCE)
     assert not link._thread.is_alive()
-    assert len(closed) == 1  # what was opened too late was closed again
+    assert len(closed) == 1  # the port opened after ``stop`` is closed again
 
 
 def test_frames_over_udp_multicast(received, start_link):
@@ -289,7 +289,7 @@ def test_frames_over_udp_multicast(received, start_link):
 
 
 def test_frames_from_the_network_are_not_the_machines(received, start_link):
-    """Whoever reached the port of the emulated bus, by multicast or directly, could speak as the machine."""
+    """Otherwise any host that reaches the UDP port of the emulated bus could send as the machine."""
     try:
         stranger = can.Bus(GROUP, interface="udp_multicast", port=UDP_PORT)
     except can.CanError:
@@ -299,7 +299,7 @@ def test_frames_from_the_network_are_not_the_machines(received, start_link):
         link = start_link(partial(CanBus, "udp_multicast", GROUP, {"port": UDP_PORT}))
         wait_for(lambda: link.state().connected)
         own = CanBus("udp_multicast", GROUP, {"port": UDP_PORT})
-        assert outward == socket.inet_aton("0.0.0.0")  # as the route says
+        assert outward == socket.inet_aton("0.0.0.0")  # the default multicast interface
         for n in range(100):
             stranger.send(can.Message(arbitration_id=7, data=[n]))
             own.write((0x0CFF1080, bytes([n])))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""UBX messages of a receiver, alone and beside sentences: positions, accuracies, headings."""
+"""UBX messages alone and together with NMEA sentences: positions, accuracies, headings."""
 
 import itertools
 import math
@@ -22,7 +22,7 @@ from trackslip_drivers.records import CovarianceType, FixSample, FixStatus, Head
 
 S = 1_000_000_000
 P = replace(NMEA, serial_port="socket://receiver:5017")
-TOW = 216_018_000  # ms: 12:00:00 UTC of a Tuesday, with 18 leap seconds
+TOW = 216_018_000  # ms of the GPS week: 12:00:00 UTC on a Tuesday, with 18 leap seconds
 NOON = 43_200 * S
 
 
@@ -114,7 +114,7 @@ def test_heading_is_that_of_the_moving_base():
 
 
 def epochs(*encoders, count=20):
-    """Samples of messages at 10 Hz."""
+    """Samples from ``count`` epochs of these messages at 10 Hz."""
     stream, samples = NmeaStream(P, Tally()), []
     for k in range(count):
         burst = b"".join(encode(TOW + 100 * k) for encode in encoders)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Watson units: lines and frames of the manuals byte by byte, the stream's cutting and stamps, rejections."""
+"""Watson units: lines and frames of the manuals byte by byte, framing, stamps, rejections."""
 
 import math
 
@@ -191,7 +191,7 @@ def test_line_ends_of_every_kind():
 def test_stamp_is_the_start_of_transmission():
     line = encode_line("R", {}, LAYOUT)
     arrival_ns, offset_ns = 50_000_000_000, -3_000_000
-    later = b"R +0.0"  # the beginning of the next line came with the same read
+    later = b"R +0.0"  # the same read returned the beginning of the next line
     (sample,) = stream(offset_ns).feed(line + later, arrival_ns)
     expected = arrival_ns + offset_ns - (len(line) + len(later)) * CHAR_NS
     assert sample.stamp_ns == pytest.approx(expected, abs=2)
@@ -199,7 +199,7 @@ def test_stamp_is_the_start_of_transmission():
 
 @pytest.mark.parametrize("before", [b"", b"\n", b"  "])
 def test_stamp_is_exact_after_one_prompt_read(before):
-    """The other reads are late; the end of the previous line arrives 15 ms earlier."""
+    """The other reads are late; the previous line ends 15 ms before this one begins."""
     line, parser, began_ns = encode_line("R", {}, LAYOUT), stream(), 50_000_000_000
     parser.feed(before, began_ns - 15_000_000)
     late, begin = {10: 9_000_000, 40: 100_000, len(line) - 1: 30_000_000, len(line): 40_000_000}, 0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Watson units: round trips, any cutting of the stream, characters lost."""
+"""Watson units: round trips, any split of the stream, lost characters."""
 
 from itertools import pairwise
 
@@ -52,7 +52,7 @@ def test_frame_round_trip(values):
         assert error <= 1.000001 * channel.full_scale / 8192
 
 
-LOOK_NS = 100_000_000  # between looks at the port
+LOOK_NS = 100_000_000  # between reads of the port
 
 
 @seeded
@@ -85,7 +85,7 @@ def test_cutting_of_the_stream_changes_nothing(lines, places):
 @seeded
 @given(VALUES, st.integers(0, LAYOUT.line_length - 2), st.integers(1, 20))
 def test_line_with_lost_characters_is_never_decoded(values, start, count):
-    """Nothing but a loss that leaves every field's width right could, and then a space must go with it."""
+    """Only a loss that keeps every field's width could be decoded, and such a loss also removes a space."""
     line = encode_line("R", values, LAYOUT)[:-1]
     damaged = line[:start] + line[start + count :]
     assert not isinstance(decode_line(damaged, LAYOUT), Reading)

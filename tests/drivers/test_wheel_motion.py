@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sprockets from joints of any number and sense, and from a base controller's speeds."""
+"""Sprocket motion from any number of joints of either sign, and from speeds of a base controller."""
 
 import math
 
@@ -46,7 +46,7 @@ def test_positions_alone_are_differenced():
 @pytest.mark.parametrize("first", [-math.pi, 0.0])
 @pytest.mark.parametrize("uses", ["both", "positions"])
 def test_wrapping_positions_give_a_steady_speed(first, uses):
-    """Each joint wraps at its own time; 50 Hz, 5 rad/s."""
+    """Each joint wraps at a different time; 50 Hz, 5 rad/s."""
     motion = JointMotion(parameters(uses=uses))
     turned = [0.3, 0.0, 2.0, 1.0, 5.9]
     found = []
