@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speeds, loads and latencies on this machine, printed: ``make bench`` asserts nothing.
 
-Loads are in percent of one core, each beside its floor: a bare rclpy node that publishes the same messages as
-often. Measure on a quiet machine; every number is the median of three windows or runs.
+Loads are in percent of one core. Beside each is its floor: the load of a bare rclpy node that publishes the
+same messages at the same rate. Measure on a quiet machine; every number is a median of three windows or runs.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="trackslip_bench_") as directory:
         for row in bench_bags.rows(Path(directory)):
             show(*row)
-        for measure in (_drivers, _graph):  # each with devices of its own
+        for measure in (_drivers, _graph):  # each starts its own devices
             folder = Path(directory) / measure.__name__
             folder.mkdir()
             measure(folder)
@@ -72,7 +72,7 @@ def _truth_seconds() -> float:
 
 
 def show(what: str, here: str, beside: str = "", bar: str = "") -> None:
-    """A row of two lines, within 80 columns."""
+    """Print a row as two lines within 80 columns."""
     figures = f"    {here:<14}{beside:<44}{bar}".rstrip()
     print(f"{what}\n{figures}" if what else figures, flush=True)
 
@@ -108,7 +108,7 @@ def _graph(directory: Path) -> None:
 
 
 def _estimator_us(bag: Bag, p: SlipEstimatorParameters) -> float:
-    """µs a measurement takes, late ones and what is done again for them included."""
+    """µs per measurement, including late ones and the reprocessing that they cause."""
     estimator = SlipEstimator(p)
     measurements = read_inputs(bag, p, InputFilters(), ()).measurements(estimator.sources)
     one_by_one = [measurements[k : k + 1] for k in range(len(measurements))]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speed of the workbench on a sensor bag of three minutes, one core: ``make bench`` prints the rows."""
+"""Speed of the offline tools on a sensor bag of three minutes, one core: ``make bench`` prints the rows."""
 
 import os
 import statistics
@@ -26,11 +26,11 @@ from trackslip_tools.tuning.task import read_task, score_of
 from trackslip_tools.workers import cores, workers
 
 RUNS = 5
-SETS = 100  # of parameters
+SETS = 100  # parameter sets
 
 
 def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
-    """What, here, beside, bar."""
+    """Rows (quantity, here, beside, bar)."""
     path = directory / "field_trial"
     record_drive(load_emulator_parameters({"seed": 1}), simulate(load_scenario("field_trial")), path)
     p = load_slip_parameters()
@@ -47,7 +47,7 @@ def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
     yield "replay, filter alone", f"{seconds / alone:.0f} ×", "", ""
     jobs = [(0, {"gate_relaxation": 2.0 + k / SETS}) for k in range(SETS)]
     with workers(cores(), shared=[task]) as mapped:
-        list(mapped(score_of, jobs[:1]))  # the processes begin
+        list(mapped(score_of, jobs[:1]))  # starts the processes
         each = _timed(lambda: list(mapped(score_of, jobs))) / SETS
     yield (
         "tune, 1000 sets on that bag, all cores",
@@ -58,7 +58,7 @@ def rows(directory: Path) -> Iterator[tuple[str, str, str, str]]:
 
 
 def _read(bag: Bag) -> None:
-    """In bounded memory; see ``InputStream``."""
+    """Read the bag in bounded memory; see ``InputStream``."""
     tables = ("odometry", "track_slip", "truth/odometry", "truth/track_slip", "hydraulics")
     for _ in InputStream(bag, load_slip_parameters(), InputFilters(), tables):
         pass
@@ -66,7 +66,7 @@ def _read(bag: Bag) -> None:
 
 def _median(measure: Callable[[], float]) -> float:
     found = [measure() for _ in range(1 + RUNS)]
-    return statistics.median(found[1:])  # the first compiles
+    return statistics.median(found[1:])  # the first run compiles
 
 
 def _timed(function: Callable[[], Any]) -> float:

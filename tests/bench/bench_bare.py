@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The floor of the live graph: bare rclpy nodes that take and publish what the real ones do, and do nothing.
+"""The floor of the live graph: bare rclpy nodes with the subscriptions and publications of the real ones.
 
-``bench_bare.py TOPICS NAME`` is one of them. ``TOPICS`` is a JSON file: which topics each node of the real
-graph took and published, and of each topic how often it came, and one of its messages. What a node publishes
-because something came, it publishes then; all else is paced by a thread.
+``bench_bare.py TOPICS NAME`` runs one of them. ``TOPICS`` is a JSON file. It has the topics that each node of
+the real graph subscribed to and published, and the rate and one message of each topic. A node publishes some
+topics in response to an input; a thread paces the others.
 """
 
 import json
@@ -35,11 +35,11 @@ _BECAUSE_OF = {
     "box_pose": ("scan",),
     "measurement_reports": ("sprockets", "imu/data_raw", "box_pose"),
 }
-_SPIN = 0.1  # s, as the real nodes
+_SPIN = 0.1  # s, as in the real nodes
 
 
 def ends_of(node: Any) -> dict[str, Ends]:
-    """By name of a node, what it takes and publishes of the project's topics, as ``node`` sees it."""
+    """Project topics that each node subscribes to and publishes, by node name, as ``node`` sees them."""
     found: dict[str, Ends] = defaultdict(lambda: {"takes": {}, "publishes": {}})
     for topic in TOPICS:
         for end in node.get_publishers_info_by_topic(f"/{topic}"):
@@ -51,7 +51,7 @@ def ends_of(node: Any) -> dict[str, Ends]:
 
 
 def write_topics(path: Path, nodes: dict[str, Ends], bag_path: Path) -> None:
-    """The JSON file, with messages and rates as a bag has them."""
+    """Write the JSON file, with messages and rates of a bag."""
     messages: dict[str, str] = {}
     counts: Counter[str] = Counter()
     with open_bag(bag_path) as bag:
@@ -67,7 +67,7 @@ def write_topics(path: Path, nodes: dict[str, Ends], bag_path: Path) -> None:
 
 
 def run(path: Path, name: str) -> None:
-    """Until interrupted: by a flag, as an exception could come where rclpy has to drop it."""
+    """Run until interrupted; SIGINT sets a flag, because rclpy could drop an exception."""
     ended: list[int] = []
     signal.signal(signal.SIGINT, lambda number, _: ended.append(number))
     known = json.loads(path.read_text(encoding="utf-8"))

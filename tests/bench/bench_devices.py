@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The three emulated devices at their full rates, as a process: ``bench_devices.py DIRECTORY PORT``.
 
-CAN 100 Hz × 3 frames on UDP multicast; Watson binary frames at 71 Hz, scans at 25 Hz on ptys in DIRECTORY.
-Lives until it is interrupted.
+CAN 100 Hz × 3 frames on UDP multicast; Watson binary frames at 71 Hz and scans at 25 Hz on ptys in DIRECTORY.
+Runs until interrupted.
 """
 
 import math
@@ -30,13 +30,13 @@ from trackslip_sim.devices.pty_port import PtyPort
 from trackslip_sim.devices.sick_device import SickDevice, SickDeviceParameters
 from trackslip_sim.devices.watson_device import WatsonDevice
 
-WATSON_BAUD = 19_200  # the slowest that carries nine channels 71 times a second
+WATSON_BAUD = 19_200  # the lowest rate that carries nine channels 71 times a second
 SICK_BAUD = 500_000
-_TICK = 0.002  # s, as the emulator drips
+_TICK = 0.002  # s, as in the emulator
 
 
 def sprockets(stamp_ns: int) -> SprocketSample:
-    """One radian per second."""
+    """Sample of both sprockets at 1 rad/s."""
     position = stamp_ns * 1e-9 % (2.0 * math.pi)
     return SprocketSample(stamp_ns, position, position, 1.0, 1.0)
 
@@ -50,7 +50,7 @@ def imu(stamp_ns: int) -> ImuSample:
 
 
 def main(directory: Path, can_port: int) -> None:
-    """Emulate."""
+    """Run the devices."""
     now_ns = time.time_ns()
     can = load_parameters(CanDriverParameters, can_parameters.NODE, can_parameters.DEFAULT_FILES)
     machine = CanDevice(load_frames(can), sprockets, hydraulics, now_ns)

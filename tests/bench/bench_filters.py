@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the filters beside filterpy's EKF, in one run on one thread: ``make bench`` prints the rows.
 
-All run the same measurements through the same model. filterpy is given our compiled functions, so that its
-own algebra is what is timed; it is compared where it is installed (``requirements/bench.txt``).
+All filters process the same measurements with the same model. filterpy receives the compiled functions of
+Trackslip, so that only its algebra differs. It needs ``requirements/bench.txt``.
 """
 
 import importlib
@@ -27,21 +27,21 @@ from trackslip_estimation.slip.records import SPROCKETS, to_records
 from trackslip_estimation.slip.update import observe
 
 ROWS = 20_000
-STEP_NS = 5_000_000  # from one measurement to the next
-REPEATS = 3  # of which the fastest counts
-ALGEBRA = 5000  # steps of it
-TILT_ROWS = 2  # numbers of a specific force along and across the machine
+STEP_NS = 5_000_000  # between measurements
+REPEATS = 3  # the fastest counts
+ALGEBRA = 5000  # steps
+TILT_ROWS = 2  # specific force along and across the machine
 
 
 def rows() -> list[tuple[str, str, str, str]]:
-    """What, here, beside, bar: CPU of a measurement; half of them sprockets that predict, half a gyro."""
+    """Rows (quantity, here, beside, bar): CPU per measurement; half are sprockets (predict), half gyro."""
     drive = _drive()
     found = {}
     for model in ("turning", "icr", "free_slips"):
         for kind in ("ekf", "daf"):
             p = load_slip_parameters({"model": model, "filter": kind})
             log = make_log(to_records(drive, SlipEstimator(p).sources), p)
-            _run(log, p)  # compiles, the first time
+            _run(log, p)  # compiles at the first call
             found[model, kind] = min(_timed(_run, log, p) for _ in range(REPEATS)) / ROWS
     beside = _beside(drive, found["turning", "ekf"])
     table = [
@@ -63,7 +63,7 @@ def rows() -> list[tuple[str, str, str, str]]:
 
 
 def _joint_state() -> tuple[str, str, str, str]:
-    """What one state of place, slip and attitude would cost, against the two that there are."""
+    """Cost of one joint state of pose, slip and attitude against the two separate states."""
     planar = int(SlipEstimator(load_slip_parameters()).config["size"][0])
     apart = _algebra(planar, COUPLED, 1) + _algebra(ATTITUDE_SIZE, ATTITUDE_SIZE, TILT_ROWS)
     both, coupled = planar + ATTITUDE_SIZE, COUPLED + ATTITUDE_SIZE
@@ -77,7 +77,7 @@ def _joint_state() -> tuple[str, str, str, str]:
 
 
 def _algebra(n: int, coupled: int, m: int) -> float:
-    """Seconds of one propagation and one update of n states by m numbers, of which no entry is zero."""
+    """Seconds of one propagation and one update of n states by m measurements with dense matrices."""
     rng = np.random.default_rng(n)
     P, F, Q = np.eye(n), np.eye(n), np.eye(n) * 1e-3
     F[:coupled] += rng.normal(0.0, 1e-2, (coupled, n))
@@ -95,7 +95,7 @@ def _algebra(n: int, coupled: int, m: int) -> float:
 
 
 def _drive() -> list[Measurement]:
-    """A slalom; every other measurement a gyro's, halfway between two samples of the sprockets."""
+    """A slalom; a gyro sample lies halfway between each two samples of the sprockets."""
     drive: list[Measurement] = [PoseFix("box_pose", 0, np.zeros(3), np.eye(3) * 1e-3)]
     left = right = 0.0
     for k in range(ROWS):
@@ -134,7 +134,7 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
     log = make_log(to_records(drive, estimator.sources), p)
     estimator.process_records(log.begin)
     window = run_whole(log.rest, estimator.window, estimator.config)
-    states = window.best[1 : window.count]  # what the sprockets did
+    states = window.best[1 : window.count]  # sprocket states
     c, start = estimator.config[0], estimator.window.best[0]
     size = int(c["size"])
     their = kalman.ExtendedKalmanFilter(size, 1)
@@ -145,7 +145,7 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
         moved, their.F, their.Q = linearize(their.x, their.P, drive_, STEP_NS * 1e-9, c)
         their.predict()
         their.x = moved
-        if measurement["kind"] == SPROCKETS:  # they drive, and measure nothing
+        if measurement["kind"] == SPROCKETS:  # sprockets are inputs, not measurements
             continue
         room[0] = drive_
         room["mean"][0, :size] = their.x
@@ -155,7 +155,7 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
 
 
 def _timed(function: Any, *arguments: Any) -> float:
-    """CPU time, s: other processes do not count."""
+    """CPU time, s; excludes other processes."""
     began = time.process_time()
     function(*arguments)
     return time.process_time() - began

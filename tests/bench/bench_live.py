@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live page costs: a machine that drives in the graph, the node ``live``, and pages that look at it.
+"""Cost of the live page: a driving machine in the graph, the node ``live``, and connected pages.
 
 ``python tests/bench/bench_live.py [--minutes 5] [--pages 3] [--chromium]`` (source .venv/trackslip.sh before)
-plays a made-up drive at the rates of the real nodes, and prints the node's share of a core, its memory over
-the time, and the frames that each page got. A page is a websocket that decodes what it gets; with
-``--chromium`` it is in a browser as wide as a phone, a tablet or a desk, and its console is printed too.
+plays a synthetic drive at the rates of the real nodes. It prints the node's share of a core, its memory over
+time, and the number of frames of each page. A page is a websocket that decodes its frames; with
+``--chromium`` it is a browser as wide as a phone, a tablet or a desktop, and its console is printed too.
 """
 
 import argparse
@@ -30,15 +30,15 @@ from tornado.websocket import websocket_connect
 from trackslip_msgs.msg import SoilEstimate, TrackForces, TrackSlip
 
 PORT = 5996
-WIDTHS = (390, 1024, 1440)  # pixels of a phone, a tablet and a desk
+WIDTHS = (390, 1024, 1440)  # pixels of a phone, a tablet and a desktop
 TICKS = os.sysconf("SC_CLK_TCK")
 PAGE_B = os.sysconf("SC_PAGE_SIZE")
 DRIVERS = ("can_driver", "watson_imu", "sick_pls")
 ESTIMATORS = ("box_localizer", "slip_estimator", "soil_estimator", "record")
-SETTLED_S = 20.0  # s until the start is over
+SETTLED_S = 20.0  # s after the start
 SHOWN: dict[str, Any] = {}  # the newest frame
 
-Visit = Callable[[list[int], int], Awaitable[None]]  # of a page: counts its frames at its place
+Visit = Callable[[list[int], int], Awaitable[None]]  # a page: counts its frames in its element of the list
 
 
 def main() -> int:
@@ -68,7 +68,7 @@ def main() -> int:
 
 
 def drive(over: threading.Event) -> None:
-    """Publishes what a machine's nodes publish, at their rates."""
+    """Publish the messages of a machine's nodes at their rates."""
     rclpy.init()
     node = rclpy.create_node("bench")
     kinds = {
@@ -90,7 +90,7 @@ def drive(over: threading.Event) -> None:
 
 
 def due(step: int) -> list[tuple[str, Any]]:
-    """Of the step-th hundredth of a second."""
+    """(topic, message) pairs of the step-th hundredth of a second."""
     t = 0.01 * step
     odometry = Odometry()
     odometry.pose.pose.position.x, odometry.pose.pose.position.y = 0.4 * t, 5.0 * math.sin(0.05 * t)
@@ -117,7 +117,7 @@ def diagnostics(name: str, step: int) -> DiagnosticArray:
 
 
 async def measure(pid: int, seconds: float, pages: int, visit: Visit) -> None:
-    """Print what the process takes while pages look."""
+    """Print CPU and memory of the process while pages are connected."""
     counts = [0] * pages
     looking = [asyncio.ensure_future(visit(counts, k)) for k in range(pages)]
     await asyncio.sleep(SETTLED_S)
@@ -140,7 +140,7 @@ async def measure(pid: int, seconds: float, pages: int, visit: Visit) -> None:
 
 
 async def look(counts: list[int], number: int) -> None:
-    """A page: connects until it may, and decodes all that comes."""
+    """A page: connects with retries and decodes all frames."""
     while True:
         try:
             page = await websocket_connect(f"ws://127.0.0.1:{PORT}/stream")
@@ -154,7 +154,7 @@ async def look(counts: list[int], number: int) -> None:
 
 
 async def browse(counts: list[int], number: int) -> None:
-    """A page of a browser of its own: asked each second for the frames that it has shown."""
+    """A page in a browser; polled each second for its number of shown frames."""
     from playwright.async_api import Error, async_playwright
 
     async with async_playwright() as playwright:

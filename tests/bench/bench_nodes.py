@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measures nodes as they run: CPU of the drivers at full rate, CPU and latency of the whole graph."""
+"""Measures running nodes: CPU of the drivers at full rate, CPU and latency of the whole graph."""
 
 import contextlib
 import os
@@ -29,7 +29,7 @@ DRIVERS = {
 }
 WINDOW = 5.0  # s of each measurement
 REPEATS = 3
-_WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner needs some to change its rate
+_WARM_UP = 12.0  # s; the inertial unit initialises for 5 s, the scanner changes its rate
 _APPEAR = 60.0  # s until the graph publishes odometry
 _ENDING = 3.0  # s
 _CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
@@ -37,10 +37,10 @@ _CPU_CLOCK = 2  # Linux: clock number of a process' CPU time is ~pid << 3 | 2
 
 @dataclass(frozen=True)
 class Load:
-    """What a node cost and did; medians of the windows."""
+    """CPU and rate of a node; medians of the windows."""
 
     cpu_percent: float  # of one core
-    rate: float  # Hz, of its first topic; 0 where nobody counted
+    rate: float  # Hz, of its first topic; 0 if not counted
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Latency:
 
     @staticmethod
     def of(ages_ms: list[float]) -> "Latency":
-        """NaN where nothing came."""
+        """Quantiles of the ages; NaN if there are none."""
         return Latency(*np.percentile(ages_ms or [np.nan], (50, 99)).tolist())
 
 
@@ -77,14 +77,14 @@ class Children:
         self.start(node.executable, [str(executable(node.package, node.executable)), "--ros-args", *options])
 
     def cpu_s(self) -> dict[str, float]:
-        """CPU seconds that each has used."""
+        """CPU time of each process, s."""
         return {
             name: time.clock_gettime(~process.pid << 3 | _CPU_CLOCK)
             for name, process in self._running.items()
         }
 
     def stop(self, names: tuple[str, ...] = ()) -> None:
-        """Interrupt these (or all), wait, insist."""
+        """Interrupt these processes (or all), wait, and kill those that remain."""
         chosen = [self._running.pop(name) for name in names or tuple(self._running)]
         for process in chosen:
             process.send_signal(signal.SIGINT)
@@ -98,7 +98,7 @@ class Children:
 
 @contextlib.contextmanager
 def children(directory: Path) -> Iterator[Children]:
-    """None of them stays."""
+    """Processes that are stopped at the end."""
     started = Children(directory)
     try:
         yield started
@@ -107,7 +107,7 @@ def children(directory: Path) -> Iterator[Children]:
 
 
 def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
-    """Name → the driver, its floor; all run at once, one window after the other."""
+    """Name → (load of the driver, load of its floor); all run together, window after window."""
     port = _free_udp_port()
     nodes = {node.executable: node for node in demo_nodes(_options(directory, port))}
     changes: dict[str, dict[str, object]] = {
@@ -136,21 +136,21 @@ def drivers(directory: Path) -> dict[str, tuple[Load, Load]]:
 
 @dataclass(frozen=True)
 class Graph:
-    """The whole graph, live."""
+    """Measurements of the whole live graph."""
 
     loads: dict[str, float]  # CPU of each node, % of a core
     odometry: Latency  # from the stamp of the sprockets
     floor: Latency  # one hop of rclpy, at the same time
-    bare: Latency  # of odometry, once a bare relay is in the slip estimator's place
+    bare: Latency  # of odometry, with a bare relay in place of the slip estimator
     bag: Path
-    ends: dict[str, bench_bare.Ends]  # by node, what it takes and publishes
+    ends: dict[str, bench_bare.Ends]  # subscriptions and publications by node
 
 
 def graph(directory: Path, seconds: float) -> Graph:
-    """Drive the demo's graph for so long, recorder included; a bare publisher of odometry runs beside it.
+    """Run the demo's graph with recorder for so long; a bare publisher of odometry runs beside it.
 
-    Half of the time goes to the nodes, a quarter to the graph with a bare relay for the slip estimator: its
-    latency is what CAN driver and rclpy take of the whole, whatever the estimator does.
+    Half of the time measures the nodes. A quarter measures the graph with a bare relay in place of the slip
+    estimator: its latency is the share of CAN driver and rclpy, independent of the estimator.
     """
     options = _options(directory, _free_udp_port(), seconds)
     ours, bare = "odometry", FLOOR + "odometry"
@@ -176,7 +176,7 @@ def graph(directory: Path, seconds: float) -> Graph:
 
 
 def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float]:
-    """CPU, % of a core, of bare nodes in the place of all those of a graph (``bench_bare``)."""
+    """CPU, % of a core, of bare nodes in place of all nodes of a graph (``bench_bare``)."""
     topics, script = directory / "topics.json", str(Path(__file__).parent / "bench_bare.py")
     bench_bare.write_topics(topics, found.ends, found.bag)
     with children(directory) as running, _listener((), ("odometry",)) as listener:
@@ -190,7 +190,7 @@ def bare_loads(directory: Path, found: Graph, seconds: float) -> dict[str, float
 
 
 def _receive(listener: Listener, topic: str) -> None:
-    """Wait until the topic flows, and forget how that began."""
+    """Wait until the topic is flowing, and reset the counts."""
     until = time.monotonic() + _APPEAR
     while len(listener.ages_ms[topic]) < 100 and time.monotonic() < until:
         listener.listen(0.2)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS side of the benchmark: a listener, and the floor to hold the nodes against.
+"""The ROS side of the benchmark: a listener, and bare nodes as the floor of the measurements.
 
-``bench_ros.py NAME`` is that floor: a bare rclpy node that publishes what the driver NAME publishes, as
-often, but the same ready-made messages again and again. ``odometry`` is stamped odometry at 101 Hz: within a
-second it meets every phase of the graph's cycle, busy and idle. ``relay`` stands in for the slip estimator:
-for each sprocket sample it publishes ready-made odometry with that stamp.
+``bench_ros.py NAME`` is a bare rclpy node that publishes the topics of the driver NAME at the same rates,
+with constant messages. ``odometry`` publishes stamped odometry at 101 Hz: within a second it meets every
+phase of the graph's cycle, busy and idle. ``relay`` replaces the slip estimator: it publishes constant
+odometry with the stamp of each sprocket sample.
 """
 
 import sys
@@ -26,11 +26,11 @@ from trackslip_drivers import conversions
 from trackslip_drivers.records import HydraulicsSample, ImuSample, ScanSample, SprocketSample
 
 RATES = {"can_driver": 100.0, "watson_imu": 71.11, "sick_pls": 25.0, "odometry": 101.0}
-FLOOR = "floor/"  # what its topics begin with
+FLOOR = "floor/"  # prefix of its topics
 
 
 class Listener:
-    """Counts what comes on topics; of others, of odometry, it notes how old each message is."""
+    """Counts messages on topics; on odometry topics it stores the age of each message."""
 
     def __init__(self, topics: tuple[str, ...], odometry: tuple[str, ...] = ()) -> None:
         self.received: Counter[str] = Counter()
@@ -47,19 +47,19 @@ class Listener:
             self.node.create_subscription(topic_class("odometry"), topic, note, subscriber_qos("odometry"))
 
     def listen(self, seconds: float) -> None:
-        """Handle what comes."""
+        """Handle incoming messages for so long."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
     def forget(self) -> None:
-        """Count from zero."""
+        """Reset all counts."""
         self.received.clear()
         for ages in self.ages_ms.values():
             ages.clear()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.shutdown()
         self.node.destroy_node()
 
@@ -78,7 +78,7 @@ class Listener:
 
 
 def messages_of(name: str) -> dict[str, Any]:
-    """Topic → message of a driver, as large as in truth."""
+    """Topic → message of a driver, as large as the real one."""
     if name == "can_driver":
         sprockets, hydraulics = (
             SprocketSample(0, 1.0, 1.0, 1.0, 1.0),
@@ -130,7 +130,7 @@ def floor(name: str) -> None:
 
 
 def relay() -> None:
-    """From sprockets to odometry with no estimate between, until interrupted."""
+    """Publish odometry for each sprocket sample, without an estimate, until interrupted."""
     rclpy.init()
     node = rclpy.create_node("relay")
     message = make("nav_msgs/msg/Odometry")

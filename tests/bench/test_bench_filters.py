@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bench of filters runs a drive through a filter of others' to its end."""
+"""The bench of filters runs a whole drive through an external filter."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +12,7 @@ import bench_filters
 
 
 class TheirFilter:
-    """What the bench uses of ``filterpy.kalman.ExtendedKalmanFilter``."""
+    """The part of ``filterpy.kalman.ExtendedKalmanFilter`` that the bench uses."""
 
     updates = 0
 

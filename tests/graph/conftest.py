@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes, and a ROS node to watch them with, in a domain of their own."""
+"""Fixtures: processes under test and a ROS node that observes them, in a ROS domain of their own."""
 
 import fcntl
 import os
@@ -19,11 +19,11 @@ from fixtures.plugged_devices import MULTICAST
 from fixtures.programs import ROOT, Programs
 
 _DOMAINS = range(1, 102)
-_PARTICIPANTS = 20  # more than any of our graphs has
+_PARTICIPANTS = 20  # more than any graph of the tests has
 
 
 def _enter() -> None:
-    """Set what ``make test`` sets, for a plain ``python -m pytest``."""
+    """Set the environment of ``make test`` for a plain ``python -m pytest``."""
     script = '. "$0" && exec env -0'
     environment = ROOT / ".venv" / "trackslip.sh"
     if environment.is_file():
@@ -37,7 +37,7 @@ _enter()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """``make test``, which runs other tests beside these, tries a failed one again and reports it."""
+    """Repeat a failed test once under ``make test``, which runs other tests in parallel, and report it."""
     if hasattr(config, "workerinput"):
         for item in items:
             if item.path.is_relative_to(Path(__file__).parent):
@@ -46,7 +46,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture
 def domain() -> Iterator[int]:
-    """A domain that no other test and no running graph uses: locked among tests, its DDS ports free."""
+    """A ROS domain that no other test and no running graph uses: locked among tests, its DDS ports free."""
     with ExitStack() as locks:
         for offset in range(len(_DOMAINS)):
             number = _DOMAINS[(os.getpid() * 31 + time.monotonic_ns() + offset) % len(_DOMAINS)]
@@ -63,9 +63,9 @@ def domain() -> Iterator[int]:
 
 
 def _is_silent(domain: int) -> bool:
-    """Whether none of its first participants' unicast ports is taken (DDSI-RTPS 9.6.2).
+    """Whether the unicast ports of the domain's first participants are free (DDSI-RTPS 9.6.2).
 
-    All of them: of a graph whose tests were killed the later ones may go on.
+    All participants are checked: when tests are killed, only later ones may still be running.
     """
     for participant in range(_PARTICIPANTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -78,7 +78,7 @@ def _is_silent(domain: int) -> bool:
 
 @pytest.fixture
 def programs(domain: int, tmp_path: Path) -> Iterator[Programs]:
-    """To start processes; what is left of them at the end is killed."""
+    """Starts processes; kills the remaining ones at the end."""
     these = Programs(domain, tmp_path)
     yield these
     these.kill_all()
@@ -86,7 +86,7 @@ def programs(domain: int, tmp_path: Path) -> Iterator[Programs]:
 
 @pytest.fixture
 def observer(domain: int, programs: Programs) -> Iterator[Observer]:
-    """To watch and to ask them."""
+    """A node that watches and queries the processes."""
     this = Observer(domain, programs)
     yield this
     this.close()
@@ -94,7 +94,7 @@ def observer(domain: int, programs: Programs) -> Iterator[Observer]:
 
 @pytest.fixture
 def udp_port() -> int:
-    """One that nobody uses."""
+    """A free UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         port: int = probe.getsockname()[1]
@@ -103,5 +103,5 @@ def udp_port() -> int:
 
 @pytest.fixture
 def can(udp_port: int) -> dict[str, Any]:
-    """Parameters of nodes on a CAN bus of this test alone, over UDP."""
+    """Parameters of nodes on a CAN bus over UDP that only this test uses."""
     return {"can_interface": "udp_multicast", "can_channel": MULTICAST, "can_port": udp_port}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node that fails wherever a callback can, while its parameter ``fails`` is true; run as a program."""
+"""A node whose callbacks fail while its parameter ``fails`` is true; run as a program."""
 
 import sys
 from dataclasses import dataclass
@@ -18,21 +18,21 @@ from trackslip_common.parameters import Parameters, parameter
 
 @dataclass(frozen=True, kw_only=True)
 class FragileParameters(Parameters):
-    """How it shall be."""
+    """When and for how long callbacks fail."""
 
     fails: bool = parameter("whether callbacks raise", read_only=False)
-    duration: float = parameter("how long nothing but failures must last", unit="s", gt=0.0)
+    duration: float = parameter("duration of failures that ends the node", unit="s", gt=0.0)
 
 
 class Fragile(TrackslipNode[FragileParameters]):
-    """Counts scans, and the parameters handed to its core."""
+    """Counts scans and records the parameters passed to its core."""
 
     def __init__(self) -> None:
         super().__init__("fragile", FragileParameters)
         failures.STREAK_S = self.settings.duration
 
     def configure(self) -> None:
-        """One callback of each kind."""
+        """Create one callback of each kind."""
         self.scans = 0
         self.reloads: list[dict[str, Any]] = []
         self.fails = self.settings.fails
@@ -41,12 +41,12 @@ class Fragile(TrackslipNode[FragileParameters]):
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def reload(self, values: dict[str, Any]) -> None:
-        """The core is this node itself."""
+        """Record new parameters; the node itself is the core."""
         self.fails = values["fails"]
         self.reloads.append(values)
 
     def health(self) -> list[Health]:
-        """What was handled so far."""
+        """Counts of scans and reloads."""
         self._fail()
         return [Health(OK, "running", {"scans": self.scans, "reloads": self.reloads})]
 

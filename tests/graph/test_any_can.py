@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The real driver on a bus of a shape that no code of ours knows: a DBC, a roles file, and nothing else."""
+"""The driver node decodes an unknown bus from a DBC and a roles file alone."""
 
 import math
 import threading
@@ -16,11 +16,9 @@ from trackslip_drivers.transports.can_bus import CanBus
 
 @pytest.fixture
 def machine(can):
-    """Sends its frames in real time, for as long as the test lasts."""
+    """An emulated machine that sends its frames in real time until the test ends."""
     stopping = threading.Event()
-    bus = CanBus(
-        "udp_multicast", MULTICAST, {"port": can["can_port"], "hop_limit": 0}
-    )  # not beyond this host
+    bus = CanBus("udp_multicast", MULTICAST, {"port": can["can_port"], "hop_limit": 0})  # stays on this host
 
     def live():
         begin_ns = time.time_ns()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bench's bare nodes take and publish what the real ones do, as often."""
+"""The bench's bare nodes subscribe to and publish the topics of the real nodes at the same rates."""
 
 import json
 import signal
@@ -12,7 +12,7 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
 
 SCRIPT = str(Path(bench_bare.__file__))
-RATE = 20.0  # Hz, of what nothing causes
+RATE = 20.0  # Hz, of topics that no input triggers
 ENDS = {
     "slip_estimator": {"takes": {"sprockets": False}, "publishes": {"odometry": True}},
     "can_driver": {"takes": {}, "publishes": {"sprockets": True}},

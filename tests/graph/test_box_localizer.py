@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The localizer live: a bag in a loop, and scans that no scanner sends."""
+"""The localizer live: with a repeated bag, and with scans that no scanner sends."""
 
 import itertools
 import math
@@ -29,7 +29,7 @@ LEGS = ((1.0, 0.0, 0.0), (4.0, 2.2, 2.2))
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """5 s of driving straight on."""
+    """Bag of a 5 s drive."""
     return record_legs(tmp_path_factory.mktemp("loop") / "bag", LEGS)
 
 
@@ -52,7 +52,7 @@ def test_bag_loop_gives_fixes_in_every_round(programs, observer, path):
     observer.wait(lambda: rounds() == 3 and stamps_s(poses)[-1] > stamps_s(poses)[0] + 3.0, "the third round")
     assert player.end()[0] == 130
     fixes = len(poses) / 3
-    assert fixes > 12  # of some 20 scans a round
+    assert fixes > 12  # of about 20 scans per repetition
 
 
 def test_node_continues_after_a_scan_of_impossible_geometry(programs, observer):
@@ -77,7 +77,7 @@ def test_node_continues_after_a_scan_of_impossible_geometry(programs, observer):
 
 @pytest.mark.slow
 def test_ambiguous_object_gives_no_pose_before_odometry_arrives(programs, observer, tmp_path):
-    """Started with a track of half a minute ago and no background, as if the laser were moved."""
+    """The node starts with a half-minute-old track and no background, as if the laser had been moved."""
     healths, poses = observer.healths(), observer.subscribe("box_pose")
     scans, odometry = observer.publisher("scan"), observer.publisher("odometry")
     headings = Headings(CERTAIN, SideEvidence())
@@ -123,10 +123,10 @@ def test_ambiguous_object_gives_no_pose_before_odometry_arrives(programs, observ
 
 
 def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(programs, observer):
-    """By what is in the scans and who sends them; the node neither ends nor grows with each.
+    """The report names the content of the scans and their sender; the node's memory stays bounded.
 
-    Fast DDS cuts a scan into pieces. Of these the kernel keeps for a busy node what its buffer holds: where
-    that is too small, few of ten megabytes arrive whole. Hence smaller ones are sent, too.
+    Fast DDS splits a scan into pieces. For a busy node the kernel keeps only the pieces that fit its receive
+    buffer. With a small buffer few scans of ten megabytes arrive whole, so smaller ones are sent, too.
     """
     healths, honest = observer.healths(), observer.publisher("scan")
     program = programs.node("box_localizer")
@@ -154,7 +154,7 @@ def test_scans_of_ten_megabytes_are_refused_and_their_publisher_is_named(program
         return resident_bytes(program.process.pid)
 
     few, many = publish_until(3), publish_until(30)
-    assert many - few < 8 * TEN_MEGABYTES  # those that wait, or of which pieces are missing
+    assert many - few < 8 * TEN_MEGABYTES  # scans that wait or miss pieces
     observer.wait(lambda: last_of(healths, "box_localizer: inputs"), "its inputs")
     inputs = last_of(healths, "box_localizer: inputs")
     assert (inputs.level, inputs.message) == (ERROR, "several publishers of scan")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""An exception in a callback does not end a node; what is set while it is inactive reaches its core."""
+"""An exception in a callback does not end a node; parameters set while it is inactive reach its core."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ NEVER = 1000.0  # s
 
 
 class Machine:
-    """The fragile node, and the test's end of it."""
+    """The fragile node and the test's connections to it."""
 
     def __init__(self, programs, observer, duration=NEVER, fails=False, autostart=True):
         values = {"fails": fails, "duration": duration, "autostart": autostart}
@@ -37,7 +37,7 @@ class Machine:
         return [(h.level, h.message, values_of(h)) for h in reports]
 
     def running(self):
-        """The values of its reports."""
+        """Values of the node's "running" reports."""
         return [values for _, message, values in self.entries("fragile") if message == "running"]
 
     def set(self, **values):
@@ -102,7 +102,7 @@ def test_parameters_set_while_inactive_reach_the_core(programs, observer, before
     for transition in ("configure", *before):
         assert observer.change("fragile", transition)
     machine.set(fails=True)
-    machine.set(fails=False)  # as it was: nothing to hand over
+    machine.set(fails=False)  # back to the old value: no reload
     machine.set(fails=True)
     assert observer.change("fragile", "activate")
     observer.wait(lambda: machine.entries("fragile: callbacks"), "the failures that the parameter asks for")

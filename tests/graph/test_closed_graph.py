@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who on the network sees two graphs: nobody but peers that are named. The hosts are network namespaces."""
+"""Two graphs are visible on the network only to named peers. The hosts are network namespaces."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from fixtures.patience import PATIENCE
 
-# A cable between this namespace and another one, in which a stranger looks for the nodes of two domains.
+# Link this network namespace to another one, where a stranger looks for the nodes of two domains.
 HOSTS = """
 set -e
 ip link set lo up
@@ -46,14 +46,14 @@ while not all(node.count_publishers("sprockets") for node in nodes) and time.mon
     time.sleep(0.05)
 print(*map(found, nodes))
 """
-NOTHING = "['/parameter_events', 'stranger']"  # but itself
+NOTHING = "['/parameter_events', 'stranger']"  # nothing but itself
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
 
 @pytest.mark.parametrize(
     ("node", "stranger", "expected"),
     [
-        (f"{RANGE}=SUBNET", f"{RANGE}=SUBNET", "seen seen"),  # as ROS has it: so this test can tell
+        (f"{RANGE}=SUBNET", f"{RANGE}=SUBNET", "seen seen"),  # ROS's default: nodes are visible
         (f"{RANGE}=LOCALHOST", f"{RANGE}=SUBNET", f"{NOTHING} {NOTHING}"),
         (f"{RANGE}=LOCALHOST {PEERS}=10.9.0.2", f"{RANGE}=LOCALHOST {PEERS}=10.9.0.1", "seen seen"),
     ],
@@ -74,7 +74,7 @@ def test_graph_is_visible_only_to_named_peers(programs: Any, node: str, stranger
         sys.executable,
         code,
     ]
-    second = str(int(programs.environment["ROS_DOMAIN_ID"]) + 101)  # beyond those of other tests
+    second = str(int(programs.environment["ROS_DOMAIN_ID"]) + 101)  # outside the range of other tests
     environment = {**programs.environment, "NODE": node, "STRANGER": stranger, "SECOND_DOMAIN": second}
     for name in (RANGE, PEERS):
         environment.pop(name, None)

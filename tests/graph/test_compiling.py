@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node that compiles says so, and for how long: it was silent for a minute after an installation."""
+"""A node that compiles reports so, with the elapsed time."""
 
 import re
 import time
@@ -15,7 +15,7 @@ from trackslip_common.nodes.health import WARN
 
 
 class Compiling(TrackslipNode[NoParameters]):
-    """Its kernel is compiled when it is configured for the first time."""
+    """A node that compiles a kernel when it is first configured."""
 
     def __init__(self) -> None:
         super().__init__("compiling", NoParameters)
@@ -24,7 +24,7 @@ class Compiling(TrackslipNode[NoParameters]):
         self._status.publish = self.sent.append
 
     def configure(self) -> None:
-        """Compile for a while, as numba reports it."""
+        """Compile for a while, with numba's compile event."""
         if not self.is_compiled:
             with event.trigger_event("numba:compile"):
                 time.sleep(1.5)
@@ -46,5 +46,5 @@ def test_a_node_that_compiles_reports_it_until_it_is_done(node: Compiling) -> No
     node.sent.clear()
     node.trigger_deactivate()
     node.trigger_cleanup()
-    node.trigger_configure()  # now there is nothing to compile
+    node.trigger_configure()  # nothing left to compile
     assert node.sent == []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo as a user runs it: what it writes, what it refuses, and how it ends when it is made to."""
+"""The demo as a user runs it: its output, its refusals, and how it ends."""
 
 import json
 import os
@@ -32,13 +32,13 @@ def demo(programs, *arguments):
 
 
 def wait_for_drive(observer):
-    """Until messages of the machine's sensors come."""
+    """Wait for messages of the machine's sensors."""
     sprockets = observer.subscribe("sprockets")
     observer.wait(lambda: len(sprockets) > 100, "the drive")
 
 
 def ends_at_once(programs, program, number=signal.SIGINT):
-    """Quietly, with everything that it started, and nothing of it killed."""
+    """Assert that the demo ends on the signal quietly, and that all its processes end by themselves."""
     code, _ = program.end(number)
     assert code == 130
     assert "Traceback" not in program.stderr
@@ -56,7 +56,7 @@ def test_demo_leaves_numbers_report_and_bag(real_time, programs):
     assert summary["vehicle"] == "pc05"
     assert "vehicle: pc05\n" in program.stdout
     assert 0.0 < summary["rmse"]["filter"] <= 0.15
-    of_receiver = {"fix", "heading", "fix_velocity"}  # which the PC05 lacks
+    of_receiver = {"fix", "heading", "fix_velocity"}  # the PC05 has no receiver
     assert summary["topics"].keys() == set(SENSOR_TOPICS) - of_receiver
     with AnyReader([folder / "bag"]) as reader:
         in_bag = {connection.topic: connection.msgcount for connection in reader.connections}
@@ -127,7 +127,7 @@ def answers(address):
 @pytest.mark.slow
 def test_demo_survives_a_taken_port_a_killed_page_and_a_second_ctrl_c(programs, observer):
     with socket.socket() as taken:
-        with suppress(OSError):  # somebody else has it: just as well
+        with suppress(OSError):  # another program has the port: equally suitable
             taken.bind(("127.0.0.1", 5006))
             taken.listen()
         program = demo(programs, "--duration", "60")
@@ -148,7 +148,7 @@ def test_demo_survives_a_taken_port_a_killed_page_and_a_second_ctrl_c(programs, 
 def test_ctrl_c_in_the_middle_of_the_drive(programs, observer):
     program = demo(programs, "--duration", "60")
     wait_for_drive(observer)
-    assert len(programs.alive()) == 2 + NODES  # the demo itself, and the live page
+    assert len(programs.alive()) == 2 + NODES  # demo and live page
     ends_at_once(programs, program)
     with open_bag(programs.folder / "demo" / "bag") as bag:
         assert not bag.damage

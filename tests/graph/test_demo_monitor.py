@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""When the demo's key may be turned: connected is more than to have appeared."""
+"""Conditions for starting the demo's drive: nodes must be connected, not only visible."""
 
 import threading
 import time
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.xdist_group("graph")
 
 
 def missing_of_sprockets(monitor, until):
-    """What of the topic is missing, once ``until`` holds of it."""
+    """Missing connections of the sprockets topic, once ``until`` holds for them."""
     give_up = time.monotonic() + PATIENCE
     while True:
         monitor.spin_for(0.05)
@@ -64,7 +64,7 @@ def test_demo_waits_until_the_recorder_receives(domain, monkeypatch):
 
 
 class ForgetfulEmulator:
-    """Whose answer to the first request gets lost, and perhaps that request before."""
+    """A node whose answer to the first request is lost, with or without that request being executed."""
 
     def __init__(self, does_the_first):
         self.asked = []

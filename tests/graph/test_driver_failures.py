@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""An exception in a driver's own thread is counted and reported; the port stays open, and data go on."""
+"""An exception in a driver's thread is counted and reported; the port stays open and data continue."""
 
 import queue
 import time
@@ -16,7 +16,7 @@ from trackslip_drivers.nodes.driver import DriverNode
 
 
 class QueuePort:
-    """Delivers what the test puts in."""
+    """A port that delivers the items of a queue."""
 
     note = ""
 
@@ -34,7 +34,7 @@ class QueuePort:
 
 
 class FragileDriver(DriverNode[NoParameters, bytes]):
-    """Fails on the bytes ``bad``."""
+    """A driver that fails on the bytes ``bad``."""
 
     def __init__(self) -> None:
         super().__init__("fragile_driver", NoParameters)
@@ -64,7 +64,7 @@ def test_driver_continues_after_an_exception_in_decoding_and_reports_it(driver):
         driver.port.items.put(data)
     wait_for(lambda: len(driver.received) >= 2)
     assert driver.received == [b"1", b"2"]
-    assert driver.begun == 2  # at the opening, and so that nothing half decoded is left
+    assert driver.begun == 2  # at the opening, and after the failure to discard partial data
     assert driver._link.state().openings == 1
     (entry,) = driver.callback_failures.health()
     assert entry.level == ERROR
@@ -72,7 +72,7 @@ def test_driver_continues_after_an_exception_in_decoding_and_reports_it(driver):
 
 
 def messages(driver: FragileDriver, seconds: float) -> list[str]:
-    """What the driver says, each time that it is something else."""
+    """Successive distinct messages of the driver's health."""
     found = [""]
     give_up = time.monotonic() + seconds
     while time.monotonic() < give_up:
@@ -94,7 +94,7 @@ def test_reopened_silent_port_is_reported_as_silent(domain, monkeypatch):
 
 
 def test_most_frequent_reason_is_reported_as_last_rejection(driver):
-    """A scanner sends garbled bytes; now and then it answers at no rate."""
+    """A scanner sends garbage; occasionally it answers at no rate."""
     driver.port.items.put(b"1")
     reasons = Enum("reasons", {"GARBAGE": "garbage byte", "MUTE": "no answer at any rate"})
     for _ in range(3):

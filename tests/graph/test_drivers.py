@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Each driver's executable against an emulated device: bytes in, messages of the right kind out."""
+"""Each driver's executable with an emulated device: bytes in, messages of the right type out."""
 
 import itertools
 import math
@@ -29,7 +29,7 @@ from fixtures.plugged_devices import (
 
 @pytest.fixture
 def device():
-    """A function that makes a device; at the end it is unplugged."""
+    """Factory of powered devices; they are unplugged at the end."""
     made = []
 
     def make(plug_in, *arguments):
@@ -43,7 +43,7 @@ def device():
 
 @pytest.fixture
 def bench(real_time, programs, device, can, udp_port):
-    """By the driver's name: its device, its parameters, its topics."""
+    """Device and parameters of each driver, by name."""
     serial = str(programs.folder / "tty")
     return {
         "watson_imu": (partial(device, plug_watson, programs.folder / "tty"), {"serial_port": serial}),
@@ -52,7 +52,7 @@ def bench(real_time, programs, device, can, udp_port):
     }
 
 
-SHORTEST_SILENCE = 0.05  # s after which a driver, that of the CAN bus, may say that nothing comes
+SHORTEST_SILENCE = 0.05  # s; the CAN driver may report a longer silence
 TOPIC = {"watson_imu": "imu/data_raw", "sick_pls": "scan", "can_driver": "sprockets"}
 
 
@@ -61,7 +61,7 @@ def stamps_ns(messages):
 
 
 def are_stamped(messages, began_ns):
-    """Strictly rising, between the begin of the test and now."""
+    """Assert that stamps rise strictly and lie between the start of the test and now."""
     stamps = stamps_ns(messages)
     assert all(a < b for a, b in itertools.pairwise(stamps))
     assert began_ns - 500_000_000 < stamps[0]
@@ -69,7 +69,7 @@ def are_stamped(messages, began_ns):
 
 
 def is_healthy(healths, node):
-    """The last of its entries is OK and has a rate."""
+    """Whether the node's last report is OK, with a positive rate and no reconnects."""
     if getattr(last_of(healths, node), "level", None) != b"\0":
         return False
     values = last_values(healths, node)
@@ -77,7 +77,7 @@ def is_healthy(healths, node):
 
 
 def run(bench, programs, observer, node, count):
-    """Plug the device in, start its driver, and wait for messages and good health."""
+    """Plug the device in, start its driver, and wait for messages and an OK report; the messages."""
     make, parameters = bench[node]
     began_ns = time.time_ns()
     powered = make()
@@ -90,9 +90,9 @@ def run(bench, programs, observer, node, count):
     code, _ = program.end()
     assert code == 0
     faults = [line for line in program.stderr.splitlines() if "[ERROR]" in line or "Traceback" in line]
-    if powered.stood_s > SHORTEST_SILENCE:  # then it is right to miss it
+    if powered.stood_s > SHORTEST_SILENCE:  # then the driver rightly reports a silence
         faults = [line for line in faults if "check power" not in line]
-    assert faults == []  # its states are published as they change
+    assert faults == []  # the driver logs its changes of state
     return messages
 
 
@@ -103,7 +103,7 @@ def test_watson(bench, programs, observer):
         assert message.orientation_covariance[0] == -1.0
         acceleration, rate = message.linear_acceleration, message.angular_velocity
         assert (acceleration.x, acceleration.y) == (0.0, 0.0)
-        assert acceleration.z == pytest.approx(G, abs=0.01)  # z up: at rest it reads +g
+        assert acceleration.z == pytest.approx(G, abs=0.01)  # z up: at rest the reading is +g
         assert rate.z == pytest.approx(RATE, abs=math.radians(0.01))
         for covariance in (message.linear_acceleration_covariance, message.angular_velocity_covariance):
             covariance = np.reshape(covariance, (3, 3))
@@ -126,7 +126,7 @@ def test_sick(bench, programs, observer):
         assert 0.0 < message.time_increment * 361 < message.scan_time
         ranges = np.array(message.ranges)
         np.testing.assert_allclose(ranges[:340], yard(0)[:340], atol=0.005)
-        assert np.isposinf(ranges[340:]).all()  # REP-117: nothing within reach
+        assert np.isposinf(ranges[340:]).all()  # REP-117: no return within range
         inside = ranges[np.isfinite(ranges)]
         assert ((inside >= message.range_min) & (inside <= message.range_max)).all()
 
@@ -142,7 +142,7 @@ def test_refused_password_is_reported(programs, observer, device):
 
 
 def test_the_status_of_the_scanner_is_reported(programs, observer, device):
-    """Fatal, implausible, restart and pollution, until it says otherwise."""
+    """Fatal error, implausible values, restart and pollution are reported until the status clears them."""
     path = programs.folder / "tty"
     status = {"byte": 0xE4}
     device(plug_sick, path, "pls", status).plug()
@@ -173,7 +173,7 @@ def test_watson_over_range_is_reported(programs, observer, device):
 
 
 def test_two_watsons_run_side_by_side(programs, observer, device):
-    """Each its own name, port, frame, topic and hardware id."""
+    """Each unit has its own name, port, frame, topic and hardware id."""
     healths, messages = observer.healths(), {}
     for name in ("left_imu", "right_imu"):
         path = programs.folder / name
@@ -210,13 +210,13 @@ def test_can(bench, programs, observer):
 
 
 def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, observer, device, udp_port):
-    """As on a busy machine; the driver continues."""
+    """A short halt, as on a busy machine; the driver continues."""
     bench["can_driver"] = (partial(device, plug_halting, plug_can, udp_port), bench["can_driver"][1])
     run(bench, programs, observer, "can_driver", 200)
 
 
 def test_frames_of_no_use_for_a_moment_are_no_fault(bench, programs, observer, device, udp_port):
-    """As after a pause, where counts have jumped and one frame waits for another."""
+    """After a pause, counts jump and one frame waits for another."""
     device(plug_incomplete, udp_port).plug()
     messages = observer.subscribe(TOPIC["can_driver"])
     program = programs.node("can_driver", **bench["can_driver"][1])
@@ -230,7 +230,7 @@ def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
     make, parameters = bench[node]
     powered = make()
     messages, healths = observer.subscribe(TOPIC[node]), observer.healths()
-    program = programs.node(node, **parameters)  # before there is a device
+    program = programs.node(node, **parameters)  # before the device exists
     observer.wait(lambda: any(h.name == node for h in healths), f"the first report of {node}")
     powered.plug()
     observer.wait(lambda: messages, f"{node} to find its device")
@@ -249,13 +249,13 @@ def test_device_that_vanishes_is_found_again(bench, programs, observer, node):
 
 
 def complains(console):
-    """It says that the device is gone, and what to do."""
+    """Whether the console reports a missing device and the remedy."""
     reports = [line for line in console.splitlines() if "check power" in line]
     return any("not connected" in line or "no bytes" in line or "no frames" in line for line in reports)
 
 
 def knows(status):
-    """Whether the device is known to be gone; a bus that fell silent was reopened."""
+    """Whether the device is known to be missing; a silent bus is reopened."""
     return status.level == b"\x02" or reconnects(status) > 0
 
 
@@ -283,7 +283,7 @@ def test_lifecycle(bench, programs, observer, node):
         assert observer.state(node) == "inactive"
         healths.clear()
         observer.wait(lambda: any(h.message == "inactive" for h in healths), f"{node} to rest")
-        messages.clear()  # those that were under way
+        messages.clear()  # messages in transit
         healths.clear()
         observer.wait(lambda: any(h.message == "inactive" for h in healths), f"{node} to rest on")
         assert messages == []
@@ -305,7 +305,7 @@ def test_autostart_ends_in_active(bench, programs, observer):
 
 @pytest.mark.parametrize("priority", [7, 0])
 def test_realtime_priority(bench, programs, observer, priority):
-    """All threads of the process have it, or the node reports that the host refuses."""
+    """All threads of the process have the priority, or the node reports that the host refuses it."""
     program = programs.node("can_driver", **bench["can_driver"][1], realtime_priority=priority)
     observer.wait_until_active("can_driver")
     threads = [int(path.name) for path in Path(f"/proc/{program.process.pid}/task").iterdir()]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator as a node: when it is switched on, and the frame that its truth and its drivers state."""
+"""The emulator node: when it starts the machine, and the frames of its truth and its sensors."""
 
 from typing import Any
 

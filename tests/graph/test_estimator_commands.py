@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reset, freeze, a given pose, new gates, a jumping clock on the live node; the bag gives it all back."""
+"""Reset, freeze, a set pose, new gates and a clock jump on the live node; replay reproduces all of them."""
 
 import signal
 
@@ -22,14 +22,14 @@ def driven_pose(at_ms):
 
 
 def pose_now(x):
-    """Without a stamp, as a user gives it."""
+    """A pose without a stamp, as a user sends it."""
     message = pose(0, x)
     message.header = Header()
     return message
 
 
 class Machine:
-    """Estimator and recorder, driven by this test."""
+    """Estimator and recorder, driven by the test."""
 
     def __init__(self, programs, observer, *of_recorder):
         self._programs, self._observer = programs, observer
@@ -53,7 +53,7 @@ class Machine:
         observer.wait_for_recorder(self.healths, *outputs, *received)
 
     def feed(self, topic, message):
-        """One message, and the outcome reported on it."""
+        """Publish a message and wait for its report; the reported outcome."""
         requested = len(self.reports) + 1
         self._topics[topic].publish(message)
         self._observer.wait(lambda: len(self.reports) >= requested, f"a report on {topic}")
@@ -69,7 +69,7 @@ class Machine:
         return self._observer.ask(service, f"slip_estimator/{name}", request)
 
     def health(self, text):
-        """The next entry of /diagnostics that says this."""
+        """The next diagnostics entry whose message contains the text."""
         self.healths.clear()
 
         def found():
@@ -79,7 +79,7 @@ class Machine:
         return found()[0]
 
     def end(self):
-        """The summary of a replay of the bag."""
+        """End both nodes; the summary of a replay of the bag."""
         assert self._recorder.end(signal.SIGINT)[0] == 0
         assert self._estimator.end()[0] == 0
         return self._programs.replay("bag")
@@ -119,7 +119,7 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
     machine.drive(1600, 6000)
     outcomes = [
         machine.feed("sprockets", sprockets(at, SPEED)) for at in range(100, 200, 20)
-    ]  # the bag begins again
+    ]  # the stamps start again, as in a repeated bag
     assert outcomes == [R.TOO_LATE] * 4 + [R.RESTARTED]
     machine.drive(200, 1500)
 
@@ -142,7 +142,7 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
 
 @pytest.mark.slow
 def test_pose_whose_publisher_the_recorder_never_met_is_replayed(programs, observer):
-    """A program that sets a pose and ends at once may be missed by the recorder."""
+    """The recorder may miss a program that sets a pose and ends immediately."""
     machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")
     machine.drive(200, 600)
     assert machine.feed(SET_POSE, pose_now(20.0)) == R.ACCEPTED

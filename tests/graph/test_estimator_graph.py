@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorder, localizer and estimator live, fed with what they may meet; then the bag gives it all back."""
+"""Recorder, localizer and estimator live, with valid and invalid inputs; replay reproduces the run."""
 
 import math
 import signal
@@ -28,8 +28,8 @@ pytestmark = pytest.mark.xdist_group("graph")
 
 SPEED, RADIUS = 1.5, 0.159  # rad/s, m
 DURATION_MS = 6000
-BURST = 40  # messages; the kernel keeps some 100 for a node that the system does not run
-AGAIN = 10.0  # s; what is only slow is reported on too, after what is sent next
+BURST = 40  # messages; the kernel queues about 100 for a process that is not scheduled
+AGAIN = 10.0  # s until a first message is repeated; a late report of the earlier one counts as well
 INPUTS = ("sprockets", "imu/data_raw", "scan", "gnss")
 R = MeasurementReport
 
@@ -62,7 +62,7 @@ def scan(at_ms):
 
 
 def ordinary():
-    """(when it comes, topic, message): sensors each with its delay, poses late by less than the window."""
+    """(arrival time ms, topic, message): each sensor with its delay, poses late by less than the window."""
     random = np.random.default_rng(3)
     script = [(0.0, "scan", scan(0))]
     for at_ms in range(100, DURATION_MS, 10):
@@ -75,7 +75,7 @@ def ordinary():
 
 
 def wrong():
-    """What nobody should send, once the drive is over, and what is to become of it."""
+    """(topic, message, expected outcome) of invalid or unusual measurements, sent after the drive."""
     twice = sprockets(DURATION_MS + 20, SPEED)
     lost = sprockets(DURATION_MS + 30, SPEED)
     lost.velocity = [math.nan, SPEED]
@@ -99,7 +99,7 @@ def wrong():
 
 
 class Line:
-    """Recorder, localizer and estimator, with this test as their sensors."""
+    """Recorder, localizer and estimator; the test replaces the sensors."""
 
     def __init__(self, programs, observer):
         self._observer = observer
@@ -111,7 +111,7 @@ class Line:
         self.reports = observer.subscribe("measurement_reports")
         self.odometry = observer.subscribe("odometry")
         self._sent = Counter()
-        self.sent_again = 0  # first messages which only the recorder may have heard
+        self.sent_again = 0  # repeated first messages, which only the recorder may have received
         self._healths = observer.healths()
         sources = ["box_pose", "gnss"]
         self._recorder = programs.node("record", output="bag", more_topics="/gnss")
@@ -129,18 +129,18 @@ class Line:
         observer.wait_for_recorder(self._healths, *outputs, *inputs)
 
     def feed(self, script):
-        """Publish in bursts; each burst is reported on before the next one comes."""
+        """Publish in bursts; wait for the reports of each burst before the next one."""
         script = list(script)
         for k in range(0, len(script), BURST):
             requested = len(self.reports)
             for topic, message in script[k : k + BURST]:
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
-                requested += 1  # a scan's is that of its pose
+                requested += 1  # the report on a scan is that of its pose
             self._observer.wait(lambda n=requested: len(self.reports) >= n, f"{requested} reports")
 
     def first(self, topic, message):
-        """A source's first message, again until all that it must pass have found each other."""
+        """Publish a source's first message, repeatedly until all nodes on its path are connected."""
         requested = len(self.reports)
         sent = -math.inf
         self.sent_again -= 1
@@ -151,14 +151,14 @@ class Line:
                 self.sent_again += 1
                 self._publishers[topic].publish(message)
                 self._sent[topic] += 1
-                message.header.stamp.nanosec += 1_000_000  # the next one is a later one
+                message.header.stamp.nanosec += 1_000_000  # repetitions have later stamps
                 sent = time.monotonic()
             return len(self.reports) > requested
 
         self._observer.wait(reported, f"a report on {topic}")
 
     def bag(self):
-        """End all, the recorder last but one; the bag's path."""
+        """End all nodes, the recorder first; the bag's path."""
         count = len(self.reports)
         self._observer.wait(lambda: [r.sequence for r in self.reports] == list(range(count)), "all reports")
         self._observer.wait(self._is_recorded, "the recorder to have it all")
@@ -171,14 +171,14 @@ class Line:
         return path
 
     def _is_recorded(self):
-        """By the recorder's own count; what waits in its queues when it ends is not in the bag."""
+        """Whether the recorder's counts are complete; messages in its queues at its end are not recorded."""
         found = last_values(self._healths, "record")
         requested = {**self._sent, "measurement_reports": len(self.reports), "odometry": len(self.odometry)}
         return all(found.get(f"/{topic}") == str(n) for topic, n in requested.items())
 
 
 def drive(line):
-    line.first("sprockets", sprockets(50, SPEED))  # before there is a fix
+    line.first("sprockets", sprockets(50, SPEED))  # before the first fix
     assert line.reports[-1].outcome == R.WAITING
     script = ordinary()
     line.first("scan", script[0][2])
@@ -187,7 +187,7 @@ def drive(line):
 
 
 def is_given_back(path):
-    """Replay makes the very numbers of the live run; what became of each measurement, in their order."""
+    """Assert that replay equals the live run exactly; outcomes of all measurements in order."""
     parts = []
     with open_bag(path) as bag:
         assert not bag.damage
@@ -212,7 +212,7 @@ def test_every_measurement_is_reported_and_replayed(programs, observer):
         report = line.reports[-1]
         assert (report.source, report.outcome) == (topic, outcome)
         assert report.header.stamp == message.header.stamp
-        if topic != "gnss":  # whose outcome the most probable explanation decides
+        if topic != "gnss":  # its outcome is that of the most probable hypothesis
             assert (report.nis > report.gate) == (outcome == R.GATED)
     assert len(line.reports) == ordinary_count + len(wrong())
     stamps = [m.header.stamp.sec * 1000 * MS + m.header.stamp.nanosec for m in line.odometry]
@@ -236,7 +236,7 @@ def test_every_measurement_is_reported_and_replayed(programs, observer):
 
 
 def test_replay_is_exact_under_load_and_out_of_order(programs, observer):
-    """A busy machine, and measurements that come in any order within a second."""
+    """On a busy machine, with measurements in random order within a second."""
     line = Line(programs, observer)
     burners = [programs.python("-c", "while True: pass") for _ in range(3)]
     line.first("scan", scan(0))

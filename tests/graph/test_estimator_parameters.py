@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters set while the estimator is configured but inactive: it works with them, and so does a replay."""
+"""Parameters set while the estimator is configured but inactive take effect, also in a replay."""
 
 import time
 
@@ -8,7 +8,7 @@ import pytest
 from fixtures.sensor_messages import pose, sprockets
 
 WIDE, NARROW = 0.9999, 0.5
-LOST = 5.0  # s without a report
+LOST = 5.0  # s without a report after which a message is sent again
 
 
 def gate_probability(observer, value):
@@ -35,14 +35,14 @@ def test_parameters_set_while_inactive_reach_the_estimator(programs, observer):
     )
 
     def gate_after(begin_ms):
-        """The gate of the last of ten poses, as its report has it."""
+        """Gate in the report of the last of ten poses."""
         for at_ms in range(begin_ms, begin_ms + 200, 20):
             feed(speeds, sprockets(at_ms))
             feed(poses, pose(at_ms))
         return reports[-1].gate
 
     def feed(publisher, message):
-        """Send until it is reported on: sensor data may be lost, and a report to a reader not matched yet."""
+        """Publish until a report arrives: sensor data, or a report to an unmatched reader, may be lost."""
         due = 0.0
 
         def is_reported():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The real drivers against the emulator, whose sensors fail on demand: what is wrong shows, and passes."""
+"""The drivers against an emulator with faults on demand: each fault is reported and ends without a trace."""
 
 import random
 import re
@@ -20,7 +20,7 @@ ALL = ("can", *SERIAL)
 SILENCES = "scan: scans stopped coming"
 LONG = 1500.0  # s of driving: longer than any test
 
-# What happens at random: kind → (those whom it can befall, value).
+# Random faults: kind → (sensors, value).
 RANDOM_FAULTS = {
     "power_cycle": (ALL, None),
     "unplug": (ALL, None),
@@ -45,7 +45,7 @@ RANDOM_FAULTS = {
 
 
 class Rig:
-    """Emulator and drivers, watched through their diagnostics."""
+    """Emulator and drivers, observed through diagnostics."""
 
     def __init__(self, programs, observer, can, sensors=tuple(NODE)):
         devices = programs.folder / "devices"
@@ -67,7 +67,7 @@ class Rig:
         self._observer.wait(condition, what)
 
     def latest(self, name):
-        """The last report of a node, or of a part of it: (level, values)."""
+        """Last report of a node or of a part of it: (level, values)."""
         for status in self._all:
             self._healths[status.name] = status
         self._all.clear()
@@ -79,14 +79,14 @@ class Rig:
         return None if found is None else found[1].get(key)
 
     def count(self, name, key):
-        """A count that a node reports, which shows what is over before the next report."""
+        """A count in a node's report; it also shows events that end before the next report."""
         return int(self.value(name, key) or 0)
 
     def fault(self, text):
         self._fault.publish(String(data="{" + text + "}"))
 
     def complains(self, sensor):
-        """Whether the driver reports that no data come."""
+        """Whether the driver reports missing data."""
         found = self.latest(NODE[sensor])
         return found is not None and found[0] not in (OK, WARN)
 
@@ -106,7 +106,7 @@ class Rig:
             self.wait(lambda s=sensor: self.is_nominal(s), f"{sensor} to be well")
 
     def memory(self):
-        """Resident kB of each node but the emulator."""
+        """Resident memory of each node except the emulator, kB."""
         nodes = self.programs.keys() - {"emulator"}
         return {name: resident(self.programs[name].process.pid) for name in nodes}
 
@@ -157,7 +157,7 @@ def test_malformed_faults_are_refused_and_counted(programs, observer, can):
 @pytest.mark.timeout(1500)
 @pytest.mark.parametrize("failing", [ALL, ("gnss",)], ids=["of all sensors", "of the receiver"])
 def test_a_hundred_faults_in_a_row(programs, observer, can, failing):
-    """None ends a node, none leaks, none leaves a rate below nominal."""
+    """No node ends, leaks memory or stays below its nominal rate."""
     rig, choose = Rig(programs, observer, can, failing), random.Random(1)
     kinds = {kind: sorted({*of} & {*failing}) for kind, (of, _) in RANDOM_FAULTS.items()}
     before = None
@@ -171,7 +171,7 @@ def test_a_hundred_faults_in_a_row(programs, observer, can, failing):
         rig.wait(lambda n=n: rig.value("emulator", "faults accepted") == str(n + 1), this)
         rig.wait(lambda: rig.value("emulator", "faults") == "none", f"the end of {this}")
         rig.wait_until_nominal()
-        if n == 9:  # what is allocated once has been by then
+        if n == 9:  # one-time allocations are done by now
             before = rig.memory()
     growth = {name: kilobytes - before[name] for name, kilobytes in rig.memory().items()}
     print(growth)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Receiver, driver and localizer live: bytes in, places on the map out, through what befalls a receiver."""
+"""Receiver, driver and localizer live: bytes in, map poses out, under faults of the receiver."""
 
 import math
 
@@ -21,7 +21,7 @@ def seconds(message):
 
 @pytest.fixture
 def machine(programs, observer, can):
-    """Emulated excavator with a receiver, the receiver's driver, and a localizer that is told the datum."""
+    """Emulated excavator with a receiver, the receiver's driver, and a localizer that has the datum."""
     devices = programs.folder / "devices"
     programs.node(
         "emulator",

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that wait for a driver which is not run keep the times at which they came, or are dropped."""
+"""Frames that wait for a stalled driver keep their arrival times, or are dropped."""
 
 import itertools
 import math
@@ -21,11 +21,11 @@ from trackslip_sim.devices.can_device import CanDevice
 MS = 1_000_000
 SPEED = 2.0  # rad/s
 HELD_CYCLES, ALL_CYCLES = (100, 260), 400
-FEW = 20  # samples, by which the cycle is known also where the first frames came late
+FEW = 20  # samples until the cycle is known, also if the first frames are late
 
 
 class HeldDriver(CanDriverNode):
-    """The driver, not run while ``held``; what it would publish is in ``samples``."""
+    """The driver, not executed while ``held``; ``samples`` has what it would publish."""
 
     def __init__(self):
         self.samples, self.held = [], False
@@ -50,7 +50,7 @@ def driver(real_time, domain, can):
 
 
 def drive(driver, udp_port):
-    """Send the frames of a steady drive; system times of each cycle, and of when it had been sent."""
+    """Send the frames of a steady drive; system times of each cycle and of the end of its sending."""
     wait_for(lambda: driver._link is not None and driver._link.state().connected)
     bus, began_ns = CanBus("udp_multicast", MULTICAST, {"port": udp_port}), time.time_ns()
 
@@ -75,7 +75,7 @@ def drive(driver, udp_port):
 
 
 def test_frames_read_after_a_host_stall_keep_their_times(driver, udp_port):
-    """The socket holds less than a second of frames; what is lost then is a gap without positions."""
+    """The socket holds less than a second of frames; lost frames are a gap without positions."""
     cycles = drive(driver, udp_port)
     samples = driver.samples
     held_ns, free_ns = (cycles[number][0] for number in HELD_CYCLES)

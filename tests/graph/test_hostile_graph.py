@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers that mean no good: a second one of an input, and messages of another frame, are named."""
+"""A second publisher of an input, and messages of a wrong frame, are reported by name."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -64,7 +64,7 @@ def test_a_pose_of_another_frame_is_refused_and_counted(estimator: SlipEstimator
 def test_flood_of_messages_is_dropped_and_its_publisher_named(
     estimator: SlipEstimatorNode, other: Node
 ) -> None:
-    """At 10 kHz the executor must keep time for timers, and the queue must not grow."""
+    """At 10 kHz the executor still runs timers, and the queue stays bounded."""
     publisher = other.create_publisher(topic_class("box_pose"), "box_pose", publisher_qos("box_pose"))
     wait_for(lambda: estimator.count_publishers("box_pose") == 1)
     (listening,) = (s for s in estimator.subscriptions if s.topic_name == "/box_pose")

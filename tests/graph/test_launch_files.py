@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Launch files: which nodes they start with which arguments, and that real nodes take these."""
+"""Launch files start the expected nodes and arguments, and the real nodes accept these."""
 
 import re
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_arguments_are_described_as_on_the_page(file: Path) -> None:
     assert common | {"laser", "imu", "gnss"} <= found.keys()
 
 
-ANOTHER = {  # a value beside the default, of arguments that are neither on nor off
+ANOTHER = {  # values other than the default, of arguments that are not booleans
     "namespace": "digger1",
     "log_level": "debug",
     "vehicle": "excavator_20t",
@@ -73,7 +73,7 @@ def test_every_argument_offered_has_an_effect(
 
 
 def without_day(shown: Any) -> str:
-    """The demo's bag is named after the time."""
+    """The text without the time in the name of the demo's bag."""
     return re.sub(r"trackslip_\d{8}_\d{6}", "", str(shown))
 
 

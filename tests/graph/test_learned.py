@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the live node learned survives its restart; a replay of the second run is what the node computed."""
+"""The live node keeps learned states over a restart; a replay of the second run reproduces it."""
 
 import signal
 
@@ -43,7 +43,7 @@ def message_of(m):
 
 
 class Graph:
-    """One run of estimator and recorder after the other."""
+    """Successive runs of estimator and recorder."""
 
     def __init__(self, programs, observer):
         self.programs, self.observer = programs, observer
@@ -52,8 +52,8 @@ class Graph:
         self.healths = observer.healths()
 
     def begin(self, bag, **changes):
-        self.healths.clear()  # what the recorder of the run before had found says nothing of this one
-        for topic, publisher in self.topics.items():  # nor do the ends that it and its estimator had
+        self.healths.clear()  # reports of the previous recorder
+        for topic, publisher in self.topics.items():  # endpoints of the previous nodes
             self.observer.wait(lambda p=publisher: p.get_subscription_count() == 0, f"no ends of {topic}")
         self.recorder = self.programs.node("record", output=bag)
         self.estimator = self.programs.node("slip_estimator", **{**PARAMETERS, **changes})
@@ -64,14 +64,14 @@ class Graph:
         self.observer.wait_for_recorder(self.healths, *outputs, *self.topics)
 
     def feed(self, measurements):
-        """One at a time, so that nothing is lost on a busy machine."""
+        """Publish one message at a time, so that none is lost on a busy machine."""
         self.reports.clear()
         for count, m in enumerate(measurements, 1):
             self.topics[m.source].publish(message_of(m))
             self.observer.wait(lambda n=count: len(self.reports) >= n, f"{count} reports")
 
     def status(self, name, condition=lambda _: True):
-        """Message and values of the next entry of /diagnostics."""
+        """Message and values of the next diagnostics entry of this name."""
         self.healths.clear()
 
         def found():
@@ -85,7 +85,7 @@ class Graph:
         return self.observer.ask(Trigger, f"slip_estimator/{service}", Trigger.Request())
 
     def end(self, bag):
-        """What a replay of the run says."""
+        """End both nodes; the summary of a replay of the run."""
         assert self.recorder.end(signal.SIGINT)[0] == 0
         assert self.estimator.end()[0] == 0
         return json_of(self.programs.folder, "replay", self.programs.folder / bag)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node of the live page: it looks at the sources of poses that the slip estimator states."""
+"""The node of the live page uses the pose sources that the slip estimator states."""
 
 import asyncio
 import json
@@ -19,7 +19,7 @@ PARAMETERS = "slip_estimator/parameters"
 
 
 def fixes(port):
-    """That the page is given when it opens."""
+    """Fixes in the first message to an opened page."""
 
     async def whole():
         page = await websocket_connect(f"ws://127.0.0.1:{port}/stream")
@@ -29,7 +29,7 @@ def fixes(port):
 
 
 def address_of(program):
-    """Port at which it serves."""
+    """Port of the page's server."""
     printed = r"http://\S+:(\d+)/"
     program.until(lambda: re.search(printed, program.stdout + program.stderr), "the address")
     port, *_ = re.findall(printed, program.stdout + program.stderr)
@@ -37,7 +37,7 @@ def address_of(program):
 
 
 def subscribed(observer):
-    """Topics that the node ``live`` listens to."""
+    """Topics to which the node ``live`` subscribes."""
     return {name for name, _ in observer.node.get_subscriber_names_and_types_by_node("live", "/")}
 
 

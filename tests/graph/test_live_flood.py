@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node ``live`` among 2000 connections that do harm, with 256 descriptors: it answers and logs little."""
+"""The node ``live`` with 2000 hostile connections and 256 file descriptors answers, and logs little."""
 
 import http.client
 import re

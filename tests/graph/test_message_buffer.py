@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes send as bytes is, byte by byte, what rclpy sends of the same messages."""
+"""Messages that nodes send as bytes equal, byte by byte, those that rclpy sends."""
 
 from collections.abc import Callable
 from typing import Any, TypeAlias
@@ -99,7 +99,7 @@ def test_a_message_sent_as_bytes_is_what_rclpy_sends(name: str, observer: Any) -
     fill(packed.message)
     packed.publish()
     observer.wait(lambda: len(received) == 2, "both")
-    of_rclpy = MessageBuffer(type_name_of(type(message)), fields_of, received[0])  # with zeros between fields
+    of_rclpy = MessageBuffer(type_name_of(type(message)), fields_of, received[0])  # zeros in the padding
     assert bytes(of_rclpy) == received[1]
     assert len(received[0]) == len(received[1])
 

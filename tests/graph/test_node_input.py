@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A user's mistake with a node is reported in one line; what ends a node ends it quietly."""
+"""A user's mistake is reported in one line; a signal ends a node without further output."""
 
 import re
 import signal
@@ -23,7 +23,7 @@ from trackslip_estimation.nodes.slip_estimator import SlipEstimatorNode
 from trackslip_estimation.nodes.soil_estimator import SoilEstimatorNode
 from trackslip_sim.nodes.emulator import EmulatorNode
 
-FEW = 4  # kernels that are compiled before a Ctrl-C arrives, of some dozens
+FEW = 4  # kernels compiled before Ctrl-C, of some dozens
 NODES = {
     "can_driver": CanDriverNode,
     "watson_imu": WatsonNode,
@@ -51,11 +51,11 @@ REFUSED: dict[str, dict[str, Any]] = {
     "record": {"more_topics": "((", "output": 1, "split_size": -1, "split_duration": -1.0},
     "emulator": {"lead_in": -1.0, "seed": "one", "soil": "cheese", "scenario": "moon", "mode": "magic"},
 }
-QUICK = {"emulator": {"scenario": "straight", "lead_in": 0.5}}  # what else a node needs to come up soon
+QUICK = {"emulator": {"scenario": "straight", "lead_in": 0.5}}  # further parameters for a quick start
 
 
 def is_one_line(stdout, stderr, *words):
-    """With all these words, and nothing else."""
+    """Assert that stderr is one line with all these words, and stdout is empty."""
     lines = stderr.splitlines()
     assert len(lines) == 1, stderr
     assert [word for word in words if word not in lines[0]] == [], lines[0]
@@ -64,7 +64,7 @@ def is_one_line(stdout, stderr, *words):
 
 @pytest.fixture
 def is_refused(domain, tmp_path, monkeypatch, capfd):
-    """A function that runs a node in this process with bad arguments: exit code 2 and one line."""
+    """A function that runs a node with bad arguments and asserts exit code 2 and one line."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.chdir(tmp_path)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -110,7 +110,7 @@ def test_unknown_parameter_in_a_file(is_refused, tmp_path):
 
 
 def test_parameter_files_of_the_project_are_accepted(programs, observer):
-    """A node takes the file that ``config/`` has for it, and the PC05 where it has a vehicle."""
+    """A node accepts a file of parameters, relative to its working directory."""
     config = programs.folder / "mine.yaml"
     config.write_text("/**: {ros__parameters: {vehicle: {kinematics: {tread: 0.8}}}}", encoding="utf-8")
     texts = observer.subscribe("slip_estimator/parameters")
@@ -144,7 +144,7 @@ def test_running_node_ends_quietly(programs, observer, node, number):
     program = programs.node(node, **given)
     observer.wait(lambda: [status for status in healths if status.name == node], f"diagnostics of {node}")
     code, _ = program.end(number)
-    logged = re.compile(rf"\[(INFO|WARN|ERROR)\] \[[\d.]+\] \[{node}\]: ")  # its states, as they change
+    logged = re.compile(rf"\[(INFO|WARN|ERROR)\] \[[\d.]+\] \[{node}\]: ")  # changes of state
     assert [line for line in program.stderr.splitlines() if not logged.match(line)] == []
     assert code == 0
     assert programs.alive() == {}

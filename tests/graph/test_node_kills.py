@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes of a driving graph are killed or held, and started again as a launch file would do it."""
+"""Nodes of a driving graph are killed or stopped, and restarted as a launch file would."""
 
 import os
 import random
@@ -29,9 +29,9 @@ pytestmark = pytest.mark.xdist_group("graph")
 KILLS = 100
 HELD_S = 5.0
 WORST_SIGMAS = 4.0
-DRIVE_S = 3600.0  # the longest there is
-TRUTH_WITHIN_S = 600.0  # for the emulator to work it out on a busy host
-LATE_S = 0.05  # by which a starved emulator sends the truth late; its bytes have wrong stamps then
+DRIVE_S = 3600.0  # longest supported
+TRUTH_WITHIN_S = 600.0  # time for the emulator to compute it on a busy host
+LATE_S = 0.05  # delay of the truth by which an emulator counts as starved; its bytes then have wrong stamps
 SETTLED_S = 5.0
 VICTIMS = (
     *("can_driver", "watson_imu", "sick_pls"),
@@ -42,14 +42,14 @@ OUTPUTS = ("sprockets", "imu/data_raw", "scan", "box_pose", "odometry", "soil")
 
 @dataclass(frozen=True)
 class Node:
-    """How a node is started."""
+    """Executable and parameters of a node."""
 
     executable: str
     parameters: dict[str, Any]
 
 
 class Graph:
-    """The whole graph driving; what each node sent last."""
+    """The whole graph while driving; the last message of each topic."""
 
     def __init__(self, programs, observer, can):
         self._programs, self._observer = programs, observer
@@ -85,18 +85,18 @@ class Graph:
         return self._programs.node(node.executable, **node.parameters)
 
     def kill(self, name):
-        """End the node without notice and start it again."""
+        """Kill the node and start it again."""
         self._running[name].asked = True
         self._running[name].process.kill()
         self._running[name].process.wait()
         self._running[name] = self._start(name)
 
     def end(self, name):
-        """End the node as a user would."""
+        """Interrupt the node; its exit code must be 0."""
         assert self._running[name].end()[0] == 0
 
     def hold(self, name):
-        """Stop the node for some seconds, then let it go on."""
+        """Suspend the node for some seconds."""
         process = self._running[name].process
         process.send_signal(signal.SIGSTOP)
         until = time.monotonic() + HELD_S
@@ -104,7 +104,7 @@ class Graph:
         process.send_signal(signal.SIGCONT)
 
     def wait_until_whole(self, what):
-        """Until all topics carry messages of the present and the recorder reports; s that it took."""
+        """Wait until all topics have current messages and the recorder reports; the duration, s."""
         began, began_ns = time.monotonic(), time.time_ns()
         give_up_s = began + PATIENCE
         self._healths.clear()
@@ -116,14 +116,14 @@ class Graph:
         return time.monotonic() - began
 
     def _missing(self, began_ns):
-        """Topics that are silent, and the recorder where it is; that it lost messages while held is true."""
+        """Topics without a current message, and the recorder if it has not reported."""
         silent = [topic for topic, received in self._received.items() if not _is_later(received, began_ns)]
         return silent + ([] if any(health.name == "record" for health in self._healths) else ["record"])
 
     def worst(self):
-        """Of all estimates since the last call the largest error by its standard deviation, and of what.
+        """Largest error of all estimates since the last call, in standard deviations, with its component.
 
-        Not of those after which the emulator was late: killing and starting nodes can starve it.
+        Estimates after a delay of the emulator are excluded: killing and starting nodes can starve it.
         """
         truth = np.array([(_stamp_ns(m), *_pose(m), at_ns - _stamp_ns(m)) for m, at_ns in self._truth])
         found = np.array([(_stamp_ns(m), *_pose(m), *_deviations(m)) for m in self.estimates])
@@ -187,12 +187,12 @@ def _survives(graph, programs, choose, times):
 
 
 def _differing_from_live(paths):
-    """What replays of recordings say that differ from live; those of killed recorders are recovered."""
+    """Differences between recordings and their replays; bags of killed recorders are recovered first."""
     differing, compared, published = {}, 0, 0
     for path in paths:
         try:
             live, estimates = _replayed(path)
-        except InputError as error:  # killed before it had anything on the disk
+        except InputError as error:  # killed before the first write to disk
             print(f"{path.name}: {error}")
             continue
         published += estimates
@@ -208,7 +208,7 @@ def _differing_from_live(paths):
 
 
 def _replayed(path):
-    """Comparison with live of a recording, and how many estimates it holds."""
+    """Comparison of a recording with its replay, and the number of recorded estimates."""
     whole = path
     if not (path / METADATA).exists():
         whole = path.with_name(f"recovered_{path.name}")

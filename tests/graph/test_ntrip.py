@@ -31,7 +31,7 @@ PERIOD_S = 0.1
 
 
 class Receiver:
-    """A receiver on a pseudo-terminal: it sends epochs, and keeps what is written to it."""
+    """A receiver on a pseudo-terminal: sends epochs and stores the bytes written to it."""
 
     def __init__(self) -> None:
         self._master, slave = pty.openpty()
@@ -59,7 +59,7 @@ class Receiver:
 
 
 class Station:
-    """Behaviours of the caster: it refuses at first, later it streams and keeps the positions that come."""
+    """The caster: refuses at first; later streams and stores the received positions."""
 
     def __init__(self) -> None:
         self.positions = b""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A camera's odometry beside the sprockets, live: used, counted, recorded, and replayed bit for bit."""
+"""A camera's odometry beside the sprockets, live: accepted, counted, recorded, and replayed bit for bit."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 
 STEP_MS, STEPS, EVERY = 20, 100, 5
 SPEED, RADIUS = 1.5, 0.159  # rad/s, m
-LOST = -1.0  # first element of a covariance that there is not
+LOST = -1.0  # first element of the covariance of a missing velocity
 
 
 @pytest.mark.slow
@@ -36,7 +36,7 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
         if step % EVERY == 2:
             seen = stamped(Odometry, step * STEP_MS - 7)
             seen.header.frame_id, seen.pose.pose.orientation.w = "camera_odom", 1.0
-            seen.pose.pose.position.y = 0.9 * RADIUS * SPEED * (step * STEP_MS - 7) * 1e-3  # it looks left
+            seen.pose.pose.position.y = 0.9 * RADIUS * SPEED * (step * STEP_MS - 7) * 1e-3  # it faces left
             seen.pose.pose.orientation.z, seen.pose.pose.orientation.w = np.sin(np.pi / 4), np.cos(np.pi / 4)
             seen.twist.covariance[0] = LOST if step == 52 else 0.0
             camera.publish(seen)
@@ -47,7 +47,7 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     outcomes = [report.outcome for report in reports if report.source == "camera/odom"]
     assert outcomes[:2] == [10, 0]  # begun, accepted
     assert set(outcomes[2:]) == {0}
-    assert found[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # the tracks slip by 10 %
+    assert found[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # track slip is 10 %
     requested = "camera/odom whose covariance says that it has no velocity"
     observer.wait(lambda: any(requested in {v.key for v in s.values} for s in healths), "its count")
     assert recorder.end()[0] == 0

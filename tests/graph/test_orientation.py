@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Orientations of an IMU in the live node: one tells the attitude, another is counted as refused."""
+"""Orientations of an IMU in the live node: one sets the attitude; one without a covariance is counted."""
 
 import math
 

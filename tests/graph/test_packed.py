@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that stay packed read as their objects do, to the last bit."""
+"""Packed messages have the same values as their objects, bit for bit."""
 
 import math
 from typing import Any
@@ -38,7 +38,7 @@ def packed(message: Any) -> PackedMessage:
 
 
 def with_numbers(message: Any, random: np.random.Generator) -> Any:
-    """The message with something else in each field, its lists filled."""
+    """The message with new values in each field and filled lists."""
     for field in fields_of(type_of(message)):
         value = getattr(message, field.name)
         if hasattr(value, "get_fields_and_field_types"):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag drives a live graph: ``trackslip replay --publish`` and a live estimator."""
+"""``trackslip replay --publish`` drives a live estimator from a bag."""
 
 import os
 import sys
@@ -23,14 +23,14 @@ from trackslip_tools.replay.run import replay
 pytestmark = pytest.mark.xdist_group("graph")
 
 LEGS = ((1.0, 0.0, 0.0), (3.0, 2.2, 2.2), (3.0, 1.2, 2.2), (1.0, 0.0, 0.0))
-# Topics overtake each other by a few ms on their way, so that the first estimate, and with it the state, may
-# have one sprocket sample more or less. A message that was lost, or a stamp that was not the bag's, shows.
+# Transport reorders topics by a few ms. The first estimate, and so the final state, may use one sprocket
+# sample more or less. A lost message or a stamp other than the bag's exceeds the tolerance.
 TOLERANCE = 1e-4  # m, rad
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """8 s of driving with a turn; it begins and ends at rest."""
+    """Bag of an 8 s drive with a turn; it starts and ends at rest."""
     return record_legs(tmp_path_factory.mktemp("publish") / "bag", LEGS)
 
 
@@ -52,7 +52,7 @@ def test_live_estimator_ends_in_the_state_of_the_replay(programs, observer, path
     with open_bag(path) as bag:
         begin, end = bag.start_ns * 1e-9, bag.end_ns * 1e-9
         sent = {topic: info.count for topic, info in bag.topics.items() if topic != "/vehicle"}
-    assert not odometry  # it is paused
+    assert not odometry  # paused
     assert {seconds(message.clock) for message in clock} == {begin}
 
     answer = observer.ask(SetBool, "replay/pause", SetBool.Request(data=False))
@@ -73,7 +73,7 @@ def test_live_estimator_ends_in_the_state_of_the_replay(programs, observer, path
 
 
 def test_ctrl_c_and_options(programs, observer, path):
-    """It ends at once, reports how far it came, and published only what it should."""
+    """The player ends at once, reports its progress, and publishes only the requested part."""
     received, hidden = observer.subscribe("sprockets"), observer.subscribe("hydraulics")
     options = "--publish --loop --start 2 --stop 2.5 --withhold hydraulics --rate 2"
     player = programs.tool("trackslip", "replay", str(path), *options.split())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder live: what it receives it writes, or reports as lost; killed at any moment it leaves a bag."""
+"""The recorder writes each message or reports its loss; killed at any moment, it leaves a readable bag."""
 
 import json
 import random
@@ -28,14 +28,14 @@ from trackslip_common.nodes.qos import publisher_qos
 pytestmark = pytest.mark.xdist_group("graph")
 
 LONGEST_LOSS = 1.0  # s
-LONGEST_STEP = 0.01  # s between two looks at the clock; longer ones are the host's, which stood still
+LONGEST_STEP = 0.01  # s between two readings of the clock; longer steps are stalls of the host
 PERIOD = 0.002  # s
-MORE_THAN_A_BUFFER = 900  # messages: more than a kernel's 208 kB, less than a publisher keeps
+MORE_THAN_A_BUFFER = 900  # messages: more than the kernel's 208 kB, fewer than a publisher keeps
 QUICK = 1  # kills in make test, of twenty
 MOMENTS = np.random.default_rng(7).uniform(0.1, 4.0, 20).round(2).tolist()  # s after the first message
 
-# Publishes the project's topics, factor × their nominal rates, for so many seconds; prints which, and what it
-# sent. It waits for a file: what it sends before the recorder has found it is older than what is counted.
+# Publishes the project's topics at factor × their nominal rates for some seconds; prints topics and counts.
+# It starts when a file exists: messages before the recorder's discovery would not be counted.
 LOAD = """
 import json, sys, time
 from pathlib import Path
@@ -72,7 +72,7 @@ print(json.dumps(sent), flush=True)
 time.sleep(600)  # the middleware forgets what it holds for a publisher that is gone
 """
 
-# The recorder on a disk that hangs once.
+# The recorder with a disk that blocks once.
 STALLING = """
 import time
 from trackslip_bags.writer import BagWriter
@@ -93,7 +93,7 @@ record.main()
 
 
 class Recorder:
-    """The node, and what it reports of itself."""
+    """The node and its reports."""
 
     def __init__(self, programs, observer, program=None, **parameters):
         self.path = programs.folder / "bag"
@@ -112,7 +112,7 @@ class Recorder:
         self._observer.wait(condition, what)
 
     def wait_for(self, *topics):
-        """Until it has found a publisher of each."""
+        """Wait until the recorder has found a publisher of each topic."""
         self._observer.wait_for_recorder(self._healths, *topics)
 
     def count(self, topic):
@@ -131,7 +131,7 @@ def numbered(number):
 
 
 def is_strictly_readable(path):
-    """By those who check everything; the numbers in it, in order."""
+    """Numbers in the bag, in order, as the strict reader of rosbags reads them."""
     numbers = []
     with AnyReader([path]) as reader:
         requested = [connection for connection in reader.connections if connection.topic == "/sprockets"]
@@ -155,11 +155,11 @@ def is_strictly_readable(path):
     ],
 )
 def test_killed_at_any_moment(programs, observer, number, moment):
-    """Every other one with files of 1 s, so that some die while they begin a new file."""
+    """Odd runs split files at 1 s, so that some are killed at the start of a new file."""
     recorder = Recorder(programs, observer, split_duration=1.0 if number % 2 else 0.0)
     publisher = observer.publisher("sprockets")
     recorder.wait_for("sprockets")
-    sent = []  # when, on a clock that stands still with the host
+    sent = []  # times on a clock that excludes stalls of the host
     elapsed, before = 0.0, time.monotonic()
     while elapsed < moment:
         now = time.monotonic()
@@ -173,7 +173,7 @@ def test_killed_at_any_moment(programs, observer, number, moment):
     assert "lost: " in program.stdout, program.stderr
     numbers = is_strictly_readable(programs.folder / "bag_recovered")
     assert numbers == list(range(len(numbers)))
-    assert code == (ExitCode.DONE if numbers else ExitCode.FAILED)  # none was written before the kill
+    assert code == (ExitCode.DONE if numbers else ExitCode.FAILED)  # nothing was written before the kill
     lost = elapsed - sent[len(numbers)] if len(numbers) < len(sent) else 0.0
     print(f"\nkilled after {moment:.2f} s: {len(numbers)} of {len(sent)}, {lost:.3f} s lost")
     assert lost <= LONGEST_LOSS
@@ -194,7 +194,7 @@ def test_recorder_writes_messages_that_wait_for_a_retransmission_at_its_end(prog
 
 
 def reported_and_written(programs, observer, recorder, seconds):
-    """Ten times the nominal load; (sent, reported lost, in the bag), by topic."""
+    """Ten times the nominal load; (sent, reported lost, recorded), by topic."""
     recorder.wait(recorder.values, "the recorder")
     load = programs.python("-c", LOAD, "10", str(seconds))
     observer.wait(lambda: "]" in load.stdout, "the load")
@@ -259,7 +259,7 @@ def test_full_disk_is_reported_and_the_bag_stays_recoverable(programs, observer)
 
 
 def test_topics_of_others_are_recorded_by_expression(programs, observer):
-    """Also what was published before the recorder came, where it is kept for late subscribers."""
+    """Messages from before the recorder's start are included if their publisher keeps them."""
     node = observer.node
     kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     latched = node.create_publisher(String, "/site/plan", kept)
@@ -312,7 +312,7 @@ def test_headings_are_recorded_by_the_type_that_is_published(programs, observer,
     publisher = observer.node.create_publisher(kind, "heading", publisher_qos("heading"))
     name = f"/{kind.__name__}"
     observer.wait(lambda: publisher.get_subscription_count() > 0, f"the recorder on headings as {name}")
-    recorder.wait_for("heading")  # a reader that has not found its writer yet acknowledges, and takes nothing
+    recorder.wait_for("heading")  # a reader without a matched writer acknowledges but receives nothing
     for k in range(5):
         message = kind()
         message.header.stamp.sec = 1 + k

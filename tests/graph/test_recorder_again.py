@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder deactivated and activated again: another bag, and nothing of the one before it."""
+"""A recorder that is deactivated and activated again starts another bag without the previous state."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,7 +51,7 @@ def test_existing_bag_name_is_skipped(recorder: RecordNode, tmp_path: Path) -> N
 
 
 def test_publishers_are_counted_separately_for_each_bag(recorder: RecordNode) -> None:
-    """A topic with one publisher may get a second one in the next bag: their sequence numbers are no gaps."""
+    """A second publisher in the next bag has its own sequence numbers; they are no gaps."""
     recorder._taps.alone = {"/topic"}
     again(recorder)
     received(recorder, 1, publisher_gid=None)
@@ -60,7 +60,7 @@ def test_publishers_are_counted_separately_for_each_bag(recorder: RecordNode) ->
 
 
 def test_restarted_recorder_writes_another_bag(recorder: RecordNode, tmp_path: Path) -> None:
-    """Respawned with the same ``output``, or two machines that record into one directory."""
+    """The same ``output`` after a respawn, or for two machines that record into one directory."""
     other = RecordNode()
     other.start()
     other.end()

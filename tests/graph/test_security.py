@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""SROS2: the policy allows what the nodes do and no more; without keys, Enforce lets no node start."""
+"""SROS2: the policy allows exactly what the nodes use; under Enforce no node starts without keys."""
 
 import copy
 import os
@@ -40,11 +40,11 @@ CONFIGURED = (
     LiveNode,
 )
 OF_PEOPLE = {"observer", "operator"}
-OPTIONAL = {"/tf_static"} | (set() if find_spec("tf2_msgs") else {"/tf"})  # where an IMU asks for it
+OPTIONAL = {"/tf_static"} | (set() if find_spec("tf2_msgs") else {"/tf"})  # used if an IMU requests it
 
 
 class Rights(NamedTuple):
-    """Absolute names."""
+    """Absolute topic and service names that a node may use."""
 
     publish: set[str]
     subscribe: set[str]
@@ -53,7 +53,7 @@ class Rights(NamedTuple):
 
 
 def read_policy() -> dict[str, Rights]:
-    """{node: rights}, as sros2 reads the policy: with what is included, and names made absolute."""
+    """{node: rights} as sros2 reads the policy: includes resolved, names made absolute."""
     common = list(ElementTree.parse(SECURITY / "node.xml").getroot())
     found = {}
     for enclave in ElementTree.parse(SECURITY / "policy.xml").getroot().iter("enclave"):
@@ -78,7 +78,7 @@ def absolute(text: str, node: str) -> str:
 
 @pytest.fixture
 def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
-    """All nodes, with all sources and outputs that they can have; gives one to look with."""
+    """All nodes with all optional sources and outputs; yields a node for graph queries."""
     dbc, roles = unseen_bus.write(tmp_path)
     parameters = {
         "can_driver:dbc_file": dbc,
@@ -102,7 +102,7 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
     for node in nodes:
         node.trigger_configure()
     nodes.append(RecordNode())
-    nodes[-1].start()  # it subscribes when it is active
+    nodes[-1].start()  # it subscribes when activated
     yield nodes[-1]
     for node in nodes:
         node.end()
@@ -111,7 +111,7 @@ def graph(domain: int, tmp_path: Path, udp_port: int) -> Iterator[Node]:
 
 
 def rights_in_use(graph: Node, name: str) -> Rights:
-    """What a node of the graph does."""
+    """Topics and services that a node of the graph uses."""
     lists = (
         graph.get_publisher_names_and_types_by_node,
         graph.get_subscriber_names_and_types_by_node,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A driving graph with a mistake in its setup: /diagnostics names it, and withdraws it once it is mended."""
+"""Diagnostics of a driving graph name a set-up mistake, and clear it once it is corrected."""
 
 import time
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from trackslip_common.config_files import config_file
 pytestmark = [pytest.mark.xdist_group("graph"), pytest.mark.soak, pytest.mark.timeout(1200)]
 
 DRIVE_S = 600.0  # longer than a test
-PATIENT_S = 600.0  # a busy host; what it took is printed: wanted are 120 s of driving, and 60 s
+PATIENT_S = 600.0  # for a busy host; prints the time used: the goals are 120 s of driving, and 60 s
 WARN = b"\1"
 ROLES = "can_roles.yaml"
 
@@ -27,16 +27,16 @@ Values = dict[str, Any]
 
 
 class Mistake(NamedTuple):
-    """A node with a wrong parameter, and what is right."""
+    """A node with a wrong parameter, and its right value."""
 
     executable: str
     cause: str
-    wrong: Callable[[Path], Values]  # into a folder, what it needs
+    wrong: Callable[[Path], Values]  # writes the needed files into a folder
     right: Values
 
 
 def _with_roles(change: Callable[[Roles], Roles]) -> Callable[[Path], Values]:
-    """A file of roles that has some of them otherwise."""
+    """Writer of a copy of the roles file with changed roles."""
 
     def write(folder: Path) -> Values:
         tree = yaml.safe_load(config_file(ROLES).read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Seeds in the graph: the slip estimator takes them where it is asked to, and reports on each."""
+"""The slip estimator accepts slip seeds where it is configured to, and reports on each."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator as a node: what it publishes, which faults it reports, and that nothing ends it."""
+"""The soil estimator node: its outputs, its fault reports, and its robustness."""
 
 import signal
 from dataclasses import replace
@@ -21,7 +21,7 @@ from trackslip_sim.scenarios.scenario import Scenario, Segment
 from trackslip_sim.truth.simulate import simulate
 
 INPUTS = ("machine_state", "hydraulics")
-_BURST = 20  # inputs sent at a time; the kernel keeps some 100 for a node that the system does not run
+_BURST = 20  # inputs per burst; the kernel queues about 100 for a process that is not scheduled
 PRESSURES = ("left_pressure", "right_pressure", "left_spool", "right_spool")
 
 
@@ -46,7 +46,7 @@ def message_of(given):
 
 
 class Machine:
-    """The node, driven by this test."""
+    """The node, driven by the test."""
 
     def __init__(self, programs, observer, **parameters):
         self._observer = observer
@@ -59,12 +59,12 @@ class Machine:
         observer.wait_until_active("soil_estimator")
 
     def send(self, inputs):
-        """Without waiting for what comes of them."""
+        """Publish the inputs without waiting for outputs."""
         for given in inputs:
             self._topics[given.source].publish(message_of(given))
 
     def feed(self, inputs, estimator):
-        """Send them in bursts, each taken before the next one; what the estimator itself gives, by stamp."""
+        """Publish in bursts and wait for each; outputs of ``estimator`` for the same inputs, by stamp."""
         outputs = {}
         for k in range(0, len(inputs), _BURST):
             burst = inputs[k : k + _BURST]
@@ -107,7 +107,7 @@ def test_node_publishes_the_outputs_of_the_estimator(real_time, programs, observ
 
 
 def test_node_uses_the_swing_for_the_track_loads(real_time, programs, observer, inputs):
-    """The same resistances as those of the estimator, which differ from those without a swing."""
+    """Resistances equal those of the estimator with a swing, and differ from those without."""
     machine = Machine(programs, observer, vehicle="pc05_cab")
     swung = [
         replace(one, swing=1.5, swing_variance=1e-4) if isinstance(one, records.MachineState) else one

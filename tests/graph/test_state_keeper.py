@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a node writes its state file: once a minute of the steady clock while it is active, and at the end."""
+"""A node writes its state file once a minute of the steady clock while active, and at its end."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +17,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 
 
 class Node:
-    """As much of one as the keeper uses."""
+    """The part of a node that the keeper uses."""
 
     def __init__(self, state_file: Path) -> None:
         self.settings = parameters(state_file=str(state_file))
@@ -34,7 +34,7 @@ class Node:
 
 @pytest.fixture
 def driven(tmp_path: Path) -> tuple[Any, StateKeeper, Path]:
-    """A node whose estimator has driven for ten seconds."""
+    """A node whose estimator has driven for ten seconds, its keeper, and the state file."""
     node: Any = Node(tmp_path / "state.yaml")
     estimator = SlipEstimator(node.settings)
     keeper = StateKeeper(node, lambda: estimator)
@@ -47,7 +47,7 @@ def test_state_file_is_written_once_a_minute(driven: tuple[Any, StateKeeper, Pat
     ((period, save, clock),) = node.timers
     assert (period, clock.clock_type) == (60.0, ClockType.STEADY_TIME)
     assert not file.exists()
-    save()  # by a thread of its own
+    save()  # starts a thread
     wait_for(file.exists)
     assert "checksum" in file.read_text(encoding="utf-8")
 

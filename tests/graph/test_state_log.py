@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The console has one line for each change of a state, and none for a number that runs."""
+"""The console has one line for each change of a state, and none for a changed number."""
 
 from io import StringIO
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from trackslip_common.nodes.health import ERROR, OK, STALE, WARN, Health, StateL
 
 
 class Console:
-    """What is logged, at times of the test's own."""
+    """Logged lines, at times that the test sets."""
 
     def __init__(self) -> None:
         self.lines: list[tuple[bytes, str]] = []

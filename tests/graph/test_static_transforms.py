@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""With tf2_msgs: an IMU is mounted as /tf_static says, and /tf is map → odom → base_link."""
+"""With tf2_msgs: an IMU's mounting is read from /tf_static; /tf is map → odom → base_link."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ from trackslip_msgs.msg import MeasurementReport
 
 PEER = Path(__file__).with_name("tf_peer.py")
 REFUSED = "imu/data_raw of a frame that /tf_static does not join to base_link"
-STEP_MS, RATE = 20, 0.4  # RATE: rad/s about the vertical
-SPEED = RATE * 0.73 / 2.0 / 0.159  # rad/s of a sprocket of the PC05 that turns on the spot
+STEP_MS, RATE = 20, 0.4  # yaw rate, rad/s
+SPEED = RATE * 0.73 / 2.0 / 0.159  # sprocket speed of the PC05 in a pivot turn, rad/s
 
 
 class Turning:
-    """What a machine's sensors say that turns to the left on the spot; its IMU hangs upside down."""
+    """Sensor messages of a machine in a left pivot turn; its IMU is mounted upside down."""
 
     def __init__(self, observer):
         self._observer, self._step = observer, 0
@@ -24,7 +24,7 @@ class Turning:
         self.reports = observer.subscribe("measurement_reports")
 
     def drive(self, steps):
-        """Hand over each step's messages when what came before is done."""
+        """Publish the messages of each step after the reports of the previous one."""
         for _ in range(steps):
             at_ms = self._step * STEP_MS
             imu = stamped(Imu, at_ms, "imu_link")
@@ -37,7 +37,7 @@ class Turning:
             self._step += 1
 
     def gyro(self):
-        """Outcomes of its measurements."""
+        """Outcomes of the gyro's measurements."""
         return [r.outcome for r in self.reports if r.source == "imu/data_raw"]
 
 

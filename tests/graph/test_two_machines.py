@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two machines in two namespaces of one domain: own estimates, own bags, own frames, nothing mixed."""
+"""Two machines in two namespaces of one domain have separate estimates, bags and frames."""
 
 import pytest
 from fixtures.sensor_messages import pose, sprockets

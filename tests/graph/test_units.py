@@ -21,7 +21,7 @@ NODES = {
     "trackslip-record": ("record",),
 }
 CAN_DEVICE = "sys-subsystem-net-devices-can0.device"
-# What make setup compiled, by its digests, to where the units have it.
+# Copy the kernels that make setup compiled (directories named by digest) to the units' directory.
 COPY_KERNELS = """find "$CHECKOUT/src" -type d -path '*/__pycache__/????????????????' \\
     -exec cp -r {} /var/lib/trackslip/kernels \\;"""
 SCRIPT = Path(sys.prefix) / "trackslip.sh"
@@ -30,7 +30,7 @@ confined = pytest.mark.skipif(bool(refusal()), reason=f"no mount namespace: {ref
 
 
 def started(programs: Any, unit: str, preparation: str = "") -> Any:
-    """The unit's command, in the test's domain, with the setup file and the ros2 that there are here."""
+    """Start the unit's command in the test's domain, with the setup file and ros2 of this installation."""
     here = {
         "TRACKSLIP_SETUP": str(SCRIPT if SCRIPT.is_file() else INSTALL / "setup.bash"),
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastrtps.xml"),
@@ -69,7 +69,7 @@ def test_command_works_for_half_a_minute_with_kernels_of_its_own(
     program = started(programs, unit)
 
     def waking() -> set[str]:
-        """Who has not reported yet what an active node does; one that compiles answers nobody."""
+        """Nodes that have not reported to be active; a compiling node does not answer requests."""
         active = {
             h.name for h in healths if h.message != "inactive" and not h.message.startswith("compiling")
         }
@@ -114,12 +114,12 @@ def test_can_bus_is_brought_up_whenever_its_adapter_appears(tmp_path: Path) -> N
         ["systemctl", f"--root={tmp_path}", "enable", "trackslip-can"], check=True, capture_output=True
     )
     unit = Unit(units / "trackslip-can.service")
-    assert unit.all("BindsTo") == [CAN_DEVICE]  # ended with the adapter …
-    assert (units / f"{CAN_DEVICE}.wants" / "trackslip-can.service").is_symlink()  # … and started with it
+    assert unit.all("BindsTo") == [CAN_DEVICE]  # stops with the adapter …
+    assert (units / f"{CAN_DEVICE}.wants" / "trackslip-can.service").is_symlink()  # … and starts with it
 
 
 def shell_of_the_image() -> list[str]:
-    """That of ``RUN`` in the Dockerfile."""
+    """The shell that the Dockerfile sets for ``RUN``."""
     lines = (ROOT / "deploy" / "Dockerfile").read_text(encoding="utf-8").splitlines()
     (line,) = (line for line in lines if line.startswith("SHELL "))
     words: list[str] = json.loads(line.removeprefix("SHELL "))

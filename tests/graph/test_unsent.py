@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the middleware refuses to send, as to a stalled subscriber, is counted and reported."""
+"""Messages that the middleware fails to send, as to a stalled subscriber, are counted and reported."""
 
 import warnings
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ from rclpy.publisher import Publisher
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.messages import topic_class
 
-DROPPED = "failed to send response (timeout): client will not receive response"  # rclpy's words
+DROPPED = "failed to send response (timeout): client will not receive response"  # text of rclpy
 SCAN, STATUS = "/scan", "/diagnostics"
 
 
 class Speaker(TrackslipNode[NoParameters]):
-    """Publishes when the test wants it."""
+    """A node that publishes when the test requests it."""
 
     def __init__(self) -> None:
         super().__init__("speaker", NoParameters)
@@ -34,7 +34,7 @@ class Speaker(TrackslipNode[NoParameters]):
 
 @pytest.fixture
 def stalled(monkeypatch: pytest.MonkeyPatch) -> set[str]:
-    """Topics that the middleware refuses to send on, as long as they are in here."""
+    """Set of topics on which the middleware refuses to send."""
     topics: set[str] = set()
     send = Publisher.publish
 
@@ -103,7 +103,7 @@ def test_rclpy_still_reports_dropped_answers_in_these_words():
 
 def test_answers_dropped_by_the_middleware_are_counted(speaker):
     with warnings.catch_warnings(record=True) as shown:
-        warnings.simplefilter("ignore", RuntimeWarning)  # as for all else that rcl warns of
+        warnings.simplefilter("ignore", RuntimeWarning)  # rcl's other warnings are ignored as well
         speaker.send_failures.watch_answers()
         for text in (DROPPED, DROPPED, "something else"):
             warnings.warn(text, RuntimeWarning if text == DROPPED else UserWarning, stacklevel=1)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The built workspace: what the packages declare is installed where ROS 2 and users look for it."""
+"""The built workspace: declared files of the packages are installed where ROS 2 and users look for them."""
 
 import configparser
 import os
@@ -94,7 +94,7 @@ made_by_setup = pytest.mark.skipif(Path(sys.prefix) != ROOT / ".venv", reason="n
 
 
 def from_nothing(*command: str, **environment: str) -> str:
-    """Output of a command started in an otherwise empty environment; nothing may be on stderr."""
+    """Output of a command started in an otherwise empty environment; stderr must be empty."""
     result = subprocess.run(
         command, env=environment, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT
     )
@@ -104,14 +104,14 @@ def from_nothing(*command: str, **environment: str) -> str:
 
 @made_by_setup
 def test_python_needs_nothing_sourced() -> None:
-    """A python of ``.venv`` started from an empty environment finds ROS, the messages and our packages."""
+    """Python of ``.venv`` in an empty environment finds ROS, the messages and the packages of the project."""
     program = f"import sys, rclpy, trackslip_msgs.msg, {', '.join(PYTHON_PACKAGES)}; print(sys.argv[1:])"
     assert from_nothing(sys.executable, "-c", program, "one", "two words") == "['one', 'two words']\n"
 
 
 @made_by_setup
 def test_plain_python_makes_a_publisher_of_our_messages(domain: int, tmp_path: Path) -> None:
-    """Only now are their libraries loaded, by name, from where the wheels look."""
+    """Creating a publisher loads the message libraries by name from the wheels' search path."""
     if os.environ.get("_ROS_WHEELS_BOOTSTRAP_COMPLETE") is None:
         pytest.skip("ROS is not from wheels")
     program = """
@@ -157,7 +157,7 @@ def test_command_needs_nothing_sourced() -> None:
 
 @pytest.mark.parametrize("name", ["trackslip_bags", "trackslip_estimation"])
 def test_recorder_answers_by_both_names(name: str, programs: Any) -> None:
-    """``ros2 run trackslip_estimation record`` goes on working since the recorder moved."""
+    """``ros2 run trackslip_estimation record`` is an alias of the recorder in trackslip_bags."""
     recorder = programs.start(
         str(INSTALL / name / "lib" / name / "record"), "--ros-args", "-p", "output:=bag"
     )
@@ -168,7 +168,7 @@ def test_recorder_answers_by_both_names(name: str, programs: Any) -> None:
 
 
 def test_fast_dds_reads_the_profiles_that_set_up_names(programs: Any, tmp_path: Path) -> None:
-    """Fast DDS 2 and 3 have a variable and a file each: 2 ignores the other's, 3 refuses the file of 2."""
+    """Fast DDS 2 and 3 have a variable and a file each: 2 ignores that of 3; 3 refuses the file of 2."""
     names = [name for name in os.environ if name.endswith("_PROFILES_FILE")]
     if not names:
         pytest.skip("a ROS from apt keeps the profiles of its vehicle")

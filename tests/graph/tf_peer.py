@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node of another package, in its own process: states how the IMU is mounted, prints the links of /tf."""
+"""A separate process of another package: publishes the mounting of the IMU, prints the links of /tf."""
 
 import math
 
@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from tf2_msgs.msg import TFMessage
 
-# As a mast on a machine would be: turned a quarter to the left, and the IMU below its top plate.
+# A mast turned a quarter turn to the left; the IMU hangs below its top plate.
 LINKS = {("base_link", "mast"): (0.0, math.pi / 2.0), ("mast", "imu_link"): (math.pi, 0.0)}  # roll, yaw
 
 

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the graph for as long as asked, at several times its speed, and looks for what grows: ``make soak``.
+"""Runs the graph for as long as requested and measures the growth of resources: ``make soak``.
 
-Localizer, estimators and recorder live on a drive of ten minutes that a player repeats, at SPEED times real
-time. Drivers cannot be hurried, for bytes take their time: they run beside it in a domain of their own, on
-the emulated machine, in real time. Some times a minute it looks at every process and at the messages that
-came since; what all that grew by in an hour is the page ``out/soak/soak.md``. The exit code is 1 if a node
-ended, messages were lost, or something certainly grew by more than its limit.
+Localizer, estimators and recorder process a repeated drive of ten minutes at SPEED times real time. Drivers
+run beside them in real time, on the emulated machine and in a separate domain, because serial lines and buses
+have fixed rates. All processes and the received messages are sampled several times a minute. The page
+``out/soak/soak.md`` has the growth per hour. The exit code is 1 if a node ended, messages were lost, or a
+quantity certainly grew by more than its limit.
 
-A drive of the emulated machine is an hour long. Then it is switched off, and on again.
+A drive of the emulated machine lasts an hour. Then the machine is switched off and on again.
 """
 
 import argparse
@@ -34,17 +34,17 @@ ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "out" / "soak"
 RESULTS = Results("soak", ("bag*", "devices", "drive", *LOGS, "soak.md", "state.yaml*"))
 DRIVE_S, SPEED = 600, 10.0
-LONGEST_DRIVE_S = 3600.0  # of the emulator
-LIMITS = {"RSS (MB)": 10.0, "threads": 1.0, "open files": 1.0}  # growth in an hour
-_SAMPLES = 240  # in a run
-_PERIODS = (1.0, 30.0)  # s between them
-_DISK = 2_000_000_000  # bytes that recordings may take
+LONGEST_DRIVE_S = 3600.0  # longest drive of the emulator
+LIMITS = {"RSS (MB)": 10.0, "threads": 1.0, "open files": 1.0}  # growth per hour
+_SAMPLES = 240  # per run
+_PERIODS = (1.0, 30.0)  # s between samples
+_DISK = 2_000_000_000  # bytes, limit of the recordings
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def main() -> int:
-    """Run it; returns the exit code."""
+    """Run the soak; returns the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -81,7 +81,7 @@ def _soak(duration_s: float, speed: float) -> int:
             for sample in shown(_samples(monitor, graph, duration_s), "soak", total=_looks(duration_s)[0]):
                 samples.append(sample)
             interrupted = False
-        except KeyboardInterrupt:  # what was seen until then is worth a page
+        except KeyboardInterrupt:  # the page covers the samples so far
             interrupted = True
         finally:
             ended = graph.ended()
@@ -97,9 +97,9 @@ _TRACKSLIP = (sys.executable, "-m", "trackslip_tools.cli.main")
 
 
 def _play(drive: Path, speed: float, domain: int) -> "subprocess.Popen[bytes]":
-    """The drive, again and again; Ctrl-C is ours to pass on."""
+    """Start the player in a loop; this process forwards Ctrl-C to it."""
     player = ["replay", str(drive), "--publish", "--loop", "--rate", str(speed)]
-    player += ["--remap", "box_pose:=recorded_box_pose"]  # the localizer makes its own
+    player += ["--remap", "box_pose:=recorded_box_pose"]  # the localizer publishes its own poses
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     with (OUT / "player.log").open("wb") as log:
         return subprocess.Popen(
@@ -113,10 +113,10 @@ def _play(drive: Path, speed: float, domain: int) -> "subprocess.Popen[bytes]":
 
 
 class _Programs(Processes):
-    """Processes whose use of the computer is watched."""
+    """Processes whose resources are sampled."""
 
     def pids(self) -> dict[str, int]:
-        """Of those that were started."""
+        """Process ids by name."""
         return {name: process.pid for name, process in self._running.items()}
 
 
@@ -128,17 +128,17 @@ class Graph:
         self._restart_s = LONGEST_DRIVE_S
 
     def pids(self) -> dict[str, int]:
-        """By name."""
+        """Process ids by name."""
         return {**self._fast.pids(), **self._slow.pids(), "player": self._playing.pid}
 
     def ended(self) -> dict[str, int]:
-        """Exit codes of those that should run and do not."""
+        """Exit codes of processes that ended too early."""
         player = self._playing.poll()
         codes = {**self._fast.ended(), **self._slow.ended()}
         return codes if player is None else {**codes, "player": player}
 
     def keep_driving(self, elapsed_s: float, left_s: float) -> None:
-        """Switch the emulated machine off and on where its drive is over."""
+        """Restart the emulated machine when its drive is over."""
         if elapsed_s > self._restart_s:
             self._slow.stop(["emulator"])
             self._slow.start(next(node for node in _devices(left_s) if node.executable == "emulator"))
@@ -146,13 +146,13 @@ class Graph:
 
 
 def _looks(duration_s: float) -> tuple[int, float]:
-    """How many samples, and how far apart, s."""
+    """Number of samples, and their period, s."""
     period_s = min(max(duration_s / _SAMPLES, _PERIODS[0]), _PERIODS[1])
     return round(duration_s / period_s) - 1, period_s
 
 
 def _samples(monitor: Monitor, graph: Graph, duration_s: float) -> Iterator[Sample]:
-    """From when the graph has settled; until the time is over, or a node has ended."""
+    """Samples from the settled graph until the time is over or a node has ended."""
     count, period_s = _looks(duration_s)
     began_s = time.monotonic()
     monitor.spin_until(began_s + period_s)
@@ -174,7 +174,7 @@ def _samples(monitor: Monitor, graph: Graph, duration_s: float) -> Iterator[Samp
 
 
 def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping[str, int]) -> int:
-    """Write the page; the exit code."""
+    """Write the page; returns the exit code."""
     if len(samples) < 2:
         print(f"soak: ended at once: {dict(ended)}", file=sys.stderr)
         return 1
@@ -196,7 +196,7 @@ def _conclude(samples: list[Sample], monitor: Monitor, what: str, ended: Mapping
 
 @contextmanager
 def _running(domain: int, nodes: list[NodeSpec]) -> Iterator[_Programs]:
-    """Nodes in a domain, until the end."""
+    """Run nodes in a domain; ends them at the exit."""
     processes = _Programs(OUT, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
     try:
         for node in nodes:
@@ -232,7 +232,7 @@ def _devices(duration_s: float) -> list[NodeSpec]:
 
 
 def _process(pid: int) -> dict[str, float]:
-    """What a process holds."""
+    """Memory, threads and open files of a process."""
     folder = Path(f"/proc/{pid}")
     pages = int((folder / "statm").read_text().split()[1])
     threads = sum(1 for _ in (folder / "task").iterdir())
@@ -244,7 +244,7 @@ def _process(pid: int) -> dict[str, float]:
 
 
 def _cpu_s(pid: int) -> float:
-    """Processor time so far, s."""
+    """CPU time since the start, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICKS
 

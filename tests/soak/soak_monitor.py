@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a soak sees of the graph's messages: latency, reports that are missing, errors in ``/diagnostics``."""
+"""Observations of a soak: latency, missing reports, and errors in ``/diagnostics``."""
 
 import math
 import re
@@ -15,18 +15,18 @@ from rclpy.signals import SignalHandlerOptions
 from trackslip_common.nodes.messages import message_class, topic_class
 from trackslip_common.nodes.qos import subscriber_qos
 
-_NUMBER = re.compile(r"\d+(\.\d+)?")  # of two messages that differ in numbers the second is the first again
+_NUMBER = re.compile(r"\d+(\.\d+)?")  # messages that differ only in numbers count as one
 
 
 class Monitor:
-    """A node that sees what comes of the graph."""
+    """A node that observes the graph."""
 
     def __init__(self, domain: int) -> None:
         rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("soak")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
-        self._came: dict[int, float] = {}  # stamp of sprockets → s, steady
+        self._came: dict[int, float] = {}  # stamp of sprockets → arrival, s of the steady clock
         self._sequence = -1
         self._latencies: list[float] = []
         self.totals = {"estimates": 0, "reports missing": 0, "restarts of the drive": 0, "errors": 0}
@@ -41,18 +41,18 @@ class Monitor:
         self._node.create_subscription(kind, "/diagnostics", self._on_diagnostics, 100)
 
     def spin_until(self, until_s: float) -> None:
-        """Handle what comes."""
+        """Handle incoming messages until then."""
         while (left := until_s - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
     def latency(self) -> dict[tuple[str, str], float]:
-        """From sprockets to their odometry, both as they came here, since the last look."""
+        """Quantiles of the delay from sprockets to their odometry on arrival, ms, since the last call."""
         found, self._latencies = self._latencies or [math.nan], []
         p50, p99 = np.quantile(found, (0.5, 0.99))
         return {("graph", "latency p50 (ms)"): 1e3 * p50, ("graph", "latency p99 (ms)"): 1e3 * p99}
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
         rclpy.try_shutdown()

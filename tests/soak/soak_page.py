@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a soak has sampled, as a page: how much everything grows in an hour, with an interval.
+"""The page of a soak: growth of each quantity per hour, with a confidence interval.
 
-x_k    mean of a quantity over the k-th of n equal stretches of the run, its beginning left out
+x_k    mean of a quantity over the k-th of n equal sections of the run after settling
 b      slope of x over time, least squares; its interval is b ± t(0.975; n − 2) s_b
 
-Samples follow on each other closely and err alike; means over long stretches hardly do.
+Successive samples have correlated errors; those of means over long sections are almost independent.
 """
 
 import math
@@ -19,25 +19,25 @@ from scipy.stats import t as student
 from trackslip_common.arrays import FloatArray
 
 STRETCHES = 10
-_SETTLING, _SETTLING_S = 0.1, 120.0  # of the run, or s: what is allocated once has been by then
+_SETTLING, _SETTLING_S = 0.1, 120.0  # of the run, and s: one-time allocations are done by then
 _CONFIDENCE = 0.95
 _HOUR = 3600.0  # s
 
 
 class Sample(NamedTuple):
-    """One look."""
+    """Values of all quantities at one time."""
 
     time_s: float  # since the start
     values: Mapping[tuple[str, str], float]  # (node, quantity) → value
 
 
 class Growth(NamedTuple):
-    """Of one quantity."""
+    """Growth of one quantity."""
 
     first: float
     last: float
     per_hour: float
-    uncertainty: float  # half of the interval; nan where the run was too short
+    uncertainty: float  # half the interval; nan if the run is too short
 
     @property
     def is_certain(self) -> bool:
@@ -46,7 +46,7 @@ class Growth(NamedTuple):
 
 
 def growth(times_s: FloatArray, values: FloatArray) -> Growth:
-    """Slope of (n,) values over their times; NaN: none was there to be seen."""
+    """Slope of (n,) values over their times; NaN values are ignored."""
     seen = np.isfinite(values)
     if not seen.any():
         return Growth(math.nan, math.nan, math.nan, math.nan)
@@ -68,14 +68,14 @@ def growth(times_s: FloatArray, values: FloatArray) -> Growth:
 
 
 def growths(samples: Sequence[Sample]) -> dict[tuple[str, str], Growth]:
-    """Of everything that was there in all samples."""
+    """Growth of each quantity that all samples contain."""
     names = [name for name in samples[0].values if all(name in sample.values for sample in samples)]
     times_s = np.array([sample.time_s for sample in samples])
     return {name: growth(times_s, np.array([s.values[name] for s in samples])) for name in names}
 
 
 def page(samples: Sequence[Sample], counts: Mapping[str, float], heading: str) -> str:
-    """Markdown; ``counts``: totals at the end."""
+    """Markdown page; ``counts``: totals at the end."""
     found = growths(samples)
     lines = [
         "# Soak",

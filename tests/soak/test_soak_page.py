@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Growth that a soak reports: a leak is found, noise is not taken for one."""
+"""A soak reports leaks, and does not report noise as a leak."""
 
 import math
 
@@ -11,7 +11,7 @@ from soak_page import Sample, growth, growths, page
 
 
 def series(leak_per_hour: float, seed: int, seconds: float = 3600.0) -> tuple[np.ndarray, np.ndarray]:
-    """RSS in MB, every 10 s: a leak, noise that lasts a minute, and what the first minutes allocate."""
+    """RSS in MB, every 10 s: a leak, noise correlated over a minute, and allocations of the first minutes."""
     draw = np.random.default_rng(seed)
     times = np.arange(0.0, seconds, 10.0)
     noise = np.zeros(times.size)
@@ -28,12 +28,12 @@ def test_a_leak_is_found_and_its_rate_within_the_interval(leak: float) -> None:
         found = growth(*series(leak, seed))
         assert found.is_certain
         inside += abs(found.per_hour - leak) < found.uncertainty
-    assert inside >= 34  # of 38 expected
+    assert inside >= 34  # 38 expected
 
 
 def test_noise_is_not_reported_as_a_leak() -> None:
     certain = sum(growth(*series(0.0, seed)).is_certain for seed in range(100))
-    assert certain <= 10  # 2.5 expected, and what noise that lasts adds
+    assert certain <= 10  # 2.5 expected, more by the correlated noise
 
 
 def test_short_run_has_no_growth_rate() -> None:
