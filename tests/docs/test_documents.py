@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the documents name is there: links, files, make's targets, commands with their options, parameters."""
+"""Names in the documents exist: links, files, make targets, commands with their options, parameters."""
 
 import argparse
 import importlib
@@ -34,7 +34,7 @@ QUOTED = re.compile(  # `parameter` (30 s …: a default; "(0.1 to" is a range
 )
 UNITS = {"": 1.0, "km": 1e3, "MiB": 2.0**20}
 SUFFIXES = {"yaml", "py", "md", "launch", "msg"}
-FOREIGN = frozenset(  # options of other programs that the documents speak of
+FOREIGN = frozenset(  # options of other programs that the documents mention
     [
         "--ros-args",
         "--params-file",
@@ -56,12 +56,12 @@ def nodes() -> set[str]:
 
 
 def lines_of(program: str) -> Iterator[Place]:
-    """Commands of a program in blocks of code and in spans."""
+    """Commands of a program in code blocks and code spans."""
     for file in DOCUMENTS:
         document = Document(file)
         for place in (*document.blocks, *document.spans()):
             text = re.sub(r"^\$ ", "", place.text)
-            text = re.sub(r"^(\w+=\S+ )+", "", text)  # variables of the environment
+            text = re.sub(r"^(\w+=\S+ )+", "", text)  # environment variables
             if text.startswith(f"{program} "):
                 yield place._replace(text=text)
 
@@ -77,7 +77,7 @@ def options_of(command: str) -> frozenset[str]:
 
 @cache
 def parameters_of(node: str) -> frozenset[str]:
-    """Dotted names, and the groups that they are in."""
+    """Dotted parameter names, and the names of their groups."""
     names = node_defaults(node, f"{node}.yaml")
     return frozenset(
         ".".join(parts[: n + 1]) for parts in (name.split(".") for name in names) for n in range(len(parts))
@@ -192,7 +192,7 @@ def test_executables_and_launch_files_are_there() -> None:
 
 
 def test_parameters_are_there() -> None:
-    """``node.parameter`` wherever code has it, and ``-p parameter:=`` of a node."""
+    """``node.parameter`` in any code, and ``-p parameter:=`` of a node."""
     unknown, known = [], nodes()
     for file in DOCUMENTS:
         for place in (*Document(file).blocks, *Document(file).spans()):
@@ -234,7 +234,7 @@ def test_defaults_that_are_quoted_are_those_of_config() -> None:
 
 
 def _defaults() -> dict[str, set[float]]:
-    """Numbers of config/ by their parameters' own names."""
+    """Numbers in config/ by the last part of their parameter's name."""
     found: dict[str, set[float]] = {}
     for file in (ROOT / "config").glob("*.yaml"):
         waiting = [yaml.safe_load(file.read_text(encoding="utf-8"))]

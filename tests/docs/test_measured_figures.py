@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured figures of the documents are written by a command, or say what they were measured with.
+"""Measured figures of the documents are written by a command, or state how they were measured.
 
-A section has measured figures where a table of it has decimals, or a paragraph a number with a word of
-measuring; what ``make numbers`` writes and code are left out.
-Such a section names a test file, or says ``measured on DATE by …`` (``in MONTH YEAR with …``).
+A section has measured figures if one of its tables has decimals, or if a paragraph has a number with a word
+of measuring. Code and the output of ``make numbers`` are excluded. Such a section names a test file, or
+states ``measured on DATE by …`` (``in MONTH YEAR with …``).
 """
 
 import re
@@ -20,14 +20,14 @@ from measurements import CHEAP, MEASUREMENTS
 from measurements.blocks import blocks_of, names_on, rewritten, without_blocks
 from measurements.workbench import NotMeasured
 
-WRITTEN = {  # whole pages, of trackslip study and of make docs
+WRITTEN = {  # whole pages, written by trackslip study and by make docs
     "study_table.md",
     "slope_table.md",
     "soil_table.md",
     *reference_pages.WRITTEN,
 }
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
-CELL = re.compile(r"\| *\**[−+]?\d+\.\d+")  # of a table, that begins with a decimal number
+CELL = re.compile(r"\| *\**[−+]?\d+\.\d+")  # a table cell that begins with a decimal number
 FIGURE = re.compile(r"(?<![\w.(])(?:\d+\.\d+(?![\d.)])|\d+ (?:%|mm|cm|m|rad|mrad|µs|ms|MB)(?!\w))")
 MEASURING = re.compile(
     r"\b(?:RMSE|RMS|NEES|measured)\b|\d (?:mm|µs)\b|\d %? ?of a core"
@@ -46,7 +46,7 @@ def test_each_block_names_a_measurement_and_each_measurement_has_a_block() -> No
 
 @pytest.mark.parametrize("name", CHEAP)
 def test_figures_from_files_in_the_tree_are_current(name: str) -> None:
-    """Within one unit of the last digit: another processor may round the other way."""
+    """The tolerance is one unit of the last digit: processors round differently."""
     page = names_on(lambda _: True)[name]
     there = blocks_of(page.read_text(encoding="utf-8"))[name]
     _, today, reason = make_numbers.measured(None, name)
@@ -111,7 +111,7 @@ def test_figures_without_a_source_are_seen(text: str, count: int) -> None:
 
 
 def unsourced(file: Path, text: str) -> Iterator[str]:
-    """The measured figures of sections that do not say where they come from."""
+    """Measured figures of sections without a source."""
     prose = "\n".join(place.text for place in Document(file, without_blocks(text)).prose)
     for section in re.split(r"\n(?=#)", prose):
         if SOURCE.search(section):

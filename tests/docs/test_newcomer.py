@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The path of a newcomer from a CSV log to a report: each command is read in the output of the one before."""
+"""A newcomer's path from a CSV log to a report: the output of each command suggests the next one."""
 
 import re
 import shlex
@@ -15,12 +15,12 @@ from trackslip_tools.cli.main import main
 MOST = 10  # commands
 _SUGGESTED = re.compile(r"(?:next|machine of yours): (trackslip [^;\n]+)|see (trackslip --help)")
 _GUESSED = re.compile(r"^guessed: unit of (\w+): ", re.MULTILINE)
-MINE = {"LOG.csv": "log.csv"}  # what a reader puts in
-UNITS = {"v_left": "km/h", "v_right": "km/h", "yaw_rate": "deg/s", "t": "s"}  # which no name states
+MINE = {"LOG.csv": "log.csv"}  # replaced by the reader
+UNITS = {"v_left": "km/h", "v_right": "km/h", "yaw_rate": "deg/s", "t": "s"}  # not part of the column names
 
 
 def correct(mapping: Path, columns: list[str]) -> None:
-    """The units of these columns, as a reader does who is told that they are guessed."""
+    """Set the units of these columns, as a reader would after the note that they are guessed."""
     for name in columns:
         text = mapping.read_text(encoding="utf-8")
         changed = re.sub(rf"(column: {name}, unit: )[\w/]+", rf"\g<1>{UNITS.get(name, 'deg')}", text)
@@ -31,7 +31,7 @@ def correct(mapping: Path, columns: list[str]) -> None:
 def commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Iterator[str]:
-    """Each that was suggested, from ``trackslip`` on; it runs when the next one is asked for."""
+    """Each suggested command, starting with ``trackslip``; it runs when the next one is requested."""
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "log.csv")
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The notebooks of docs/ run from top to bottom, and hold no output of an earlier run."""
+"""The notebooks of docs/ run from top to bottom, and are stored without output."""
 
 import json
 from pathlib import Path
@@ -31,5 +31,5 @@ def test_notebook_runs(notebook: Path, tmp_path: Path) -> None:
     nbclient = pytest.importorskip("nbclient", reason="pip install -r requirements/notebooks.txt")
     nbformat = pytest.importorskip("nbformat")
     book = nbformat.read(notebook, as_version=4)
-    resources = {"metadata": {"path": str(tmp_path)}}  # where its files go
+    resources = {"metadata": {"path": str(tmp_path)}}  # folder of its files
     nbclient.NotebookClient(book, timeout=600, resources=resources).execute()

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands and Python of the pages for newcomers run as they are written, one after the other in one folder.
+"""Commands and Python of the pages for newcomers run as written, in order and in one folder.
 
-``trackslip`` runs in this process, so that libraries load once. A shell gets the same lines in
-tests/scripts/test_wheel.py.
+``trackslip`` runs in this process, so that libraries load once. tests/scripts/test_wheel.py runs the same
+lines in a shell.
 """
 
 import shlex
@@ -30,7 +30,7 @@ NOT_RUN = {  # with the reason
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The working directory, with what a reader has before: the demo's bag and a log."""
+    """The working directory with the files that a reader already has: the demo's bag and a log."""
     place = tmp_path_factory.mktemp("reader")
     (place / "out/demo").mkdir(parents=True)
     shutil.copytree(ROOT / "bags/slalom_sand", place / "out/demo/bag")
@@ -41,9 +41,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def run_page(page: Path) -> None:
-    """All code of a page; its Python shares one namespace, its YAML is the mapping of the line below it.
+    """Run all code of a page; its Python shares one namespace, its YAML is the mapping of the line below.
 
-    A line that another page has too runs once.
+    A line that occurs on several pages runs once.
     """
     names: dict[str, object] = {}
     for code in code_of(page):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reference pages are those of today's declarations; every page is in the site's navigation."""
+"""Reference pages match the current declarations; every page is in the site's navigation."""
 
 import re
 

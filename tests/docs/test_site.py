@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The site of make docs, opened as files: nothing comes from the net, and the search finds pages."""
+"""The site of make docs, opened as files: it loads nothing from the network, and its search finds pages."""
 
 import subprocess
 import sys

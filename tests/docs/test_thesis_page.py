@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The functions and tests that ``docs/thesis.md`` names are there."""
+"""Functions and tests that ``docs/thesis.md`` names exist."""
 
 import importlib
 import re
@@ -32,7 +32,7 @@ def is_importable(name: str) -> bool:
 
 
 def functions() -> list[str]:
-    """Dotted names in the second column; a bare one is of the module named before it."""
+    """Dotted names in the second column; a bare name belongs to the module named before it."""
     found = []
     for row in ROWS:
         module = ""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A serial line delivers whole characters at its rate, in order, none twice."""
+"""A serial line delivers whole characters at its rate, in order, each once."""
 
 import random
 

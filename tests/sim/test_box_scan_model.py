@@ -59,7 +59,7 @@ def test_walls_and_posts_hide_what_is_behind(box):
 
 
 def test_each_beam_sees_the_box_at_its_own_time(box):
-    speed = 50.0  # m/s, so that it shows
+    speed = 50.0  # m/s, for a visible effect
 
     def pose_at(times):
         return 6.0 + speed * times, np.zeros_like(times), np.zeros_like(times)

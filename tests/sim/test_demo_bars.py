@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimate on drives like the demo's stays within its limits, on firm soils and soft."""
+"""The estimate on drives like the demo's stays within its error limits, on firm and soft soils."""
 
 from pathlib import Path
 

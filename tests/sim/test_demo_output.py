@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's directory: nothing in it is removed that a demo did not make."""
+"""The demo removes only files in its directory that a demo made."""
 
 import math
 import os
@@ -57,7 +57,7 @@ def test_every_log_of_a_demo_is_among_its_results(gnss):
 
 
 def test_two_demos_use_different_domains(monkeypatch):
-    """Also where their process ids lead to the same one."""
+    """Domains differ even if the process ids map to the same one."""
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     with claimed_domain() as first:
         monkeypatch.setattr(os, "getpid", lambda: first - 1)
@@ -123,7 +123,7 @@ def test_status_lines_fit_80_columns(known):
 
 @pytest.fixture
 def started(tmp_path, monkeypatch):
-    """Starts a node that is a shell script; it says that it is up."""
+    """Starter of a node that is a shell script; returns once it has printed that it is up."""
 
     def start(name, script):
         program = tmp_path / "lib" / "some" / name
@@ -146,7 +146,7 @@ def test_killed_node_is_reported(started, monkeypatch, capsys):
 
 
 def test_second_ctrl_c_ends_a_node_that_lost_the_first(started, monkeypatch, capsys):
-    """Python ignores exceptions in start-up hooks of the installation."""
+    """The first Ctrl-C can be lost: Python ignores exceptions in start-up hooks of the installation."""
     monkeypatch.setattr("trackslip_sim.demo.processes._AGAIN", 0.1)
     lose = """trap 'trap "exit 0" INT; echo lost' INT"""
     processes = started("late", f"{lose}\necho up\nwhile :; do sleep 0.05; done\n")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo calls a shortfall."""
+"""Results that the demo reports as a shortfall."""
 
 import pytest
 

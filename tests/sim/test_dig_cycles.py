@@ -22,11 +22,11 @@ from trackslip_tools.replay.run import replay
 
 WITHOUT = {"swing_sources": [""]}
 BARS = [(True, 0.01), (False, 0.03)]
-_BEGUN = 10.0  # s, for the first drive to show the heading
+_BEGUN = 10.0  # s, for the heading to become observable in the first drive
 
 
 class Run(NamedTuple):
-    """Errors of a replay at its estimates."""
+    """Errors of a replay at the times of its estimates."""
 
     t: FloatArray  # (k,) s
     errors: FloatArray  # (k, 4) x, y, heading, swing
@@ -35,7 +35,7 @@ class Run(NamedTuple):
     swing_rmse: float | None
 
     def longest_beyond(self, column: int) -> float:
-        """The longest time for which an error is more than three standard deviations, s."""
+        """Longest time for which an error exceeds three standard deviations, s."""
         beyond = np.abs(self.errors[:, column]) > 3.0 * self.stddevs[:, column]
         edges = np.flatnonzero(np.diff(np.concatenate(((0,), beyond.astype(np.int64), (0,)))))
         spans = self.t[edges[1::2] - 1] - self.t[edges[::2]]
@@ -108,7 +108,7 @@ def test_the_summary_has_the_swing(short: Path, tmp_path: Path) -> None:
 def test_errors_stay_within_bounds_over_twenty_minutes_of_dig_cycles(
     tmp_path: Path, soil: str, seed: str
 ) -> None:
-    """Ten slews and more of half a turn; on dry clay the box localizer takes a wrong quarter for 17 s."""
+    """At least ten slews of half a turn; on dry clay the box localizer is a quarter turn off for 17 s."""
     bag = record(tmp_path / "bag", 1200.0, "--soil", soil, "--seed", seed)
     for encoder, most in BARS:
         found = run(bag, encoder)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random drives of random machines: four of the forty of ``make drives``, and the generator itself."""
+"""Random drives of random machines: four of the forty of ``make drives``, and their generator."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ from trackslip_sim.machine.drawn import DrawnMachine, MotionErrors, integrated
 def test_an_untuned_estimator_is_consistent_on_drawn_machines() -> None:
     scores = [scored(seed)[2] for seed in range(4)]
     assert missed_bars(scores) == []
-    assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes there were
+    assert sum(len(s.ends) for s in scores) >= 4  # minutes without fixes
     assert max(s.refused_in_a_row for s in scores) <= 3
 
 
 def test_tables_fit_a_terminal() -> None:
-    """Those of ``make bars`` and ``make drives``."""
+    """The tables of ``make bars`` and ``make drives``."""
     ends = np.array((10.21, 1.23, 0.27))
     score = Score(0.0123, 12.34, 10.1, np.array((10.4, 0.2, 1.7)), ends, ends, 3)
     lines = [

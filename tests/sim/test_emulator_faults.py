@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the emulated excavator: what is refused, and what each does, in simulated time."""
+"""Faults of the emulated excavator: refused settings, and the effect of each fault in simulated time."""
 
 import dataclasses
 import itertools
@@ -65,7 +65,7 @@ def test_text_and_scenario_hold_the_same_record():
 
 
 def run(*faults, seconds=12.0, step_ns=2 * MS):
-    """What leaves the machine: (ns, frames, bytes of the inertial unit, bytes of the scanner)."""
+    """Output of the machine: (ns, frames, bytes of the inertial unit, bytes of the scanner)."""
     excavator = EmulatedExcavator(PARAMETERS, TRUTH, 0)
     for fault in faults:
         excavator.faults.add(fault, 0)
@@ -76,7 +76,7 @@ def run(*faults, seconds=12.0, step_ns=2 * MS):
 
 
 def between(sent, start, stop, column):
-    """The non-empty things of one column in [start, stop) s."""
+    """The non-empty entries of one column in [start, stop) s."""
     return [row[column] for row in sent if start * S <= row[0] < stop * S and row[column]]
 
 
@@ -174,7 +174,7 @@ def test_noise_is_a_share_of_full_scale():
     spread = [
         np.std([which.imu(k * S // 100).angular_velocity[0] for k in range(1000)]) for which in (noisy, quiet)
     ]
-    assert spread[0] == pytest.approx(np.radians(2.0), rel=0.1)  # of 200 °/s
+    assert spread[0] == pytest.approx(np.radians(2.0), rel=0.1)  # at 200 °/s
     assert spread[1] == pytest.approx(PARAMETERS.noise.gyro_stddev, rel=0.1)
     loud = readings(Fault("can", "noise", 0.0, 20.0, 0.1))
     supply = [loud.hydraulics(k * S // 100).supply_pressure for k in range(1000)]
@@ -196,7 +196,7 @@ def test_faults_of_the_scanner():
     assert (bad.status(S), bad.status(11 * S)) == (0, 0x80)
     noisy, plain = bad.ranges(21 * S), readings().ranges(21 * S)
     seen = np.isfinite(plain)
-    assert np.std(noisy[seen] - plain[seen]) == pytest.approx(1.0, rel=0.2)  # of 50 m
+    assert np.std(noisy[seen] - plain[seen]) == pytest.approx(1.0, rel=0.2)  # at 50 m
 
 
 def test_port_comes_back_under_its_name(tmp_path):
@@ -213,7 +213,7 @@ def test_port_comes_back_under_its_name(tmp_path):
 
 @pytest.mark.parametrize("kind", ["a file", "a link to a file", "a directory"])
 def test_file_of_the_user_is_not_replaced_by_a_port(tmp_path, kind):
-    """``device_directory`` has a file named as a port."""
+    """``device_directory`` contains a file with the name of a port."""
     mine, named = tmp_path / "mine", tmp_path / "watson"
     mine.write_text("years of work", encoding="utf-8")
     {

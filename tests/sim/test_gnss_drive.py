@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated drives of a machine of 20 t with a GNSS receiver and no laser: bag, replay, and their bars."""
+"""Emulated drives of a 20 t machine with a GNSS receiver and no laser: bag, replay, and error limits."""
 
 import json
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
 from trackslip_tools.cli.main import main
 
-OFFSET = 1.2  # rad, of the antenna pair
+OFFSET = 1.2  # rad, mounting angle of the antenna pair
 SEGMENTS = [
     *((1.0, 0.0, 0.0), (8.0, 1.5, 1.5), (8.0, 0.8, 1.6)),
     *((6.0, 1.8, 1.8), (8.0, 1.6, 0.8), (12.0, 1.5, 1.4), (9.0, 1.7, 1.2), (8.0, 1.6, 1.6)),
@@ -49,7 +49,7 @@ def record(path: Path, faults: list[dict[str, Any]]) -> Path:
 
 
 def replayed(bag: Path, vehicle: str = "excavator_20t", **changed: Any) -> dict[str, Any]:
-    """The summary of ``trackslip replay`` with ``config/gnss.yaml``."""
+    """Summary of ``trackslip replay`` with ``config/gnss.yaml``."""
     options = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in changed.items()]
     command = ["replay", bag, "--vehicle", vehicle, "--params", config_file("gnss.yaml"), *options]
     found: dict[str, Any] = json_of(bag.parent, *command)
@@ -63,7 +63,7 @@ def fixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("use_attitude", [False, True])
 def test_errors_with_rtk_and_heading_stay_within_their_bars(fixed: Path, use_attitude: bool) -> None:
-    """The tilt error displaces an antenna at 3 m height; an inertial unit of 12 Hz would give 26 mm."""
+    """A tilt error displaces an antenna at 3 m height; the error with a 12 Hz inertial unit is 26 mm."""
     found = replayed(fixed, **{"sources.heading.offset": OFFSET, "use_attitude": use_attitude})
     assert found["rmse"]["filter"] <= 0.023
     assert found["rmse"]["heading"] <= 0.005
@@ -82,7 +82,7 @@ def test_velocities_of_the_receiver_keep_the_bars(fixed: Path) -> None:
 
 @pytest.mark.slow
 def test_inertial_unit_of_the_20_t_machine_has_100_hz(fixed: Path, tmp_path: Path) -> None:
-    """An unplugged unit is silent."""
+    """An unplugged unit sends no messages."""
     with open_bag(fixed) as bag:
         stamps = np.array([m.log_time_ns for m in bag.messages(["/imu/data_raw"])])
     assert np.all(np.diff(stamps) == 10_000_000)
@@ -94,7 +94,7 @@ def test_inertial_unit_of_the_20_t_machine_has_100_hz(fixed: Path, tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def on_cab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """``dig_cycles`` of a PC05 whose antennas and gyro are on its cab, without an encoder of the swing."""
+    """``dig_cycles`` of a PC05 with antennas and gyro on its cab and without a swing encoder."""
     folder = tmp_path_factory.mktemp("cab")
     cab = load_vehicle("pc05_cab")
     assert cab.sensors is not None
@@ -118,8 +118,8 @@ def test_antennas_on_a_cab_without_an_encoder_give_an_estimate(on_cab: Path) -> 
 @pytest.mark.parametrize(
     ("soil", "seed", "most", "least_nees"),
     [
-        ("sand", 3, 0.021, 1.0),  # the lean of a high antenna is common to all fixes: 28 mm as white noise
-        ("clayey_soil", 7, 0.02, 0.4),  # tracks that spin at the start: 36 mm as a delay of 50 ms
+        ("sand", 3, 0.021, 1.0),  # tilt error common to all fixes of a high antenna: 28 mm if modelled white
+        ("clayey_soil", 7, 0.02, 0.4),  # tracks spin at the start: 36 mm if modelled as a delay of 50 ms
     ],
 )
 def test_a_minute_on_soft_soil_keeps_the_bars(
@@ -163,7 +163,7 @@ def test_replay_reads_headings_as_the_node_does(fixed: Path, tmp_path: Path, kin
 
 @pytest.mark.parametrize("kind", ["imu", "quaternion"])
 def test_calibration_uses_the_heading_source(fixed: Path, tmp_path: Path, kind: str) -> None:
-    """Fixes of one antenna have no heading, and without headings there is no scale of the gyro."""
+    """Fixes of one antenna have no heading; without headings the gyro scale is not observable."""
     path = fixed if kind == "imu" else _with_quaternions(fixed, tmp_path / "bag")
     findings = json_of(tmp_path, "calibrate", path, "--params", config_file("gnss.yaml"))["findings"]
     assert findings["gyro_scale"]["value"] == pytest.approx(1.0, abs=0.02)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Texts and disks that mean no good, given to the emulator and to ``trackslip simulate``."""
+"""Hostile texts and full disks, given to the emulator and to ``trackslip simulate``."""
 
 from collections.abc import Callable
 from pathlib import Path

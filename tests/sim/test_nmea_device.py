@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated receiver, and the way of its bytes through protocol and localizer; a hundred faults."""
+"""The emulated receiver with driver protocol and localizer; a hundred faults."""
 
 import random
 from dataclasses import replace
@@ -35,13 +35,13 @@ MAP = from_flat(
 
 
 def pose_at(stamp_ns):
-    """Along a curve."""
+    """Pose on a curve."""
     t = stamp_ns / S
     return Placement(x=0.4 * t, y=3.0 * np.sin(0.1 * t), yaw=0.05 * t)
 
 
 class Chain:
-    """Receiver, line, driver's protocol, localizer."""
+    """Receiver, line, driver protocol and localizer."""
 
     def __init__(self, *faults, gnss=GNSS):
         self.faults = Faults(faults, 0)
@@ -57,7 +57,7 @@ class Chain:
         self._off = False
 
     def run(self, seconds):
-        """(stamp s, east error m, north error m, stddev m) of each place, and the headings."""
+        """(stamp s, east error m, north error m, stddev m) of each fix, and the headings."""
         places, headings = [], []
         for _ in range(round(seconds * 500)):
             self.now_ns += 2 * MS
@@ -112,7 +112,7 @@ def test_fixes_come_at_their_rate_within_their_error_and_at_their_epochs(rate):
     assert len(places) == pytest.approx(20.0 * rate, abs=2)
     assert len(headings) == len(chain.velocities) == pytest.approx(20.0 * rate, abs=2)
     assert np.sqrt(np.mean(places[:, 1:3] ** 2)) == pytest.approx(0.01, rel=0.25)
-    epochs = places[places[:, 0] > 1.0, 0]  # by then one answer was prompt
+    epochs = places[places[:, 0] > 1.0, 0]  # after the first reply without delay
     assert np.abs(epochs - np.round(epochs * rate) / rate).max() < 0.001
     errors = [h.yaw - pose_at(h.stamp_ns).yaw for h in headings]
     assert np.std(errors) == pytest.approx(0.0035, rel=0.2)
@@ -128,10 +128,10 @@ def test_fixed_float_none_fixed():
     floating = (stamps > 10.1) & (stamps < 39.9)
     assert set(np.round(places[floating, 3], 6)) == {0.3}
     assert 0.05 < np.sqrt(np.mean(errors[floating] ** 2)) < 1.0
-    assert np.abs(np.diff(errors[floating])).max() < 0.3  # it wanders
+    assert np.abs(np.diff(errors[floating])).max() < 0.3  # a slow drift
     assert not ((stamps > 40.1) & (stamps < 44.9)).any()
     assert errors[stamps > 45.0].max() < 0.06
-    assert len([h for h in headings if 10.1 * S < h.stamp_ns < 39.9 * S]) > 290  # they need no corrections
+    assert len([h for h in headings if 10.1 * S < h.stamp_ns < 39.9 * S]) > 290  # independent of corrections
     assert not [h for h in headings if 40.1 * S < h.stamp_ns < 44.9 * S]
     assert chain.tally.by_source()["fix"]["no fix"] == 50
 
@@ -181,13 +181,13 @@ KINDS = {
 
 @pytest.mark.slow
 def test_a_hundred_faults_are_survived():
-    """Unplugged, garbage, wrong baud, rebooted, leap seconds, another datum: fixes come back."""
+    """Fixes return after unplugging, garbage, a wrong baud rate, a reboot, leap seconds or another datum."""
     chooser, chain = random.Random(7), Chain()
     chain.run(2.0)
     for count in range(100):
         kind = list(KINDS)[count % len(KINDS)]
         begin, duration = chain.now_ns / S, chooser.uniform(0.2, 2.0)
-        if kind == "another datum":  # the base is set up in another frame: all is 1.7 m off for a while
+        if kind == "another datum":  # base station in another frame: a temporary offset of 1.7 m
             chain.faults.add(Fault("gnss", "multipath", begin, duration, 1.7), chain.now_ns)
         else:
             value = KINDS[kind] or 0.0

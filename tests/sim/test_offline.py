@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Drives recorded faster than real time: nothing is lost by skipping, by streaming, or by writing columns."""
+"""Drives recorded faster than real time: skipping, streaming and writing by columns lose nothing."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -83,7 +83,7 @@ def test_simulation_in_pieces_writes_the_same_bag(
     window = TruthWindow(simulate_in_pieces(SCENARIO), duration_of(SCENARIO, load_settings()))
     record_drive(PARAMETERS, window, tmp_path / "bag")
     assert messages(tmp_path / "bag") == recorded
-    assert window.truth.t[0] > 1.0  # what is past has been forgotten
+    assert window.truth.t[0] > 1.0  # the past is discarded
 
 
 def test_window_keeps_the_recent_past() -> None:
@@ -158,7 +158,7 @@ def test_columns_make_the_messages_of_the_drivers_own_conversions() -> None:
 
 
 def test_columns_of_every_kind_of_field() -> None:
-    """Text, a list of texts, arrays, sequences, small numbers before large ones."""
+    """Texts, lists of texts, arrays, sequences, and small numbers before large ones."""
     blank = make(
         "trackslip_msgs/msg/SoilEstimate",
         class_names=["sand", "dry_clay"],

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files, and each way of getting one wrong."""
+"""Scenario files: valid ones, and each kind of error."""
 
 from pathlib import Path
 from typing import Any

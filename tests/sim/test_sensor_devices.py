@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Emulated Watson unit and excavator bus: rates, commands, and the way through the drivers' parsers."""
+"""Emulated Watson unit and excavator bus: rates, commands, and the data as the drivers parse them."""
 
 import math
 
@@ -53,11 +53,11 @@ def test_lines_at_the_units_rate_with_true_values_and_stamps(parser):
     device = unit()
     samples = run(device, parser, 0, 65 * S)
     assert len(samples) == pytest.approx(60 * 11.85, abs=1)
-    assert device.lines_emitted - len(samples) in (0, 1)  # one may be on the line
+    assert device.lines_emitted - len(samples) in (0, 1)  # one may still be on the line
     assert dict(parser.tally.total) == {("imu/data_raw", "text, no data"): len(BANNER)}
     for k, sample in enumerate(samples):
         true_ns = 5 * S + 6 * TICK_NS * k
-        assert 0 <= sample.stamp_ns - true_ns <= MS  # the step of the poll
+        assert 0 <= sample.stamp_ns - true_ns <= MS  # the polling step
         truth = motion(true_ns)
         assert sample.acceleration == pytest.approx(truth.acceleration, abs=0.0005 * 9.80665 + 1e-9)
         assert sample.angular_velocity == pytest.approx(
@@ -135,14 +135,14 @@ def test_bus_through_the_driver_in_simulated_time():
     assert device.frames_emitted == {ENCODERS: 2000, SPOOLS: 2000, PRESSURES: 2000}
     assert len(rolls) == 1999
     assert len(forces) == 2000
-    assert set(driver.tally.total.values()) == {1}  # the first reading of each encoder, and nothing else
+    assert set(driver.tally.total.values()) == {1}  # only the first reading of each encoder
     per_count = 2.0 * math.pi / 12288
     right_start = rolls[0].right_position - sprockets(rolls[0].stamp_ns).right_position
     for sample in rolls[10:]:
         truth = sprockets(sample.stamp_ns)
         assert sample.left_position == pytest.approx(truth.left_position, abs=1.001 * per_count)
         assert sample.right_position - right_start == pytest.approx(truth.right_position, abs=2 * per_count)
-        assert sample.left_velocity == pytest.approx(truth.left_velocity, abs=0.04)  # noise, and 20 ms of lag
+        assert sample.left_velocity == pytest.approx(truth.left_velocity, abs=0.04)  # noise, and 20 ms lag
     for sample in forces:
         truth = hydraulics(sample.stamp_ns)
         assert sample.left_pressure == pytest.approx(truth.left_pressure, abs=501.0)

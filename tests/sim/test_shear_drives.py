@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Manoeuvres on the shear truth in which the estimate must stay inside what it claims."""
+"""Manoeuvres on the shear truth in which the errors are consistent with the covariance."""
 
 import math
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fixtures.shear_drives import replayed
 
-KNOWN = 20.0  # s, until the fixes have shown the pose to millimetres
+KNOWN = 20.0  # s, until the fixes have determined the pose to millimetres
 TO_AND_FRO = [(3.0, 0.0, 0.0), (5.0, 2.0, 2.0), (3.0, 0.0, 0.0), (5.0, -2.0, -2.0)]
 TURNS = [
     *((5.0, 0.0, 0.0, math.pi / 2.0), (8.0, 2.2, 2.2), (6.0, 1.1, 2.2), (8.0, -1.9, -1.9), (2.0, 0.0, 0.0)),
@@ -29,9 +29,9 @@ def test_estimate_is_consistent_while_tracks_shear_the_soil_at_a_start(soil: str
 
 @pytest.mark.slow
 def test_estimate_of_a_tight_turn_does_not_drive_on(tmp_path: Path) -> None:
-    """With the cab to the left the left track bears most of the load, and the right one spins.
+    """The cab points to the left: the left track bears most of the load, and the right one spins.
 
-    The machine hardly turns and hardly drives.
+    The machine hardly turns or moves.
     """
     blind_from = sum(duration for duration, *_ in TURNS)
     segments = [*TURNS, TIGHT, (1.0, 0.0, 0.0)]

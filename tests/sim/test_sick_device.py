@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated scanner answers each command as the table of telegrams says."""
+"""The emulated scanner answers each command as specified in the table of telegrams."""
 
 from dataclasses import replace
 
@@ -31,12 +31,12 @@ INSTALL = commands.installation_mode(b"SICK_PLS")
 
 
 def stairs(stamp_ns: int) -> NDArray[np.float64]:
-    """(361,) m, one centimetre a ray."""
+    """(361,) ranges, m, one centimetre longer per ray."""
     return 1.0 + 0.01 * np.arange(361, dtype=np.float64)
 
 
 class Terminal:
-    """Talks to a device that has booted; every answer is heard whole."""
+    """A host of a booted device; receives each answer in whole."""
 
     def __init__(self, parameters: SickParameters = PLS) -> None:
         self.now_ns = 0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors of a machine on a slope measure, as a bag has it."""
+"""Measurements of the sensors of a machine on a slope, as recorded in a bag."""
 
 import math
 from typing import Any
@@ -92,7 +92,7 @@ def test_accelerometers_feel_gravity_and_motion(bag: dict[str, Any], truth: Trut
     changes = [np.interp(times, truth.t, np.gradient(v, truth.t)) for v in (truth.v_x, truth.v_y)]
     ahead, left = changes[0] - at.yaw_rate * at.v_y, changes[1] + at.yaw_rate * at.v_x
     assert np.degrees(at.pitch).min() < -10.0  # nose up
-    np.testing.assert_allclose(felt[:, 0], gravity[:, 0] + ahead, atol=0.011)  # 1 mg of the line
+    np.testing.assert_allclose(felt[:, 0], gravity[:, 0] + ahead, atol=0.011)  # resolution of the line: 1 mg
     np.testing.assert_allclose(felt[:, 1], gravity[:, 1] + left, atol=0.011)
     np.testing.assert_allclose(felt[:, 2], gravity[:, 2], atol=0.05)
 
@@ -102,7 +102,7 @@ def test_gyros_feel_all_three_rates(bag: dict[str, Any], truth: Truth) -> None:
     rates = np.array([(m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z) for m in messages])
     at = truth.interpolate(times)
     expected = np.column_stack((at.roll_rate, at.pitch_rate, at.yaw_rate))
-    np.testing.assert_allclose(rates, expected, atol=2e-4)  # 0.01 °/s of the line
+    np.testing.assert_allclose(rates, expected, atol=2e-4)  # resolution of the line: 0.01 °/s
     assert (np.abs(expected).max(axis=0) > (0.004, 0.02, 0.1)).all()
 
 
@@ -129,7 +129,7 @@ def test_an_antenna_leans_with_the_machine(bag: dict[str, Any], truth: Truth) ->
     errors = fixes - antennas[:, :2]
     assert np.sqrt(np.mean(errors**2)) < 0.015
     upright = np.column_stack((truth.interpolate(times).x, truth.interpolate(times).y))
-    assert np.hypot(*(antennas[:, :2] - upright).T).max() > 0.5  # 2 m high on up to 15°
+    assert np.hypot(*(antennas[:, :2] - upright).T).max() > 0.5  # 2 m high, tilted by up to 15°
     _, messages = of_drive(bag["/fix"], truth.duration, 0.5)
     climb = np.array([m.altitude for m in messages]) - PARAMETERS.gnss.altitude
     assert climb == pytest.approx(antennas[:, 2], abs=0.1)

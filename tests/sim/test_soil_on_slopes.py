@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator on slopes of the shear truth: weight is no resistance, and a slope no other soil."""
+"""The soil estimator on slopes of the shear truth: weight is no resistance; the soil class stays the same."""
 
 from typing import Any
 

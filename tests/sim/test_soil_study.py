@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator's study: what it feeds, and what it makes of what comes out."""
+"""The soil estimator's study: its inputs and its scores."""
 
 import math
 from dataclasses import replace
@@ -55,7 +55,7 @@ def driven(*segments: tuple[float, float, float], patches: tuple[Patch, ...] = (
     return drive(TRIAL, scenario)
 
 
-# What is driven and fed
+# Inputs
 
 
 def test_a_drawn_machine_is_another_one_at_each_seed() -> None:
@@ -93,7 +93,7 @@ def test_readings_are_the_truth_with_noise_and_offsets(setting: Setting) -> None
     late = [k for k, m in enumerate(arrivals) if isinstance(m, PoseFix) and m.stamp_ns > START_NS]
     assert all(
         arrivals[k + 1].stamp_ns > arrivals[k].stamp_ns for k in late[:-2]
-    )  # they come when they are old
+    )  # a fix arrives late, with an old stamp
 
 
 def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
@@ -109,14 +109,14 @@ def test_a_run_is_near_the_truth_and_repeats_itself(setting: Setting) -> None:
     assert last.classes["sand"] == found.probability
 
 
-# What is made of it
+# Scores
 
 
 def test_a_turn_is_steady_once_it_has_lasted() -> None:
     truth = driven((3.0, 2.0, 2.0), (5.0, 1.2, 2.2), (5.0, 1.9, 2.0), (5.0, 2.2, 1.2), (4.0, 2.2, 1.8))
     times = np.arange(0.0, truth.duration, 0.25)
     steady = times[steady_turns(truth, times)]
-    turns = ((5.0, 8.25), (15.0, 18.25), (20.0, 22.0))  # from 2 s after each begins to its end
+    turns = ((5.0, 8.25), (15.0, 18.25), (20.0, 22.0))  # from 2 s after the start of each turn to its end
     within = [[low <= t <= high for low, high in turns] for t in steady]
     assert all(any(row) for row in within)
     assert all(any(column) for column in zip(*within, strict=True))

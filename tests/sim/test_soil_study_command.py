@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip study --estimator soil``: its files, its memory, and what it refuses."""
+"""``trackslip study --estimator soil``: its files, its use of the cache, and its refusals."""
 
 import json
 import math
@@ -32,7 +32,7 @@ def command(tmp_path: Path) -> list[str]:
 
 
 class Counted:
-    """``run`` without driving, which stops at one of its calls."""
+    """``run`` without a simulation; raises KeyboardInterrupt at the chosen call."""
 
     def __init__(self, stop_at: int | None = None) -> None:
         self.trials: list[Trial] = []
@@ -69,7 +69,7 @@ def test_command_writes_rows_and_tables(
     kinds = [SoilRow] * 4 + [ChangeRow] * 2
     assert [row.keys() for row in rows] == [{field.name for field in fields(kind)} for kind in kinds]
     assert (rows[0]["F_max_inside"], rows[0]["seeds"]) == (2, 2)
-    assert rows[4]["recognised_after"] is None  # never: JSON knows no infinity
+    assert rows[4]["recognised_after"] is None  # never: JSON has no infinity
     shown, error = capsys.readouterr()
     whole = (tmp_path / "soil_table.md").read_text()
     assert whole.startswith(f"{BEGINNING}\n")
@@ -85,7 +85,7 @@ def test_command_writes_rows_and_tables(
 
 
 def timeless(shown: str) -> list[str]:
-    """Its lines, but for the one that has the time which the study took."""
+    """The lines of the output, except the one with the duration of the study."""
     return [line for line in shown.splitlines() if not re.fullmatch(r"\d+ .* in [\d.]+ s", line)]
 
 
@@ -133,7 +133,7 @@ def test_both_studies_may_share_a_file(tmp_path: Path) -> None:
     file, result = tmp_path / "pieces.jsonl", Counted()(Trial("sand", 0.05, 0), load_setting())
     Cache(file, Result).add("a key", result)
     assert Cache(file, Row).get("a key") is None
-    assert repr(Cache(file, Result).get("a key")) == repr(result)  # nan is no equal of itself
+    assert repr(Cache(file, Result).get("a key")) == repr(result)  # nan differs from itself
 
 
 @pytest.mark.slow
@@ -160,7 +160,7 @@ def test_several_processes_give_the_rows_of_one(
         ]
         rows.append(json_of(tmp_path, *command, *options))
     assert rows[0] == rows[1]
-    assert rows[0][0]["M_r_error"] is None  # it did not turn
+    assert rows[0][0]["M_r_error"] is None  # no turn
     assert 0.0 < rows[0][0]["driving_thrust_error"] < 0.1
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The study's own arithmetic: what it feeds the filters, its bound, and whether it catches a bad filter."""
+"""The study: the filters' inputs, the bound, and the detection of inconsistent filters."""
 
 from dataclasses import replace
 from typing import Any
@@ -65,7 +65,7 @@ def speeds_of(drives: NDArray[np.void]) -> FloatArray:
 
 
 def steady(drives: NDArray[np.void], p: SlipEstimatorParameters) -> FloatArray:
-    """(k, 2) the speeds that slips are computed from, rad/s."""
+    """(k, 2) the speeds from which slips are computed, rad/s."""
     found = []
     for drive in drives:
         motion, changing, *rest = drive["motion"].item()
@@ -78,7 +78,7 @@ def scored(setting: Setting, trial: Trial) -> Sums:
     return score(setting, trial, least(setting, trial))
 
 
-# What the filters are fed
+# Inputs of the filters
 
 
 def test_filters_get_rounded_sprockets_and_the_truth_exact_ones(bench: Bench) -> None:
@@ -90,7 +90,7 @@ def test_filters_get_rounded_sprockets_and_the_truth_exact_ones(bench: Bench) ->
     np.testing.assert_allclose(np.cumsum(true[samples, 0]) * PERIOD, truth.left_angle[samples], atol=1e-9)
     np.testing.assert_allclose(np.cumsum(true[samples, 1]) * PERIOD, truth.right_angle[samples], atol=1e-9)
     off = speeds_of(drive.rows.drives[samples]) - true[samples]
-    assert step / 3.0 < np.abs(off).max() < step  # rad/s of one count
+    assert step / 3.0 < np.abs(off).max() < step  # rad/s per count
     straight = truth.t[samples] % 6.0 > 5.0  # the slalom turns every six seconds
     smooth = steady(drive.rows.drives[samples], estimator) - true[samples]
     assert np.std(smooth[straight]) < np.std(off[straight]) / 3.0
@@ -114,7 +114,7 @@ def test_noise_is_as_large_as_the_filters_assume(bench: Bench) -> None:
 
 
 def assert_same(rows: Any, others: Any) -> None:
-    """Field by field: nan is what was not measured."""
+    """Assert equality field by field, with nan equal to nan (not measured)."""
     if rows.dtype.names is None:
         np.testing.assert_array_equal(rows, others)
         return
@@ -151,7 +151,7 @@ def test_drive_without_motion_is_refused(estimator: SlipEstimatorParameters) -> 
 
 
 def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters) -> None:
-    """In a steady turn."""
+    """The bound in a steady turn equals the textbook recursion."""
     config, rows = make_config(estimator), Rows(np.zeros(60, MEASUREMENT), np.zeros(60, STATE))
     config["stamp_errors"] = 0.0
     rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, 61)
@@ -161,7 +161,7 @@ def test_the_bound_is_the_textbook_recursion(estimator: SlipEstimatorParameters)
     rows.drives["motion"]["motion"] = Motion.TURNING
     x, P = config["prior_mean"][0].copy(), config["prior_covariance"][0].copy()
     x[OF_POSE], P[OF_POSE, OF_POSE] = (1.0, 2.0, 0.5), fix
-    spare = np.flatnonzero(np.diag(P) == 0.0)  # of sources that there are not
+    spare = np.flatnonzero(np.diag(P) == 0.0)  # of absent sources
     P[spare, spare] = 1e-4
     states, expected = expected_bound(rows, x, P, config, {POSE: lambda x: x[OF_POSE]})
     assert_same_bound(bound(rows, states, x, P, config)[-1], expected, 1e-5)
@@ -177,11 +177,11 @@ def test_kalman_filter_attains_the_bound_of_a_linear_problem(bench: Bench) -> No
         assert attained == pytest.approx(1.0, abs=0.12)
 
 
-# What it says of filters
+# Scores of filters
 
 
 def test_bounds_of_a_mean_are_those_of_chi_squared() -> None:
-    assert mean_bounds(3, 1) == pytest.approx((0.2158, 9.3484), abs=1e-4)  # printed tables
+    assert mean_bounds(3, 1) == pytest.approx((0.2158, 9.3484), abs=1e-4)  # from printed tables
     low, high = mean_bounds(2, 100)
     draws = chi2.rvs(2, size=(20_000, 100), random_state=0).mean(axis=1)
     assert np.mean((low <= draws) & (draws <= high)) == pytest.approx(0.95, abs=0.01)
@@ -203,7 +203,7 @@ def test_on_its_own_model_a_filter_is_consistent_and_near_the_bound(filter_: str
 
 @pytest.mark.parametrize("filter_", ["ekf", "daf"])
 def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyParameters) -> None:
-    """Its records are longer than its state: what is beyond has no variance and stays zero."""
+    """Entries of a record beyond the model's state have no variance and stay zero."""
     bench = make_bench(p, load_slip_parameters({"model": "free_slips"}))
     assert_consistent(bench.row(cell(MATCHED, filter_)))
     assert not bench.trial(cell(MATCHED, filter_)).states[:, free_slips.ACTIVE :].any()
@@ -211,7 +211,7 @@ def test_a_model_with_a_smaller_state_is_consistent_too(filter_: str, p: StudyPa
 
 @pytest.mark.parametrize(("factor", "outside"), [(1e-3, "above"), (10.0, "below")])
 def test_wrong_measurement_noise_shows_in_the_nees(factor: float, outside: str, bench: Bench) -> None:
-    """The filter's R is too small, by more than it can adapt, or too large."""
+    """The filter's R is too large, or too small by more than the filter can adapt."""
     setting = bench.setting(cell(MATCHED))
 
     def misinformed(seed: int) -> Sums:
@@ -277,7 +277,7 @@ def test_the_inertial_unit_feels_the_slope_and_nothing_on_a_drive_without_terrai
     )
     assert np.isnan(plain[bench.drive.rates]).all()
     felt = sloping[bench.drive.rates]
-    assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # this drive is on level ground
+    assert np.mean(felt[:, 2]) == pytest.approx(9.81, abs=0.05)  # on level ground
 
 
 def test_bound_of_drawn_machines_uses_their_distribution(bench: Bench) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip study``: its files, its memory, and what it refuses."""
+"""``trackslip study``: its files, its use of the cache, and its refusals."""
 
 import json
 import math
@@ -40,7 +40,7 @@ def command(tmp_path: Path) -> list[str]:
 
 
 class Counted:
-    """``evaluate``, which stops at one of its calls."""
+    """``evaluate``, which raises KeyboardInterrupt at the chosen call."""
 
     def __init__(self, stop_at: int | None = None) -> None:
         self.cells: list[Cell] = []
@@ -74,11 +74,11 @@ def test_command_writes_rows_table_and_figures(
     assert drawn == {
         f"study_{what}_{truth}.png" for what in ("rmse", "nees") for truth in ("shear", "matched")
     }
-    assert main([*command, *options]) == 0  # over what it wrote
+    assert main([*command, *options]) == 0  # replaces the earlier files
 
 
 def test_cache_key_of_a_drawn_cell_includes_the_source_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stamp error of an unknown source is no parameter of the estimator itself."""
+    """The stamp error of an unlisted source is not a parameter of the estimator itself."""
     (cell,) = {cell for cell in _drawn().cells if cell.soil == "sand"}
     before = _drawn().depends_on(cell)
     assert before == _drawn().depends_on(cell)
@@ -133,7 +133,7 @@ def test_cached_rows_equal_computed_ones(tmp_path: Path, monkeypatch: pytest.Mon
             study(**changed)
     with pytest.raises(KeyboardInterrupt):
         study("slip_estimator.encoder_resolution=1e-3")
-    file.write_text(file.read_text()[:-20], encoding="utf-8")  # as a power cut leaves it
+    file.write_text(file.read_text()[:-20], encoding="utf-8")  # truncated, as by a power cut
     with pytest.raises(KeyboardInterrupt):
         study()
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The swinging cab of the truth, and what is mounted on it."""
+"""The swinging cab of the truth, and the sensors mounted on it."""
 
 import math
 
@@ -34,7 +34,7 @@ CAB = load_vehicle("pc05_cab")
 def test_swing_reaches_its_target_within_its_limits(
     targets: list[float], rate: float, acceleration: float, backlash: float
 ) -> None:
-    """Each target has the time of the longest swing."""
+    """The time for each target suffices for the longest swing."""
     wait = 12.0 / rate + 2.0 * rate / acceleration + 1.0
     state = np.zeros(3)
     for target in targets:
@@ -51,7 +51,7 @@ def test_backlash_moves_the_cab_late_when_it_turns_back() -> None:
     there = swing_to(np.full(3000, 0.5), (1.0, 1.0, 0.01), STEP, state)
     back = swing_to(np.full(200, 0.0), (1.0, 1.0, 0.01), STEP, state)
     assert there[-1, 0] == pytest.approx(0.495, abs=1e-4)
-    assert np.all(back[:140, 0] == there[-1, 0])  # 0.01 rad at 1 rad/s² take 0.14 s
+    assert np.all(back[:140, 0] == there[-1, 0])  # a move of 0.01 rad at 1 rad/s² takes 0.14 s
     assert back[-1, 0] < there[-1, 0]
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cells of the study with all sensors on a cab that swings: what they see, their bound, and their scores."""
+"""Cells of the study with all sensors on a swinging cab: measurements, bound, and scores."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -33,14 +33,14 @@ from trackslip_sim.study.slip.trial import make_trial
 
 CAB = {"vehicle": "pc05_cab"}
 PERIOD = 0.02  # s
-STDDEV = 0.002  # rad, of its encoder
+STDDEV = 0.002  # rad, of the encoder
 CELL = Cell(SHEAR, "sand", "ekf", 0.02, 0.01)
 COMMAND = ["study", "--scenario", "dig_cycles", "--vehicle", "pc05_cab", "--soil", "sand", "--workers", "1"]
 
 
 @pytest.fixture(scope="module")
 def p() -> StudyParameters:
-    """Driven for 24 s, then two slews, and 14 s of driving back."""
+    """A drive of 24 s, then two slews, and 14 s of driving back."""
     return load_study_parameters({"scenario": "dig_cycles", "duration": 62.0, "settling": 24.0, "seeds": 4})
 
 
@@ -54,7 +54,7 @@ def without_encoder() -> SlipEstimatorParameters:
     return load_slip_parameters(CAB, {"swing_sources": [""]})
 
 
-# What the filters are fed
+# Inputs of the filters
 
 
 def test_fixes_and_gyro_are_those_of_the_cab(
@@ -66,7 +66,7 @@ def test_fixes_and_gyro_are_those_of_the_cab(
     assert np.ptp(at.swing) > 3.0
     axis = np.array(with_encoder.vehicle.swing_axis)
     by_machine, by_cab = (_site(poses, axis) for poses in (trial.states[:, OF_POSE], drive.seen))
-    np.testing.assert_allclose(by_machine, by_cab, atol=1e-9)  # the axis is where both have it
+    np.testing.assert_allclose(by_machine, by_cab, atol=1e-9)  # both give the same position of the axis
     fixes = values[drive.fixes] - drive.seen[drive.fixes]
     assert np.std(fixes, axis=0) == pytest.approx((0.02, 0.02, p.sigma_heading), rel=0.15)
     headings = values[drive.fixes, 2] - at.yaw[drive.fixes] - at.swing[drive.fixes]
@@ -80,7 +80,7 @@ def test_fixes_and_gyro_are_those_of_the_cab(
 
 
 def _site(poses: FloatArray, point: FloatArray) -> FloatArray:
-    """(k, 2) a point of each of the frames (k, 3), in the site frame."""
+    """(k, 2) positions in the site frame of a point of the frames (k, 3)."""
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     return poses[:, :2] + np.stack((cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]), axis=1)
 
@@ -96,7 +96,7 @@ def test_start_angle_without_an_encoder_has_the_error_of_its_prior(
     trials = [make_trial(setting, seed) for seed in range(100)]
     errors = np.array([t.start[0][[YAW, SWING]] - t.start_state[[YAW, SWING]] for t in trials])
     assert np.std(errors[:, 1]) == pytest.approx(without_encoder.swing.initial_angle_stddev, rel=0.2)
-    assert np.std(errors.sum(axis=1)) == pytest.approx(p.sigma_heading, rel=0.2)  # a fix shows the sum
+    assert np.std(errors.sum(axis=1)) == pytest.approx(p.sigma_heading, rel=0.2)  # a fix measures the sum
 
 
 # The bound
@@ -121,7 +121,7 @@ def test_a_fix_above_bounds_the_sum_of_heading_and_swing(with_encoder: SlipEstim
     config, r = make_config(with_encoder), 1e-4
     config["stamp_errors"], config["heading_floor"], config["swing"]["held_density"] = 0.0, 0.0, 0.0
     rows = _rows(1, config, POSE, np.diag((1e6, 1e6, r)))
-    rows.measurements["stamp_ns"] = 1  # before anything moves
+    rows.measurements["stamp_ns"] = 1  # before any motion
     start, P = config["prior_mean"][0].copy(), np.zeros_like(config["prior_covariance"][0])
     of_yaw, of_swing = P[YAW, YAW], P[SWING, SWING] = 9e-4, 4e-4
     found = bound(rows, start[None], start, P, config)[0]
@@ -132,7 +132,7 @@ def test_a_fix_above_bounds_the_sum_of_heading_and_swing(with_encoder: SlipEstim
 
 
 def _rows(count: int, config: ConfigRecord, kind: int, noise: FloatArray) -> Rows:
-    """Of one kind of measurement above, while the tracks count as driving, but stand."""
+    """Measurements of one kind from a sensor on the cab; the tracks count as driving at zero speed."""
     rows = Rows(np.zeros(count, MEASUREMENT), np.zeros(count, STATE))
     rows.measurements["stamp_ns"] = round(PERIOD * 1e9) * np.arange(1, count + 1)
     rows.measurements["kind"], rows.measurements["noise"] = kind, noise
@@ -142,7 +142,7 @@ def _rows(count: int, config: ConfigRecord, kind: int, noise: FloatArray) -> Row
 
 
 def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: SlipEstimatorParameters) -> None:
-    """With sensors that are put on the cab here."""
+    """The expected bound uses measurement functions defined in this file."""
     config, noises = (
         make_config(with_encoder),
         {POSE: (4e-4, 4e-4, 1e-4), YAW_RATE: (1e-4,), ON_SWING: (4e-6,)},
@@ -166,11 +166,11 @@ def test_the_bound_of_a_slewing_cab_is_the_textbook_recursion(with_encoder: Slip
     sensors = {kind: _sensor(kind, with_encoder, config) for kind in noises}
     states, expected = expected_bound(rows, x, P, config, sensors)
     assert_same_bound(bound(rows, states, x, P, config)[-1], expected, 1e-4)
-    assert expected[SENSOR_ERRORS, SENSOR_ERRORS] == pytest.approx(1e-4)  # what no sensor sees stays
+    assert expected[SENSOR_ERRORS, SENSOR_ERRORS] == pytest.approx(1e-4)  # unobserved: unchanged
 
 
 def _sensor(kind: int, p: SlipEstimatorParameters, config: ConfigRecord) -> Sensor:
-    """h of a sensor on the cab."""
+    """Measurement function h of a sensor on the cab."""
 
     def shown(x: FloatArray) -> FloatArray:
         if kind == ON_SWING:
@@ -183,7 +183,7 @@ def _sensor(kind: int, p: SlipEstimatorParameters, config: ConfigRecord) -> Sens
     return shown
 
 
-# What it says of filters
+# Scores of filters
 
 
 @pytest.mark.slow
@@ -227,11 +227,11 @@ def test_study_swings_the_upper_structure_of_its_vehicle(
     command = [*COMMAND, *options, "--cache", str(tmp_path / "cells.jsonl")]
     (row,) = json_of(tmp_path, *command)
     assert (row["truth"], row["scenario"]) == (SHEAR, "dig_cycles")
-    assert 0.0 < row["swing_bound"] < 0.02  # rad, by which the encoder's offset errs a priori
+    assert 0.0 < row["swing_bound"] < 0.02  # rad, prior error of the encoder's offset
     shown = capsys.readouterr().out
     assert shown.startswith("vehicle: pc05_cab\n")
     assert "swing mrad" in shown
-    assert json_of(tmp_path, *command) == [row]  # what is in the cache has its swing
+    assert json_of(tmp_path, *command) == [row]  # the cache keeps the swing
 
 
 @pytest.mark.parametrize(

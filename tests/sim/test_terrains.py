@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Terrain files, and each way of getting one wrong."""
+"""Terrain files: valid ones, and each kind of error."""
 
 import math
 from typing import Any

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold of the shear truth whatever is commanded, on any soil and load."""
+"""Properties of the shear truth for any commands, soil and load."""
 
 import dataclasses
 
@@ -68,7 +68,7 @@ def test_mirrored_commands_mirror_the_run(segments: list[Segment], name: str, re
 @settings(max_examples=25, deadline=None)
 @given(segments=SEGMENTS, name=NAMES)
 def test_machine_is_symmetric_front_to_back(segments: list[Segment], name: str) -> None:
-    """Turned by π on the spot it is the same machine: reversed and swapped commands lead the other way."""
+    """Symmetry under a rotation by π: reversed and swapped commands give the reversed path."""
     given_ = commands(segments)
     rows = run(given_, ground(name))
     turned = run(-given_[:, ::-1], ground(name))
@@ -105,7 +105,7 @@ def test_energy_is_only_lost_and_all_stays_finite(
     kinetic += 0.5 * VEHICLE.yaw_inertia * rows[:, c.YAW_RATE] ** 2
     assert (rows[:, c.LOSS] >= 0.0).all()
     spare = rows[1:, c.POWER] - rows[1:, c.LOSS] - np.diff(kinetic) / SETTINGS.step
-    assert spare.min() > -1e-5  # W, of hundreds
+    assert spare.min() > -1e-5  # W; powers are hundreds of W
 
 
 @settings(max_examples=25, deadline=None)

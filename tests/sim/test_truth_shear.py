@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The shear truth against (3.3), against the numbers of its first check, and at its limits."""
+"""The shear truth against (3.3), against published values, and at its limits."""
 
 import dataclasses
 
@@ -45,7 +45,7 @@ def random_drive(seed: int, soil: str) -> Scenario:
 
 @pytest.mark.parametrize("name", SOILS)
 def test_straight_motion_is_equation_3_3(name: str) -> None:
-    end = simulate(drive((30.0, FAST, FAST), soil=name)).at(30.0)  # the jerk of the start dies away
+    end = simulate(drive((30.0, FAST, FAST), soil=name)).at(30.0)  # the transient of the start has decayed
     ground = soil(name)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     limit = thrust_limit(ground.cohesion, ground.friction_angle, area, VEHICLE.weight)
@@ -87,14 +87,14 @@ def test_spot_turn_with_low_relief_pressure_stalls(name: str) -> None:
     truth = simulate(scenario, soil=name)
     assert all(np.isfinite(getattr(truth, field.name)).all() for field in dataclasses.fields(Truth)[:-1])
     stalled = truth.interpolate(np.arange(10.0, 20.0, 0.1))
-    assert np.abs(stalled.left_spool).min() > 0.6  # commanded to turn all the while
+    assert np.abs(stalled.left_spool).min() > 0.6  # commanded to turn all the time
     assert np.abs(stalled.yaw_rate).max() < 1e-3
     assert np.hypot(stalled.v_x, stalled.v_y).max() < 1e-4
     assert np.abs(stalled.right_speed).max() < 1e-2
     assert stalled.right_pressure == pytest.approx(scenario.relief_pressure, rel=1e-3)
-    assert truth.v_x[-1] > 0.3  # and drives off straight afterwards
+    assert truth.v_x[-1] > 0.3  # drives straight afterwards
     free = simulate(dataclasses.replace(scenario, relief_pressure=None), soil=name).at(19.0)
-    assert free.yaw_rate[0] > 0.1  # it is the relief that stalls it
+    assert free.yaw_rate[0] > 0.1  # without the relief valve it does not stall
 
 
 def test_relief_bounds_every_pressure() -> None:
@@ -145,10 +145,10 @@ def test_patches_change_the_soil_during_a_drive() -> None:
 
 
 def test_load_shifts_between_the_tracks_and_along_them() -> None:
-    left = dataclasses.replace(SETTINGS, load_y=0.25 * VEHICLE.tread)  # three quarters on the left track
+    left = dataclasses.replace(SETTINGS, load_y=0.25 * VEHICLE.tread)  # 3/4 of the weight on the left
     end = simulate(drive((5.0, FAST, FAST)), settings=left).at(5.0)
     assert end.left_resistance == pytest.approx(3.0 * end.right_resistance, rel=1e-6)
-    assert end.yaw_rate[0] > 0.0  # the loaded track holds back
+    assert end.yaw_rate[0] > 0.0  # the loaded track has more resistance
     turn = drive((20.0, FAST, SLOW))
     even = simulate(turn).at(20.0)
     ahead = simulate(turn, settings=dataclasses.replace(SETTINGS, load_x=0.15)).at(20.0)

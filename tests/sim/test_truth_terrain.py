@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The shear truth on slopes: where it holds and slides, its energy, its loads; and flat ground as before."""
+"""The shear truth on slopes: holding and sliding, energy, loads, and equality with flat ground."""
 
 import dataclasses
 import math
@@ -37,7 +37,7 @@ NAMES = ("sand", "sandy_loam", "clayey_soil", "dry_clay")
 FAST = 2.3
 SLOPES = ("slope_15", "slope_down_15", "side_slope_15", "ramp_up", "ramp_down", "hill", "hollow")
 
-# The truth before there was any terrain: 40 s of a scenario; x, y, yaw, left thrust of the last sample.
+# Reference without a terrain: 40 s of a scenario; x, y, yaw, left thrust of the last sample.
 BEFORE = {
     ("field_trial", "sand"): (8.057512343011512, 3.282295491244315, 1.0643355945895767),
     ("field_trial", "clayey_soil"): (9.188471679507822, 0.3845831386139897, 0.10483771669251667),
@@ -53,7 +53,7 @@ def drive(terrain: Terrain, *segments: tuple[float, float, float], soil: str = "
 
 
 def plane(slope: float, direction: float = 0.0) -> Terrain:
-    """Of a slope in rad, rising towards a direction in rad."""
+    """A plane with a slope in rad, rising towards a direction in rad."""
     return Terrain("plane", (Plane(direction, slope),))
 
 
@@ -75,7 +75,7 @@ def test_flat_ground_ends_at_the_reference_poses(name: str, soil: str) -> None:
 
 def test_plane_without_slope_equals_flat_ground() -> None:
     scenario = load_scenario("slalom")
-    low = lowered(0.0)  # nothing is loaded by accelerating
+    low = lowered(0.0)  # no load transfer by acceleration
     flat = simulate(scenario, vehicle=low)
     level = simulate(dataclasses.replace(scenario, terrain=plane(0.0)), vehicle=low)
     for name in ("x", "y", "yaw", "left_thrust", "right_slip"):
@@ -83,7 +83,7 @@ def test_plane_without_slope_equals_flat_ground() -> None:
 
 
 def limit_of(soil: str, direction: float) -> float:
-    """Tangent of the slope that just holds: locked tracks shear and plough ahead, and only shear sideways."""
+    """Tangent of the limit slope of locked tracks: they shear and plough ahead, and only shear sideways."""
     ground = SOILS[soil]
     adhesion = ground.cohesion * 2.0 * VEHICLE.track_width * VEHICLE.contact_length / VEHICLE.weight
     friction = math.tan(ground.friction_angle) + (ground.value("mu_r") if direction == 0.0 else 0.0)
@@ -97,14 +97,14 @@ def limit_of(soil: str, direction: float) -> float:
 @pytest.mark.parametrize("direction", [0.0, 0.5 * math.pi])
 def test_machine_slides_only_on_slopes_above_the_soil_limit(name: str, direction: float) -> None:
     limit = limit_of(name, direction)
-    low = lowered(0.2)  # it would tip over before it slides
+    low = lowered(0.2)  # a higher machine would tip over before it slides
     for share, holds in ((0.95, True), (1.03, False)):
         terrain = plane(math.atan(share * limit), direction)
         truth = simulate(drive(terrain, (10.0, 0.0, 0.0), soil=name), vehicle=low)
         moved = float(np.hypot(truth.x[-1], truth.y[-1]))
         assert moved < 0.005 if holds else moved > 3.0
         speed = np.hypot(truth.v_x[-1], truth.v_y[-1])
-        assert speed < 5e-4 if holds else speed > 0.5  # soil and oil creep where they hold
+        assert speed < 5e-4 if holds else speed > 0.5  # soil and oil creep while holding
 
 
 def test_a_weak_soil_stalls_uphill_and_lets_a_machine_slide_across() -> None:
@@ -140,9 +140,9 @@ def test_lower_track_carries_more_load() -> None:
 
 
 def energies(rows: FloatArray, step: float) -> tuple[float, float]:
-    """Work of the tracks over rows a step apart, and of it what is not found again; J.
+    """Work of the tracks over rows a step apart, and its part that is not accounted for, J.
 
-    Forces are those at the end of a step, ways those of the mean velocity in the axes at its end.
+    Forces are those at the end of a step. Distances follow from the mean velocity in the axes at its end.
     """
     c, half = Column, 0.5 * VEHICLE.tread
     q = rows[:, [c.V_X, c.V_Y, c.YAW_RATE]]
@@ -163,7 +163,7 @@ def energies(rows: FloatArray, step: float) -> tuple[float, float]:
 
 @cache
 def steps_of(name: str, soil: str) -> FloatArray:
-    """A minute on a slope, a row for each step."""
+    """A minute of the field trial on a slope, one row per step."""
     settings = dataclasses.replace(SETTINGS, sample_period=SETTINGS.step)
     ground = build_ground(SOILS[soil], (), SOILS, load_terrain(name))
     machine = ShearDrive(ground, VEHICLE, settings, VEHICLE.relief_pressure)
@@ -266,7 +266,7 @@ def test_moves_along_the_ground_by_its_rates(
 
 
 def lying(pose: FloatArray, terrain: Terrain) -> Placement:
-    """The machine on its ground: z axis along the normal."""
+    """Pose of the machine on the terrain, with its z axis along the surface normal."""
     shape = np.zeros(6)
     shape_at(pose[0], pose[1], terrain.map, shape)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -302,7 +302,7 @@ def test_bucket_load_shifts_the_weight_forward() -> None:
     assert loaded.left_resistance == pytest.approx(0.2 * loaded.left_load, rel=1e-3)
     unloaded = simulate(drive(FLAT, (2.0, 0.0, 0.0), (10.0, FAST, FAST))).at(11.0)
     share = loaded.left_thrust / unloaded.left_thrust * unloaded.left_slip / loaded.left_slip
-    assert share < 1.0  # where the soil has hardly sheared yet it bears most: more slip for the thrust
+    assert share < 1.0  # less sheared soil is stiffer, so slip grows faster than thrust
 
 
 def test_a_cab_that_swings_shifts_the_weight() -> None:

@@ -23,7 +23,7 @@ from trackslip_sim.parameters import load_emulator_parameters
 from trackslip_sim.scenarios.scenario import parse_scenario
 from trackslip_sim.truth.simulate import simulate
 
-SEGMENTS = 12  # of the field trial: 85 s, after the lead-in just more than the silence needs
+SEGMENTS = 12  # of the field trial: 85 s, which after the lead-in covers the outage
 SETTINGS = {
     "odometry_sources": [TOPIC],
     f"sources.{TOPIC}.covariance": "declared",
@@ -47,7 +47,7 @@ def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def without_fixes(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    """Summary of a replay that has neither fixes nor gyro for 30 s: sprockets alone."""
+    """Summary of a replay without fixes and gyro for 30 s."""
     hidden = [f"--withhold={topic}:60:90" for topic in ("box_pose", "imu/data_raw")]
     sets = [f"--set=slip_estimator.{name}={json.dumps(value)}" for name, value in settings.items()]
     command = ["replay", bag, *hidden, *sets, "--reference", "truth/odometry"]
@@ -57,7 +57,7 @@ def without_fixes(bag: Path, settings: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_half_a_minute_without_fixes_is_bridged(bag: Path) -> None:
-    """At 1 % of drift, and better than by sprockets alone."""
+    """The drift is 1 %, below that of the sprockets alone."""
     blind, found = without_fixes(bag, {}), without_fixes(bag, SETTINGS)
     assert found["rmse"]["withheld"]["end"] < min(0.06, 0.8 * blind["rmse"]["withheld"]["end"])
     assert found["rmse"]["heading"] < 0.006 < blind["rmse"]["heading"]
