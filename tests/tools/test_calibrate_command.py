@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip calibrate`` on recorded runs: the emulator's own numbers, a file for replay, refusals."""
+"""``trackslip calibrate`` on recorded runs: parameters of the emulator, a file for replay, refusals."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -42,14 +42,14 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", TRUE)
 def test_finds_the_emulators_own_numbers(found: dict[str, Any], name: str) -> None:
-    """One draw of the noise: twice the interval about its middle leaves out a right number once in 10 000."""
+    """With a single noise draw, twice the interval about its centre misses the true value once in 10 000."""
     value, (low, high) = found["findings"][name]["value"], found["findings"][name]["interval"]
     assert abs(value - TRUE[name]) <= high - low + 1e-12
     assert high - low <= WIDEST[name]
 
 
 def test_slip_interval_overlaps_the_slips_on_sand(found: dict[str, Any]) -> None:
-    """0.72 % on sand (docs: the shear truth), 1.6 % on the patch."""
+    """The slip is 0.72 % on sand (docs: the shear truth) and 1.6 % on the patch."""
     low, high = found["findings"]["common_slip"]["interval"]
     assert low <= 0.016
     assert high >= 0.0072

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calibration of made-up drives of known numbers: intervals that hold, and refusals with a reason."""
+"""Calibration of synthetic drives with known parameters: coverage of intervals, and explained refusals."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -28,26 +28,26 @@ from trackslip_tools.calibration.regression import Increments, clustered, of_inc
 P = load_slip_parameters()
 SOURCES = ("imu/data_raw", "box_pose")
 RADIUS, TREAD = P.vehicle.kinematics.rolling_radius, P.vehicle.kinematics.tread
-COUNT = 5.1133e-4  # rad, of an encoder
+COUNT = 5.1133e-4  # rad, encoder resolution
 STANDSTILL, STRAIGHT = (5.0, 0.0, 0.0), (8.0, 2.2, 2.2)
 LEFT, RIGHT = (6.0, 1.2, 2.2), (6.0, 2.2, 1.2)
 DRIVE = (STANDSTILL, STRAIGHT, LEFT, STRAIGHT, RIGHT, STRAIGHT, LEFT, STRAIGHT, RIGHT, STANDSTILL)
 RUNS = 40
-LEAST_HITS = 34  # of 40: fewer have a probability of 0.3 % where 95 % are right
+LEAST_HITS = 34  # of 40: fewer have a probability of 0.3 % at a coverage of 95 %
 
 
 @dataclass(frozen=True)
 class Made:
-    """What a drive is made with."""
+    """Parameters of a synthetic drive."""
 
     per_radian: float = 0.1575  # r (1 − i₀), m
     efficiency: float = 0.45  # κ
-    scale: float = 0.985  # along the unit's z axis
+    scale: float = 0.985  # about the unit's z axis
     bias: float = 0.01  # rad/s
     roll: float = 0.05  # rad
     pitch: float = -0.08
-    gyro_late: float = 0.06  # s, the ground's lag in it
-    pose_late: float = 0.15  # s, beyond the gyro's
+    gyro_late: float = 0.06  # s, including the lag of the ground
+    pose_late: float = 0.15  # s, in addition to the gyro's
     gyro_noise: float = 0.003  # rad/s
     heading_noise: float = 0.02  # rad
     offsets: tuple[float, float] = (1.0e5, -0.5e5)  # Pa
@@ -55,7 +55,7 @@ class Made:
 
 
 def recorded(made: Made, seed: int) -> Recording:
-    """A drive of that machine: (3.17)–(3.20) with κ and i₀, sensors at their own rates, with noise."""
+    """A synthetic drive: (3.17)–(3.20) with κ and i₀, sensors at their own rates, with noise."""
     rng, dt = np.random.default_rng(seed), 0.01
     commands = np.concatenate([np.tile((left, right), (round(s / dt), 1)) for s, left, right in made.legs])
     speeds = np.empty_like(commands)
@@ -76,7 +76,7 @@ def recorded(made: Made, seed: int) -> Recording:
     seen = fixed - made.pose_late - made.gyro_late
     poses = np.column_stack([np.interp(seen, t, column) for column in (*path.T, heading)])
     poses += rng.normal(0.0, (0.03, 0.03, made.heading_noise), poses.shape)
-    claimed = np.tile(np.square((0.05, 0.05, 0.03)), (len(fixed), 1))  # too modest, as sensors are
+    claimed = np.tile(np.square((0.05, 0.05, 0.03)), (len(fixed), 1))  # conservative, as real sensors
     pressures = 2.0e6 * speeds + made.offsets + rng.normal(0.0, 3e4, speeds.shape)
     sprockets = Series(t, angles)
     return Recording(
@@ -116,7 +116,7 @@ WIDEST |= {"turning_efficiency": 0.02, "effective_tread": 0.08}
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRUE)
 def test_intervals_have_their_stated_coverage(name: str) -> None:
-    """And they are narrow: half of one is below its limit."""
+    """The intervals are also narrow: half an interval is below its limit."""
     made = Made()
     found = [calibrated(made, seed).findings[name] for seed in range(RUNS)]
     true = TRUE[name](made)
@@ -223,7 +223,7 @@ def test_radius_and_slip_are_separated_only_by_an_option() -> None:
 
 
 def test_confirmed_parameters_are_not_written() -> None:
-    """Only a value whose interval excludes the present one is written, unless all are requested."""
+    """Only values whose interval excludes the present value are written, unless all are requested."""
     made = Made()
     of_news, whole = (
         calibrate([recorded(made, 7)], P, SOURCES, hard_ground=True, everything=everything)
@@ -244,7 +244,7 @@ def test_confirmed_parameters_are_not_written() -> None:
 
 
 def test_bad_headings_and_gaps_have_no_effect() -> None:
-    """A quarter turn wrong in one of forty, doubtful ones, and seconds without the gyro."""
+    """One heading in forty is off by a quarter turn, others have a large variance, and the gyro has gaps."""
     made = Made()
     whole = recorded(made, 6)
     poses = whole.poses.values.copy()
@@ -289,7 +289,7 @@ def test_a_value_is_rounded_to_its_interval(value: float, half: float) -> None:
     assert finding.rounded is not None
     assert abs(finding.rounded - value) <= 0.051 * half + 1e-9 * abs(value)
     digits = half * 10.0**finding.decimals
-    assert 9.0 <= digits <= 101.0  # two that count
+    assert 9.0 <= digits <= 101.0  # two significant digits
 
 
 def test_the_parameter_file_is_one_that_the_nodes_load(tmp_path: Path) -> None:
@@ -323,7 +323,7 @@ def test_a_scaled_gyro_is_read_in_true_units() -> None:
 
 
 def test_jackknife_accounts_for_correlated_errors() -> None:
-    """Thirty clusters of twenty equal errors are thirty errors, not six hundred."""
+    """Thirty clusters of twenty equal errors count as thirty errors, not as six hundred."""
     rng = np.random.default_rng(8)
     clusters = np.repeat(np.arange(30), 20)
     X, hits = np.ones((600, 1)), 0
@@ -336,7 +336,7 @@ def test_jackknife_accounts_for_correlated_errors() -> None:
 
 @pytest.mark.slow
 def test_increments_separate_walk_and_reading_noise() -> None:
-    """A slope under a walk and reading noise that is stated twice as large: the interval is right."""
+    """The interval of a slope is correct under a random walk and a reading noise stated twice as large."""
     rng = np.random.default_rng(9)
     hits, spreads, slopes = 0, [], []
     for _ in range(100):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``calibrate`` and the estimator's states, of the same drive on the truth model: two ways to one number."""
+"""``calibrate`` and the estimator's states agree on the same drive of the truth model."""
 
 import math
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ GYRO_NOISE, FIX_NOISE = 0.003, (0.02, 0.02, 0.02)  # rad/s; m, m, rad
 
 @dataclass(frozen=True)
 class Machine:
-    """How a machine and its gyro differ from the drawing."""
+    """Deviations of a machine and its gyro from their nominal parameters."""
 
     soil: str
     scale: float
@@ -54,7 +54,7 @@ def drive(soil: str) -> Truth:
 
 @cache
 def recorded(machine: Machine) -> Recording:
-    """The drive with a turn of ε added to each metre that the sprockets drive."""
+    """The drive with an additional rotation of ε per metre of sprocket travel."""
     truth, rng = drive(machine.soil), np.random.default_rng(machine.seed)
     t, at, fixed = (np.arange(0.1, SECONDS - 0.1, period) for period in (0.01, 0.0844, 0.24))
     driven = truth.interpolate(t)
@@ -97,7 +97,7 @@ def calibrated(machine: Machine) -> Calibration:
 
 @cache
 def learned(machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Mean and covariance at the end of the drive."""
+    """Mean and covariance of the state at the end of the drive."""
     estimator = SlipEstimator(P)
     given = sorted(measurements(recorded(machine)), key=lambda m: m.stamp_ns)
     estimator.process_records(to_records(given, estimator.sources))
@@ -120,7 +120,7 @@ def both(machine: Machine, name: str) -> tuple[tuple[float, float], tuple[float,
     assert finding.value is not None, finding.reason
     assert finding.interval is not None
     half = (finding.interval[1] - finding.interval[0]) / 2.0
-    if name == "turning_efficiency":  # of all turns; the state is that of the last ones
+    if name == "turning_efficiency":  # the calibration covers all turns, the state mainly the last ones
         half = max(half, 2.0 * calibration.parameters[NODE]["turning.initial_efficiency_stddev"])
     index, offset = STATES[name]
     return (finding.value, half), (offset + float(mean[index]), 2.0 * math.sqrt(P_[index, index]))
@@ -130,7 +130,7 @@ def both(machine: Machine, name: str) -> tuple[tuple[float, float], tuple[float,
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda m: m.soil)
 @pytest.mark.parametrize("name", STATES)
 def test_calibration_and_learned_states_agree_within_their_intervals(machine: Machine, name: str) -> None:
-    """Both intervals are of 95 %: their difference lies within √(a² + b²) as often."""
+    """Both intervals are of 95 %: the difference lies within √(a² + b²) with the same probability."""
     (value, half), (state, state_half) = both(machine, name)
     assert abs(value - state) <= math.hypot(half, state_half)
 

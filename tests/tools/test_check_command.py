@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip check`` and who runs it: exit codes, JSON, and the finding before all else."""
+"""``trackslip check`` and the commands that run it: exit codes, JSON, and the finding in the first line."""
 
 import json
 from argparse import Namespace
@@ -48,7 +48,7 @@ def _table(path: Path, names: str, *columns: Any) -> None:
 
 
 def write_csv(folder: Path, log: Log) -> Path:
-    """The columns of a drive, and the mapping that reads them."""
+    """Write the columns of a drive, and the mapping that reads them."""
     tracks, gyro, fixes = log.tracks, log.gyros[0], log.fixes[0]
     _table(folder / "tracks.csv", "t,left,right", tracks.t, tracks.speeds)
     _table(folder / "imu.csv", "t,gz", gyro.t, gyro.rates[:, 2])
@@ -111,7 +111,7 @@ def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> No
 
 
 def test_a_mistake_that_is_certain_but_one_of_several_is_no_plausible_setup(tmp_path: Path) -> None:
-    """Fixes in feet, or speeds in another unit: places were a NEES of a million off at exit code 0."""
+    """A mistake whose cause is ambiguous, as fixes in feet or speeds in another unit, fails the check."""
     log = make_drive()
     (fixes,) = log.fixes
     in_feet = replace(log, fixes=(replace(fixes, places=fixes.places / 0.3048),))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip --help`` lists every command; the help of each ends with an example that it would take."""
+"""``trackslip --help`` lists every command; the help of each ends with a valid example."""
 
 import shlex
 import subprocess
@@ -65,7 +65,7 @@ HEAVY = {"numba", "scipy", "rich", "bokeh", "matplotlib", "dask"}
     ],
 )
 def test_command_loads_no_library_it_does_not_need(arguments: list[str], barred: set[str]) -> None:
-    """Each in a process of its own."""
+    """Each command runs in a separate process."""
     code = f"""
 import sys
 from trackslip_tools.cli.main import main

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the ``trackslip`` command refuses: exit code 2, and one line that names the mistake."""
+"""Refusals of the ``trackslip`` command: exit code 2, and one line that names the mistake."""
 
 import subprocess
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip replay`` and ``info`` on a small bag: what is promised comes, and comes the same each time."""
+"""``trackslip replay`` and ``info`` on a small bag: complete and repeatable results."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ KEYS = {"duration_s", "messages", "rejected", "final", "rmse", "nees", "real_tim
 
 
 def without_time(found: dict[str, Any]) -> dict[str, Any]:
-    """But for the time it took; a mean's last digit depends on the pieces in which a bag is read."""
+    """A summary without its duration; means are rounded, as their last digit depends on the batches."""
     kept = {name: value for name, value in found.items() if name != "real_time_factor"}
     kept["rmse"] = {name: value and round(value, 9) for name, value in kept["rmse"].items()}
     return kept | {name: round(kept[name], 9) for name in ("nees", "nees_position") if kept.get(name)}
@@ -157,7 +157,7 @@ def test_parameters_come_in_layers(bag: Path, tmp_path: Path, summary: Summary) 
 def test_a_replay_of_a_recorded_run_matches_it(
     bag: Path, tmp_path: Path, lines: list[Any], summary: Summary
 ) -> None:
-    """What a replay wrote, put beside its inputs, is a recording; it replays to the same numbers."""
+    """The output of a replay, merged with its inputs, is a recording that replays to the same numbers."""
     made = tmp_path / "made"
     summary(bag, "--output", made, "--set", "slip_estimator.sources.box_pose.timeout=9")
     with open_bag(made) as estimates:

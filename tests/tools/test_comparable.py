@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which part of a recording is compared with live estimates, where measurements or runs are missing in it."""
+"""The part of a recording that is compared with live estimates if measurements or runs are missing."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -35,7 +35,7 @@ def at_ns(seconds: float) -> int:
 def live(
     lines: list[Line], p: SlipEstimatorParameters, learned: Learned | None = None
 ) -> tuple[list[Line], SlipEstimator]:
-    """The messages of an estimator that is given these, each at once."""
+    """The messages of an estimator that receives the lines without delay."""
     estimator, local, found = SlipEstimator(p, learned=learned), LocalOdometry(), []
     given = sorted(lines, key=lambda line: line.log_ns)
     started = {} if learned is None else {"learned": to_tree(learned, estimator.meaning)}
@@ -66,19 +66,19 @@ def inputs(lines: list[Line]) -> list[Line]:
 
 @pytest.fixture(scope="module")
 def one_run(inputs: list[Line]) -> list[Line]:
-    """All that a recorder writes of a run."""
+    """All messages that a recorder writes of a run."""
     return [*inputs, *live(inputs, load_slip_parameters())[0]]
 
 
 @pytest.fixture(scope="module")
 def two_runs(inputs: list[Line]) -> list[Line]:
-    """The estimator is killed after 5 s and starts again from what it had learned."""
+    """The estimator is killed after 5 s and restarts from its learned states."""
     return restarted(inputs)
 
 
 def restarted(inputs: list[Line], **changes: Any) -> list[Line]:
     first, estimator = live(until(inputs, RESTART_S), load_slip_parameters())
-    later = since(inputs, RESTART_S + 0.5)  # nobody listens meanwhile
+    later = since(inputs, RESTART_S + 0.5)  # no estimator runs in between
     second, _ = live(later, load_slip_parameters(changes), estimator.learned)
     return [*inputs, *first, *second]
 
@@ -97,7 +97,7 @@ def without(lines: list[Line], topic: str, begin: float, end: float) -> list[Lin
 
 @pytest.fixture
 def compare(bag_of: Callable[[Iterable[Line]], Path], summary: Callable[..., dict[str, Any]]) -> Compare:
-    """A function that replays a bag of lines, and returns whether estimates match and what was compared."""
+    """A function that replays a bag of lines; returns whether estimates match, and the compared parts."""
 
     def replayed(run: Iterable[Line], *options: str) -> tuple[bool | None, dict[str, Any]]:
         found = summary(bag_of(run), *options)
@@ -179,7 +179,7 @@ def test_bag_that_begins_after_the_estimator_is_not_compared(
     compare: Compare,
     printed: Callable[[], str],
 ) -> None:
-    """The recorder is restarted: the state at its start is unknown."""
+    """The recorder is restarted: the state of the estimator at its start is unknown."""
     latched = [line for line in one_run if line.topic == PARAMETERS_TOPIC]
     later = [line._replace(log_ns=at_ns(5.0)) for line in latched]
     matches, compared = compare([*later, *since(one_run, 5.0)])
@@ -189,7 +189,7 @@ def test_bag_that_begins_after_the_estimator_is_not_compared(
 
 
 def test_measurements_before_the_first_fix_may_be_missing(inputs: list[Line], compare: Compare) -> None:
-    """A recorder finds the topics one after the other; the first fix comes later."""
+    """A recorder discovers topics one after the other; the first fix arrives later."""
     given = without(inputs, "box_pose", 0.0, 2.0)
     run = [*given, *live(given, load_slip_parameters())[0]]
     late = without(without(run, "sprockets", -1.0, 0.8), REPORTS, -1.0, 0.4)
@@ -235,7 +235,7 @@ def test_a_restart_with_another_vehicle_is_not_compared(inputs: list[Line], comp
 
 
 def test_restart_without_its_parameters_is_not_compared(two_runs: list[Line], compare: Compare) -> None:
-    """The learned states at its start are unknown."""
+    """The learned states at the restart are unknown."""
     matches, compared = compare(without(two_runs, PARAMETERS_TOPIC, 1.0, 9.0))
     assert matches is True
     assert len(compared["parts"]) == 1
@@ -246,7 +246,7 @@ def test_restart_without_its_parameters_is_not_compared(two_runs: list[Line], co
 def test_replay_of_two_runs_writes_both(
     two_runs: list[Line], inputs: list[Line], tmp_path: Path, compare: Compare
 ) -> None:
-    """Merged with the inputs it is a recording again."""
+    """The output merged with the inputs is again a recording."""
     made = tmp_path / "made"
     compare(two_runs, "--output", str(made))
     written = in_order_of_journal(made)

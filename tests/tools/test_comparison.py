@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Live estimates against replayed ones, whole and piece by piece."""
+"""Live estimates against replayed ones, as a whole and in batches."""
 
 import math
 from typing import Any
@@ -18,7 +18,7 @@ FIELDS = ("x", "y", "heading", "v_x", "v_y", "yaw_rate")
 
 
 def odometry(stamps: Any, **changes: Any) -> Rows:
-    """Numbers that follow from the stamp; ``changes`` are added to columns."""
+    """Rows with numbers that follow from the stamp; ``changes`` are added to columns."""
     stamps_ns = np.asarray(stamps, dtype=np.int64) * STEP_NS
     fields = [("stamp_ns", np.int64, ()), *((name, np.float64, ()) for name in FIELDS)]
     covariances = [(name, np.float64, (3, 3)) for name in ("covariance", "twist_covariance")]
@@ -88,7 +88,7 @@ def test_estimates_after_the_last_journal_line_are_not_compared() -> None:
 
 @pytest.mark.parametrize("pieces", [2, 7, 50])
 def test_pieces_are_compared_as_the_whole_is(pieces: int) -> None:
-    """One side some seconds ahead of the other."""
+    """One side is some seconds ahead of the other."""
     rng = np.random.default_rng(pieces)
     live = odometry(np.flatnonzero(rng.random(3000) < 0.99))
     replayed = odometry(np.flatnonzero(rng.random(3300) < 0.99), x=1e-12)
@@ -105,7 +105,7 @@ def test_memory_is_bounded_where_one_side_is_missing() -> None:
 
 
 def test_a_replay_that_waits_for_its_whole_horizon_finds_its_partners() -> None:
-    """It waits so long where the journal lacks a line; ``make demo DURATION=420`` failed then."""
+    """A replay is delayed by its whole horizon where the journal lacks a line."""
     rows, batch = odometry(range(3 * HORIZON_NS // STEP_NS)), 500
     behind = HORIZON_NS // STEP_NS + batch
     comparer = LiveComparer()

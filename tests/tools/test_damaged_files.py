@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Each file of ``fixtures/damaged``, given to all that could take it: one line, and nothing written."""
+"""Each file of ``fixtures/damaged`` with each command that may receive it: one line, and no output."""
 
 import re
 import shutil
@@ -20,10 +20,10 @@ FOLDER = Path(__file__).parents[1] / "fixtures" / "damaged"
 FILES = sorted(path.name for path in FOLDER.iterdir() if path.name != "README.md")
 BAG = Path(__file__).parents[2] / "bags" / "slalom_sand"
 MACHINE = meaning(load_slip_parameters())
-LONGEST = 1000  # characters of a line
+LONGEST = 1000  # characters in a line
 LARGEST = 6000  # bytes of a file
 
-# What takes a file of each kind: BAG is one that is whole, CSV and ROS1 mappings that are, OUT is new.
+# Commands for each kind of file: BAG is a valid bag, CSV and ROS1 are valid mappings, OUT is new.
 _OVER_BAGS = ("replay BAG", "smooth BAG", "calibrate BAG", "report BAG --output OUT", "tune BAG --output OUT")
 _AS_A_BAG = ("info FILE", "recover FILE", "recover FILE --output OUT", "live FILE", "replay FILE --publish")
 COMMANDS: Mapping[str, Sequence[str]] = MappingProxyType(
@@ -60,7 +60,7 @@ topics:
 
 
 def lines_of_the_list() -> dict[str, str]:
-    """File → what the one line about it says, from README.md."""
+    """File → its line in the list of README.md."""
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
     return dict(re.findall(r"^\| `([^`]+)` \| .* \| `([^`]+)` \|$", text, flags=re.MULTILINE))
 
@@ -72,7 +72,7 @@ def test_the_list_names_every_file_and_all_are_small() -> None:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder, where the commands are at home."""
+    """An empty folder as working and home directory."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     for name, text in MAPPINGS.items():
@@ -82,7 +82,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def commands_of(file: Path) -> Iterator[list[str]]:
-    """Each with the file, a copy, in its place."""
+    """Commands with a copy of the file as an argument."""
     kind = file.suffix
     words = {"FILE": file.name, "BAG": str(BAG)}
     for command in (*COMMANDS.get(kind, ()), *(BAGS if kind in (".mcap", ".db3", ".bag") else ())):

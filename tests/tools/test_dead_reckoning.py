@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Paths without a filter, on drives whose end is known by hand."""
+"""Dead-reckoned paths of drives with analytically known ends."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ from trackslip_estimation.slip.measurements import Sprockets, YawRate
 from trackslip_tools.replay.dead_reckoning import DeadReckoner, Path
 
 MS = 1_000_000
-EPOCH_NS = 1_700_000_000_000_000_000  # where float seconds are 240 ns apart
+EPOCH_NS = 1_700_000_000_000_000_000  # resolution of float seconds here: 240 ns
 ORIGIN = np.zeros(3)
 
 
@@ -37,7 +37,7 @@ def samples(
 def reckoned(
     sprockets: list[Sprockets], start_ns: int, start: NDArray[np.float64], gyro: list[YawRate] | None = None
 ) -> Path:
-    """From measurements that come in two batches, those of the gyro last."""
+    """Path of measurements in two batches, those of the gyro last."""
     reckoner = DeadReckoner(vehicle(), with_gyro=gyro is not None)
     for batch in (sprockets[: len(sprockets) // 2], [*sprockets[len(sprockets) // 2 :], *(gyro or ())]):
         reckoner.add(rows_of([(0, m) for m in batch], ("sprockets", "imu")))
@@ -76,7 +76,7 @@ def test_a_turn_on_the_spot() -> None:
 
 
 def test_gyro_replaces_the_yaw_rate_of_the_sprockets() -> None:
-    """Sprockets drive straight on, the gyro turns by a quarter circle."""
+    """Sprockets indicate straight driving; the gyro turns by a quarter circle."""
     rate = math.pi / 2.0 / 5.0
     gyro = [YawRate("imu", EPOCH_NS + k * 100 * MS + 3 * MS, rate, 1e-4) for k in range(-5, 60)]
     path = reckoned(samples(2.0, 2.0, 5.0), EPOCH_NS, ORIGIN, gyro)

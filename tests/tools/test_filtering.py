@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is withheld and thinned before the estimator sees it."""
+"""Withholding and thinning of inputs before the estimator receives them."""
 
 import math
 
@@ -19,7 +19,7 @@ SOURCES = ("box_pose", "gnss", "imu", "sprockets")
 
 
 def fixes(count: int, period_ms: float, source: str = "box_pose", latency_ms: int = 300) -> Rows:
-    """Fixes at the origin, stamped some time before they are logged."""
+    """Fixes at the origin, stamped ``latency_ms`` before their log times."""
     covariance = np.array(((4.0, 1.0, 0.5), (1.0, 4.0, 0.5), (0.5, 0.5, 1.0)))
     times_ns = [ORIGIN_NS + round(k * period_ms * MS) for k in range(count)]
     given = [(t, PoseFix(source, t - latency_ms * MS, np.zeros(3), covariance)) for t in times_ns]
@@ -55,7 +55,7 @@ def test_outages_add_up() -> None:
 
 @pytest.mark.parametrize(("rate", "period_ms"), [(1.0, 217.0), (2.0, 100.0), (4.0, 33.3), (3.0, 100.0)])
 def test_thinning_keeps_the_rate(rate: float, period_ms: float) -> None:
-    """Ticks that do not drift: the mean rate holds although the samples do not fall on the ticks."""
+    """Ticks do not drift: the mean rate is exact although samples do not coincide with the ticks."""
     kept = logged(apply(InputFilters(thin=(Thin("box_pose", rate),)), fixes(1000, period_ms)))
     span = 999 * period_ms * 1e-3
     assert len(kept) == math.floor(span * rate + 1e-9) + 1
@@ -122,7 +122,7 @@ def test_noise_is_added_only_to_positions(measurement: YawRate | Sprockets) -> N
 
 
 def test_batches_are_filtered_as_the_whole_is() -> None:
-    """Ticks and noise go on from one batch to the next."""
+    """Ticks and noise continue from one batch to the next."""
     both = np.concatenate((fixes(300, 100), fixes(200, 130, source="gnss")))
     both = both[np.argsort(both["log_time_ns"], kind="stable")]
     thin = (Thin("box_pose", 3.0, 0.1), Thin("gnss", 1.0))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many bags at once: which are meant, one table, the same numbers whoever works, broken ones beside."""
+"""Many bags at once: selection, one table, results independent of the workers, and broken bags."""
 
 import json
 import multiprocessing
@@ -41,7 +41,7 @@ _UNPRIVILEGED = 65534
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> Path:
-    """Two good bags, one of them in a folder of its own, and a broken one between them."""
+    """Two valid bags, one of them in a subfolder, and a broken one between them."""
     folder = tmp_path / "fleet"
     (folder / "c").mkdir(parents=True)
     (folder / "a").symlink_to(BAGS / "slalom_sand")
@@ -66,7 +66,7 @@ def test_a_folder_without_bags_is_refused(tmp_path: Path) -> None:
 
 @pytest.fixture
 def locked() -> Iterator[Path]:
-    """A folder that nobody may look into, in one that everybody may; who asks is not root meanwhile."""
+    """A folder without permissions in a readable one; meanwhile the process has no root rights."""
     me = os.geteuid()
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         folder = Path(name, "locked")
@@ -80,7 +80,7 @@ def locked() -> Iterator[Path]:
 
 
 def test_unreadable_folder_is_named(locked: Path) -> None:
-    """For example by ``trackslip replay /``."""
+    """As with ``trackslip replay /``."""
     for path in (locked, locked.parent):
         with pytest.raises(InputError, match=f"^folder '{locked}' cannot be read .Permission denied"):
             find_bags([path])
@@ -111,7 +111,7 @@ def test_bag_among_others_gives_the_summary_of_the_bag_alone(
 ) -> None:
     bag = BAGS / "slalom_sand"
     alone = summary(bag, *SHORT)
-    (entry,) = json_of(tmp_path, "replay", bag, bag, "--workers", "1", *SHORT)  # each bag once
+    (entry,) = json_of(tmp_path, "replay", bag, bag, "--workers", "1", *SHORT)  # duplicates replay once
     assert entry["distance"] == pytest.approx(0.36, abs=0.05)
     assert {name: entry[name] for name in alone if name != "real_time_factor"} == {
         name: value for name, value in alone.items() if name != "real_time_factor"
@@ -216,7 +216,7 @@ def test_notes_are_collected_instead_of_shown(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out == "after it\n"
 
 
-# the workers themselves
+# Workers
 
 
 def test_processes_give_results_in_order_with_one_thread_each() -> None:
@@ -245,11 +245,11 @@ def test_an_interruption_ends_the_processes() -> None:
 
 
 def test_ctrl_c_of_a_terminal_leaves_no_process_and_no_traceback(fleet: Path) -> None:
-    """It reaches all processes of the group."""
+    """Ctrl-C reaches all processes of the group."""
     command = [*TRACKSLIP, "replay", str(fleet), "--workers", "2"]
     process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    while len(children.read_text().split()) < 2:  # the first worker, and what tracks its resources
+    while len(children.read_text().split()) < 2:  # the first worker and the resource tracker
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=PATIENCE)

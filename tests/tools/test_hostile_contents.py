@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags whose messages, metadata or names are hostile: each command ends with its result, or with one line.
+"""Bags with hostile messages, metadata or names: each command ends with its result, or with one line.
 
-``tests/fuzz/hostile_recordings.py`` (``make fuzz``) has thousands of such bags.
+``tests/fuzz/hostile_recordings.py`` (``make fuzz``) generates thousands of such bags.
 """
 
 import os
@@ -29,7 +29,7 @@ VEHICLE = "{{name: x, kinematics: {{rolling_radius: 0.159, tread: {tread}, conta
 
 
 def changed(lines: list[Any], topic: str, change: Callable[[Any], None], every: int) -> list[Any]:
-    """The lines, with each so manieth message of a topic changed."""
+    """The lines, with every ``every``-th message of a topic changed."""
     found, seen = [], 0
     for line in lines:
         if line.topic == topic:
@@ -201,7 +201,7 @@ def test_file_that_the_metadata_name_2000_times_is_read_once(
 @pytest.mark.slow
 @pytest.mark.parametrize("has_metadata", [False, True])
 def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, has_metadata: bool) -> None:
-    """One of 60 000 schemas took ``recover`` more than a minute."""
+    """The number of topics is limited, because ``recover`` is slow on tens of thousands of schemas."""
     file = tmp_path / "bag.mcap"
     with file.open("wb") as stream:
         writer = Writer(stream)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags, disks and options that mean no good, given to ``trackslip``: one line, and nothing left behind."""
+"""Hostile bags, disks and options, given to ``trackslip``: one line, and no files left behind."""
 
 import shlex
 import subprocess
@@ -112,7 +112,7 @@ def test_info_into_a_full_disk_ends_with_one_line(bag: Path) -> None:
 
 
 def test_info_with_closed_output_ends_quietly(bag: Path) -> None:
-    """``>&-``: there is no stdout."""
+    """``>&-``: the process has no stdout."""
     command = f"{shlex.join([*TRACKSLIP, 'info', str(bag)])} >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr) == (ExitCode.DONE, "")
@@ -121,7 +121,7 @@ def test_info_with_closed_output_ends_quietly(bag: Path) -> None:
 def test_poses_of_another_frame_are_refused_by_name(
     bag: Path, summary: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Fixes of the bag state no frame; one that must be in a frame is refused as live, and counted."""
+    """Fixes of the bag state no frame. If a frame is required, they are refused and counted, as live."""
     setting = "slip_estimator.sources.box_pose.frame_id="
     every = summary(bag)
     assert every["messages"]["box_pose"] > 0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of another robot, of both ROS, through import, replay and report: by hand is only a mapping."""
+"""Logs of another robot, of both ROS versions, through import, replay and report with a mapping alone."""
 
 import re
 from collections import Counter
@@ -30,7 +30,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "import.md"
 
 
 def mapping(**changed: Any) -> dict[str, Any]:
-    """Of the four-wheel robot, its topics changed."""
+    """Mapping of the four-wheel robot, with changed topics."""
     found: dict[str, Any] = yaml.safe_load(
         config_file("mappings/four_wheels.yaml").read_text(encoding="utf-8")
     )
@@ -39,7 +39,7 @@ def mapping(**changed: Any) -> dict[str, Any]:
 
 
 def imported(folder: Path, log: Path, content: dict[str, Any]) -> Path:
-    """The bag that ``trackslip import`` makes."""
+    """The bag that ``trackslip import`` writes."""
     (folder / "map.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     arguments = ["--mapping", str(folder / "map.yaml"), "--output", str(folder / "bag")]
     assert main(["import", str(log), *arguments]) == ExitCode.DONE
@@ -72,7 +72,7 @@ def found(bag: Path) -> dict[str, Any]:
 
 
 def test_a_four_wheel_robot_goes_through(bag: Path, found: dict[str, Any]) -> None:
-    """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are off by metres, as it turns at 0.8 of them."""
+    """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are metres off, as it turns at 0.8 of their rate."""
     assert found["rmse"]["dead_reckoning"] > 1.0
     assert found["rmse"]["filter"] < 0.03
     assert found["rmse"]["heading"] < 0.01
@@ -83,7 +83,7 @@ def test_a_four_wheel_robot_goes_through(bag: Path, found: dict[str, Any]) -> No
 
 
 def test_figures_on_the_page_on_imports_are_those_of_a_replay(found: dict[str, Any]) -> None:
-    """To half a millimetre: the last digit is the processor's."""
+    """The tolerance is half a millimetre: the last digit depends on the processor."""
     page = PAGE.read_text(encoding="utf-8")
     stated = {
         name: re.search(rf"^      {re.escape(name)} +(\d\.\d+)", page, re.MULTILINE)
@@ -100,7 +100,7 @@ def test_a_log_of_ros_1_gives_the_same(ros1_log: Path, found: dict[str, Any], tm
 
 
 def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Three files, RTK of 2 cm at 5 Hz on the boom's side, and a heading that is blank for two seconds."""
+    """Three files, RTK of 2 cm at 5 Hz on the boom's side, and a heading with a gap of two seconds."""
     truth = drive(40.0, tread=2.38)
     logs = write_gnss_csv(tmp_path / "logs", truth, (-1.2, 0.6))
     bag, out = tmp_path / "bag", tmp_path / "estimates"
@@ -111,7 +111,7 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.Capture
     assert f"    {datum}\n" in PAGE.read_text(encoding="utf-8")
     replayed(bag, "--output", str(out))
     c, s = np.cos(truth.pose[0, 2]), np.sin(truth.pose[0, 2])
-    antenna = truth.pose[0, :2] + np.array((-1.2, 0.6)) @ np.array(((c, s), (-s, c)))  # the first fix, nearly
+    antenna = truth.pose[0, :2] + np.array((-1.2, 0.6)) @ np.array(((c, s), (-s, c)))  # near the first fix
     errors = []
     with open_bag(out) as estimates:
         for m in estimates.messages(["odometry"]):
@@ -120,13 +120,13 @@ def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.Capture
             place = odometry.pose.pose.position
             errors.append(np.hypot(*(truth.pose[k, :2] - antenna - (place.x, place.y))))
     assert len(errors) > 1900
-    assert np.sqrt(np.mean(np.square(errors))) < 0.06  # with the noise of the fix that is the datum
+    assert np.sqrt(np.mean(np.square(errors))) < 0.06  # includes the noise of the fix that sets the datum
 
 
 @pytest.mark.parametrize("topic", ["/gps/heading", "/gps/quaternion"])
 @pytest.mark.parametrize("write", [pytest.param(write_ros1, marks=pytest.mark.slow), write_ros2])
 def test_heading_of_two_antennas_is_imported_from_a_bag(write: Any, topic: str, tmp_path: Path) -> None:
-    """RTK on a robot of others, by the mapping on the page."""
+    """RTK on another robot, with the mapping of the documentation page."""
     antenna = Gnss((-0.2, 0.1), np.pi / 2.0)
     log = write(tmp_path / "robot.bag", TRUTH, antenna)
     of_page = yaml.safe_load(PAGE.read_text(encoding="utf-8").split("```yaml")[1].split("```")[0])
@@ -143,7 +143,7 @@ def test_heading_of_two_antennas_is_imported_from_a_bag(write: Any, topic: str, 
 def test_the_order_of_arrival_is_that_of_the_robot(
     ros2_log: Path, found: dict[str, Any], tmp_path: Path
 ) -> None:
-    """The same poses without their delay give another, better estimate at the time it is published."""
+    """The same poses without their delay give a better estimate at the time of publication."""
     early = {"role": "pose", "from": "/truth", "stddev": {"x": 0.001, "y": 0.001, "yaw": 0.001}}
     prompt = replayed(imported(tmp_path, ros2_log, mapping(mocap_pose=early)))
     assert prompt["rmse"]["filter"] < found["rmse"]["filter"]
@@ -209,7 +209,7 @@ def test_a_withheld_source_is_named(bag: Path, capsys: pytest.CaptureFixture[str
 def test_heading_never_found_fails(
     ros2_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It stands for the first second, and one antenna has no heading."""
+    """The robot is at standstill for the first second, and one antenna has no heading."""
     antenna = {"role": "pose", "from": "/mocap", "stddev": {"x": 0.03, "y": 0.03}, "position_only": True}
     made = imported(tmp_path, ros2_log, mapping(mocap_pose=antenna))
     replayed(made, "--stop", "1.0", code=ExitCode.FAILED)

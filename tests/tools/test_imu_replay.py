@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""IMUs of a bag: turned as they are mounted, and refused where they state that they have no data."""
+"""IMUs of a bag: rotated by their mounting, and refused where they state that data are absent."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ ANGLES = {"mounting_roll": math.pi, "mounting_pitch": 0.2, "mounting_yaw": -0.7}
 
 
 def changed(bag_path: Path, path: Path, every: int) -> Path:
-    """The bag with an IMU that has no gyro in each ``every``-th message, and no accelerometer in the next."""
+    """The bag with an IMU that lacks the gyro in each ``every``-th message, and accelerations in the next."""
     with open_bag(bag_path) as bag, BagWriter(path) as writer:
         count = 0
         for m in bag.messages():

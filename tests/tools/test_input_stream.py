@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs of a bag, batch by batch: bounded, whole, and in live order."""
+"""Inputs of a bag in batches: bounded, complete, and in live order."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def test_a_bag_comes_in_batches_of_some_seconds(emulated_bag: Path) -> None:
 
 
 def same_rows(found: NDArray[np.void], expected: NDArray[np.void]) -> None:
-    """Field by field: records that hold a NaN are equal to no other."""
+    """Assert equality field by field, with NaN equal to NaN."""
     assert found.dtype == expected.dtype
     for name in found.dtype.names or ():
         np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
@@ -78,7 +78,7 @@ def test_the_length_of_the_batches_changes_nothing(
 
 
 def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path) -> None:
-    """In log order, for the bag has no journal."""
+    """In log order, because the bag has no journal."""
     expected: list[Measurement] = []
     with open_bag(emulated_bag) as bag:
         for message in bag.messages(["sprockets", "imu/data_raw", "box_pose"]):
@@ -95,7 +95,7 @@ def test_rows_are_the_measurements_that_live_conversion_makes(emulated_bag: Path
 
 
 def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -> Path:
-    """That bag with a journal, (log time, report) of each line."""
+    """The bag with a journal, given as (log time, report) of each line."""
     with open_bag(emulated_bag) as bag, BagWriter(path) as writer:
         messages = [(m.log_time_ns, m.topic, m.type_name, bytes(m.raw)) for m in bag.messages()]
         for sequence, (logged_ns, report) in enumerate(lines):
@@ -107,7 +107,7 @@ def journaled(path: Path, emulated_bag: Path, lines: list[tuple[int, Report]]) -
 
 
 def test_the_journal_orders_a_bag_while_it_is_read(emulated_bag: Path, tmp_path: Path) -> None:
-    """Each measurement processed up to 0.3 s after it was logged, a reset between, and one never."""
+    """Measurements are processed up to 0.3 s after their log times, with a reset between; one never is."""
     with open_bag(emulated_bag) as bag:
         given = read_inputs(bag, P, InputFilters(), ())
     rng = np.random.default_rng(5)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results replace earlier results, and nothing else: a file that was named by mistake stays as it is."""
+"""Results replace earlier results only: any other file named by mistake is kept."""
 
 import os
 from collections.abc import Callable
@@ -54,7 +54,7 @@ def test_recording_is_not_replaced_by_a_report(bag: Path, tmp_path: Path, refuse
 def test_parameters_of_the_user_are_not_replaced_by_tuned_ones(
     bag: Path, tmp_path: Path, refuse: Refuse, name: str
 ) -> None:
-    """For example by ``tune --output config``."""
+    """As with ``tune --output config``."""
     (tmp_path / name).write_text(MINE, encoding="utf-8")
     assert "is not replaced" in refuse("tune", bag, "--output", tmp_path)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir() if path.is_file()] == [(name, MINE)]

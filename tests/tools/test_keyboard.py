@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Keys are heard one by one on a terminal, which is left as it was; a pipe is left alone."""
+"""Keys are read one by one on a terminal, which is restored at the end; a pipe is not read."""
 
 import io
 import os
@@ -29,9 +29,9 @@ print("typed", repr(text), termios.tcgetattr(0) == before, flush=True)
 
 
 def read_until(terminal: int, word: bytes) -> bytes:
-    """What the child writes, up to this or its end."""
+    """Output of the child up to this word or its end."""
     received = b""
-    with suppress(OSError):  # nobody is at the other end any more
+    with suppress(OSError):  # the child has ended
         while word not in received:
             received += os.read(terminal, 1000)
     return received
@@ -42,7 +42,7 @@ def test_keys_act_without_enter_and_the_terminal_is_restored() -> None:
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", CHILD.format(path=sys.path)])
     received = read_until(terminal, b"ready")
-    assert received.strip() == b"ready"  # the end of the line comes with it, or later
+    assert received.strip() == b"ready"  # the line end may arrive later
     os.write(terminal, b"  x")
     os.write(terminal, b"q")
     assert b"typed '  xq' True" in read_until(terminal, b"True")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A replay says what was learned, and starts from what the live estimator started from."""
+"""A replay reports the learned states, and starts from those of the live estimator."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +28,7 @@ Summary = Callable[..., dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def learned_tree(drive: Callable[..., Any]) -> dict[str, Any]:
-    """Of an earlier run, on ground where nothing slips."""
+    """Learned states of an earlier run, on ground without slip."""
     p = load_slip_parameters()
     estimator = SlipEstimator(p)
     segments = [(5.0, 2.0, 2.0, 0.0, 0.0, 0.0), (5.0, 1.0, 2.0, 0.0, 0.0, 0.0)]
@@ -41,7 +41,7 @@ def learned_tree(drive: Callable[..., Any]) -> dict[str, Any]:
 def second_run(
     bag_of: Callable[..., Path], lines: list[Any], learned_tree: dict[str, Any]
 ) -> Callable[..., Path]:
-    """A function that makes a bag of a run which started from this."""
+    """A function that writes a bag of a run that started from these learned states."""
 
     def make_bag(learned: object = learned_tree) -> Path:
         text = parameters_text(to_flat(load_slip_parameters()), NODE, learned=learned)
@@ -123,7 +123,7 @@ def test_report_shows_learned_states_over_time(emulated_run: Run) -> None:
     assert rows["gyro bias"][3] == "°/s"
     assert rows["delay of box_pose"][1:3] == ("–", "–")
     assert "…" in rows["turning efficiency κ"][2]
-    assert not rows["track error"][2].startswith(("-", "−"))  # it has a sign for none
+    assert not rows["track error"][2].startswith(("-", "−"))  # the value is unsigned
     panels = {panel.title: panel for panel in learned_panels([emulated_run])}
     (curve,) = panels["track error"].curves
     assert curve.band is not None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page in a real browser, with fingers: it follows, scrolls, comes back, and runs no one's code."""
+"""The live page in a real browser with touch: it follows, scrolls, reconnects, and runs no foreign code."""
 
 import itertools
 import re
@@ -37,12 +37,12 @@ SINCE = r"no data since \d\d:\d\d:\d\d \(\d+ s\)"
 
 
 class Machine:
-    """Drives on, and is served; ``quiet``: what of it has ended."""
+    """A driving machine with a page server; nodes in ``quiet`` send no diagnostics."""
 
     def __init__(self, pages: dict[str, File], port: int = 0, name: str = "can_driver") -> None:
         self.state = LiveState(f"a test of {EVIL}", load_vehicle())
         self.quiet: set[str] = set()
-        self.sent: Callable[[dict[str, Any]], dict[str, Any]] = lambda frame: frame  # instead of a frame
+        self.sent: Callable[[dict[str, Any]], dict[str, Any]] = lambda frame: frame  # may replace a frame
         self.name = name
         self.server = PageServer(
             pages, self.state.whole, LiveParameters(host="127.0.0.1", port=port, origins=())
@@ -99,13 +99,13 @@ def opened(open_page: OpenPage, machine: Machine) -> Callable[[int], Any]:
 
 
 def follows(page: Any, frames: int) -> None:
-    """Wait until so many more frames were shown."""
+    """Wait until so many more frames are shown."""
     before = page.evaluate("Number(document.documentElement.dataset.frames ?? 0)")
     page.wait_for_function(FOLLOWS, arg=before + frames)
 
 
 def is_grey(page: Any) -> bool:
-    """Whether no value and no light has a colour, nor is black."""
+    """Whether all values and lights are grey, and none is black."""
     shades = [re.findall(r"\d+", colour)[:3] for colour in page.evaluate(COLOURS)]
     return all(red == green == blue != "0" for red, green, blue in shades)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip live``: what it refuses, and a bag on the page from the first message to Ctrl-C."""
+"""``trackslip live``: its refusals, and a bag on the page from the first message to Ctrl-C."""
 
 import asyncio
 import json
@@ -117,7 +117,7 @@ def test_a_lost_fix_is_an_event_over_a_bag_without_diagnostics() -> None:
 
 @pytest.fixture
 def serving() -> Iterator[tuple[Any, str]]:
-    """The command over a bag, and the address that it prints."""
+    """The running command over a bag, and the address that it prints."""
     command = [*TRACKSLIP, "live", str(BAG), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None

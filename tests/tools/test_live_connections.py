@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page's server among clients that send half of a request, nothing, or rubbish, and never leave."""
+"""The live page's server with clients that send half a request, nothing, or garbage, and stay connected."""
 
 import http.client
 import logging
@@ -23,7 +23,7 @@ from trackslip_tools.live.server import PageServer, ServerLog
 
 Connect = Callable[..., socket.socket]
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1"
-LARGE = 10_000_000  # bytes: more than sockets take unread
+LARGE = 10_000_000  # bytes, more than the buffers of a socket
 FILES = {"": File("text/html", b"<p>page</p>"), "large": File("text/plain", b"x" * LARGE)}
 
 
@@ -49,7 +49,7 @@ def serve(logged: list[str]) -> Iterator[Callable[[], PageServer]]:
 
 @pytest.fixture
 def server(serve: Callable[[], PageServer], monkeypatch: pytest.MonkeyPatch) -> PageServer:
-    """One that is patient with each connection."""
+    """A server with long time-outs."""
     for name in ("HEADER_TIMEOUT_S", "_LIFE_S"):
         monkeypatch.setattr(connections, name, 10.0 * PATIENCE)
     return serve()
@@ -57,14 +57,14 @@ def server(serve: Callable[[], PageServer], monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def hasty(serve: Callable[[], PageServer], monkeypatch: pytest.MonkeyPatch) -> PageServer:
-    """One that waits 0.2 s for the rest of a request."""
+    """A server that waits 0.2 s for the rest of a request."""
     monkeypatch.setattr(connections, "HEADER_TIMEOUT_S", 0.2)
     return serve()
 
 
 @pytest.fixture
 def connect() -> Iterator[Connect]:
-    """A function that connects to a server, and sends it some bytes."""
+    """A function that connects to a server and sends some bytes."""
     with ExitStack() as opened:
 
         def connected(server: PageServer, sent: bytes = b"") -> socket.socket:
@@ -77,7 +77,7 @@ def connect() -> Iterator[Connect]:
 
 
 def status(server: PageServer) -> int:
-    """Of the page, for a client that asks as browsers do."""
+    """HTTP status of the page."""
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
     connection.request("GET", "/")
     found = connection.getresponse()
@@ -87,7 +87,7 @@ def status(server: PageServer) -> int:
 
 
 def is_closed(client: socket.socket) -> bool:
-    """Whether the server has closed it; waits for it."""
+    """Wait until the server has closed the connection; True then."""
     try:
         while client.recv(4096):
             pass
@@ -179,7 +179,7 @@ def test_streams_of_pages_count_and_are_kept(server: PageServer, connect: Connec
 
 @pytest.fixture
 def scarce() -> Iterator[Callable[[int], None]]:
-    """A function that leaves this process so many free descriptors."""
+    """A function that leaves this process only so many free file descriptors."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     fillers: list[int] = []
 
@@ -204,7 +204,7 @@ def scarce() -> Iterator[Callable[[int], None]]:
 def test_half_sent_requests_are_closed_when_descriptors_run_out(
     server: PageServer, connect: Connect, scarce: Callable[[int], None], logged: list[str]
 ) -> None:
-    scarce(41)  # 20 at each end, and one for the good client
+    scarce(41)  # 20 at each end, and one for the valid client
     for _ in range(20):
         connect(server, HALF)
     wait_for(lambda: server.counts["connections"] == 20)
@@ -233,7 +233,7 @@ def test_accepting_pauses_when_descriptors_run_out(
 
 
 def test_server_logs_one_line_a_second(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.WARNING, logger="tornado")  # distributed, once imported, raises it
+    caplog.set_level(logging.WARNING, logger="tornado")  # an import of distributed raises the level
     caplog.set_level(logging.WARNING, logger="tornado.general")
     now_s, lines = [0.0], list[str]()
     log = ServerLog(lines.append, lambda: now_s[0])

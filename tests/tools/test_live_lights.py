@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lights of the live page: levels, ages, rates, nodes that fall silent, and names that are anybody's."""
+"""Lights of the live page: levels, ages, rates, silent nodes, and untrusted names."""
 
 import math
 

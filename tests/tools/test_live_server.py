@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page's server: who may ask, what it answers, and that nothing it is sent does anything."""
+"""The live page's server: permitted clients, its answers, and no effect of received data."""
 
 import asyncio
 import http.client

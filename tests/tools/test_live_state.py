@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live page's buffer: frames and the whole agree, hold only what JSON knows, and do not grow."""
+"""The live page's buffer: frames agree with the whole, have only JSON values, and memory is bounded."""
 
 import json
 from typing import Any
@@ -125,7 +125,7 @@ def test_soil_and_fixes_are_shown(state: LiveState) -> None:
 
 
 def parameters(**named: float) -> Any:
-    """What the slip estimator states of sources of poses and their timeouts."""
+    """Parameters message of the slip estimator with the timeouts of these pose sources."""
     groups = {name: {"timeout": timeout} for name, timeout in named.items()}
     stated = {"pose_sources": list(named), "sources": groups}
     return make("std_msgs/msg/String", data=parameters_text(stated, "slip_estimator"))
@@ -156,7 +156,7 @@ def test_a_source_slower_than_its_timeout_is_lost_after_three_periods(state: Liv
         if now_s <= 4.2:
             reported += [
                 (now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]
-            ]  # just before it
+            ]  # before the next fix
             state.process("rtk", messages.fix(0.0, 0.0), now_s)
         reported += [(now_s, text) for *_, text in state.tick(now_s, 1e3 * now_s)["events"]]
     assert reported == [(7.4, "fix lost: rtk")]

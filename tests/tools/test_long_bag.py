@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of many minutes, made by ``tests/fixtures/long_bag.py``, goes through in bounded memory."""
+"""A bag of many minutes, made by ``tests/fixtures/long_bag.py``, is processed in bounded memory."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 MINUTES = 20
-GROWTH = 25.0  # MB, of ten minutes: tables of 100 Hz as Python objects would take hundreds
+GROWTH = 25.0  # MB per ten minutes; tables of 100 Hz as Python objects would need hundreds
 READ = """
 import resource, sys
 from trackslip_bags.input_filters import InputFilters
@@ -40,7 +40,7 @@ from trackslip_tools.cli.main import main
 code = main(sys.argv[1:])
 print(code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
 """
-# MB of ten minutes more, before thinning begins: fifty times as much is what 8 h may take.
+# MB per ten minutes before thinning begins; the limit for 8 h is fifty times as much.
 GROWTHS = {"replay": 30.0, "calibrate": 25.0, "smooth": 30.0, "report": 60.0}
 
 
@@ -65,7 +65,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("command", GROWTHS)
 def test_memory_growth_of_commands_is_limited(tmp_path: Path, command: str) -> None:
-    """None holds what it reads as Python objects, or as whole records of messages."""
+    """No command stores its inputs as Python objects or as complete message records."""
     options = ["--output", str(tmp_path / "report.html")] if command == "report" else []
 
     def largest(minutes: float) -> float:
@@ -81,7 +81,7 @@ def test_memory_growth_of_commands_is_limited(tmp_path: Path, command: str) -> N
 
 @pytest.mark.timeout(600)
 def test_repeated_drive_is_continuous(tmp_path: Path) -> None:
-    """Stamps, sprockets and poses are continuous: nothing jumps, and nothing is lost."""
+    """Stamps, sprockets and poses have no jumps, and no message is lost."""
     path = lengthened(tmp_path / "long", 2.0, "--live")
     with open_bag(path) as bag:
         inputs = read_inputs(bag, load_slip_parameters(), InputFilters(), ())

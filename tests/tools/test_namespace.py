@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of several machines: each replays alone, by its namespace."""
+"""A bag of several machines: each is replayed alone, by its namespace."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ JOINTS = serialize(make("sensor_msgs/msg/JointState"))
 
 @pytest.fixture(scope="module")
 def two_machines(emulated_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same drive twice, in the namespaces one and two; of two the laser failed."""
+    """The same drive in the namespaces one and two; the laser of two has failed."""
     path = tmp_path_factory.mktemp("two") / "bag"
     with open_bag(emulated_bag) as bag, BagWriter(path) as both:
         for m in bag.messages():
@@ -40,7 +40,7 @@ def replayed(folder: Path, *arguments: str | Path) -> dict[str, Any]:
 def test_each_machine_replays_alone(emulated_bag: Path, two_machines: Path, tmp_path: Path) -> None:
     alone = replayed(tmp_path, emulated_bag)
     of_one = replayed(tmp_path, two_machines, "--namespace", "/site/one")
-    # Errors are summed over parts of the bag, which are not cut at the same places.
+    # Errors are summed in batches, which are cut at different places.
     for name in ("rmse", "nees", "nees_position"):
         assert of_one.pop(name) == pytest.approx(alone.pop(name), rel=1e-12)
     assert of_one == alone

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings by the names of an earlier version, of the sources that the bag names."""
+"""Settings with the names of an earlier version, for the sources that the bag names."""
 
 from pathlib import Path
 

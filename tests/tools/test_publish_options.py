@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands that need ROS refuse."""
+"""Refusals of the commands that need ROS."""
 
 import sys
 from collections.abc import Callable

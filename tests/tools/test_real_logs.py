@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of real machines, geometry alone: as good as their bars, whichever way they are said to look.
+"""Logs of real machines with nominal geometry only: errors within their limits, for any assumed heading.
 
-The bars are for the mean of three draws of the fixes' noise; 5 % more is for other processors and versions.
+The limits hold for the mean of three noise draws of the fixes; 5 % allows for other processors and versions.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ Import = Callable[[str, bool], Path]
 
 @pytest.fixture(scope="module")
 def log(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Import:
-    """A bag of a robot; ``headings``: whether its reference has them."""
+    """A function that imports a robot's log; ``headings``: whether its reference has headings."""
     folder, made = tmp_path_factory.mktemp("real"), {}
 
     def import_(robot: str, headings: bool) -> Path:
@@ -76,7 +76,7 @@ def test_geometry_alone_is_enough(
     options = [word for topic in topics for word in ("--withhold", f"{topic}:{hidden}")]
     found = [replay(log(robot, True), robot, tmp_path, *options, "--seed", str(seed)) for seed in range(3)]
     assert np.mean([one["rmse"]["filter"] for one in found]) <= SLACK * bar
-    # below 2, as the reference, whose own covariance counts too, is what the fixes are made of
+    # below 2: the fixes are drawn from the reference, and its own covariance is added
     assert 0.3 < np.mean([one["nees_position"] for one in found]) < 3.0
     if not hidden:
         assert np.mean([one["nees"] for one in found]) < 4.5
@@ -106,7 +106,7 @@ def test_error_after_ten_metres_does_not_depend_on_the_assumed_heading(
 
 
 def after_ten_metres(bag: Path, reference: Path, robot: str, output: Path, *options: str) -> float:
-    """RMSE of the position from where the reference has gone 10 m, m."""
+    """RMSE of the position after the reference has moved 10 m, m."""
     replay(bag, robot, output.parent, *options, "--output", str(output))
     t, path = columns(reference, "/reference_pose", PoseFields)
     estimate_t, estimate = columns(output, "/odometry", OdometryFields)
@@ -118,7 +118,7 @@ def after_ten_metres(bag: Path, reference: Path, robot: str, output: Path, *opti
 
 
 def first_heading(bag: Path, robot: str) -> float:
-    """Of the reference where the window begins, rad."""
+    """Heading of the reference at the start of the window, rad."""
     t, poses = columns(bag, "/reference_pose", PoseFields)
     begins = float(WINDOWS[robot][1]) if WINDOWS[robot] else 0.0
     with open_bag(bag) as opened:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A replay in batches of any length, and topics read as columns: the same to the last bit as one by one."""
+"""Replays in batches of any length, and topics read as columns, equal message-wise ones bit for bit."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ SERIES = ("truth/odometry", "truth/track_slip")
 def test_the_length_of_the_batches_changes_nothing(
     emulated_bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of both estimators."""
+    """Holds for both estimators."""
     p = load_slip_parameters()
     of_soil = load_soil_parameters(vehicle_layer(p.vehicle))
 
@@ -36,7 +36,7 @@ def test_the_length_of_the_batches_changes_nothing(
         forces = result.soil.forces.tobytes()
         numbers = [result.nees, result.slip_rmse]
         numbers += [value for scored in result.scores.values() for value in vars(scored).values()]
-        rounded = [round(number, 9) for number in numbers if number is not None]  # sums over the batches
+        rounded = [round(number, 9) for number in numbers if number is not None]  # sums over batches
         return [
             details.reports.tobytes(),
             details.fixes.tobytes(),
@@ -56,7 +56,7 @@ def test_the_length_of_the_batches_changes_nothing(
 def test_reading_by_column_equals_reading_by_message(
     emulated_bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also for a part of the bag."""
+    """Holds also for a part of the bag."""
 
     def read(filters: InputFilters) -> Inputs:
         with open_bag(emulated_bag) as bag:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live order: by the journal where there is one, by log time for what it does not know."""
+"""The live order: by the journal if there is one, by log time for measurements absent from it."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def arrival(source: str, stamp: int, log: int, rate: float = 0.0) -> tuple[int, 
 
 
 def journal(*lines: tuple[int, str, int]) -> Rows:
-    """(log time, source, stamp) of each line, numbered."""
+    """Numbered lines of a journal, from (log time, source, stamp)."""
     numbered = [(log, k, SOURCES.index(source), stamp, 0) for k, (log, source, stamp) in enumerate(lines)]
     return np.array(numbered, dtype=LINE)
 
@@ -29,8 +29,8 @@ def journal(*lines: tuple[int, str, int]) -> Rows:
 def ordered(
     arrivals: list[tuple[int, YawRate]], lines: Rows, cuts: tuple[int, ...] = ()
 ) -> tuple[Rows, JournalCounts]:
-    """Rows in live order, read in stretches that end at the ``cuts``."""
-    rows = rows_of(sorted(arrivals, key=lambda a: a[0]), SOURCES)  # as a bag gives them
+    """Rows in live order, read in sections that end at the ``cuts``."""
+    rows = rows_of(sorted(arrivals, key=lambda a: a[0]), SOURCES)  # in the order of a bag
     commands, sprockets = [SOURCES.index("reset")], SOURCES.index("sprockets")
     order = LiveOrder(SOURCES, {*lines["source"].tolist()}, commands, sprockets)
     found, begin = [], 0
@@ -121,7 +121,7 @@ def test_lost_lines_are_counted() -> None:
 
     assert lost(journal()) == 0
     assert lost(lines) == 0
-    assert lost(lines[:-2]) == 0  # the end of a recording is no loss
+    assert lost(lines[:-2]) == 0  # the end of a recording is not a loss
     assert lost(lines[3:]) == 3
     assert lost(lines[[0, 4, 5, 6, 9]]) == 5
 
@@ -155,7 +155,7 @@ def test_lines_without_numbers_begin_no_runs() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
-    """Lines up to a quarter of the horizon after their message or before it, in another order."""
+    """Lines are up to a quarter of the horizon before or after their message, in another order."""
     rng = np.random.default_rng(seed)
     step = HORIZON_NS // 10
     arrivals = [arrival("ab"[k % 2], k, k * step) for k in range(200) if rng.random() < 0.95]
@@ -166,7 +166,7 @@ def test_stretches_are_ordered_as_the_whole_is(seed: int) -> None:
     whole, counts = ordered(arrivals, lines)
     cuts = tuple(np.sort(rng.integers(0, 200 * step, 40)).tolist())
     found, counts_of_cuts = ordered(arrivals, lines, cuts)
-    for name in whole.dtype.names:  # by fields: nan is what was not measured
+    for name in whole.dtype.names:  # by field: nan means not measured
         np.testing.assert_array_equal(found[name], whole[name])
     assert counts_of_cuts == counts
     assert counts.lost_inputs > 0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip report``: what its plots say of a drive whose truth is known, its tables and its page."""
+"""``trackslip report`` of a drive with known truth: its plots, tables and page."""
 
 import dataclasses
 import re
@@ -62,7 +62,7 @@ def test_slips_are_drawn_beside_the_truth_while_moving(run: Run) -> None:
     panel = titled(motion_panels([run]), "Slip of the right")
     truth, estimate = panel.curves
     assert (truth.label, truth.colour, truth.band) == ("truth", INK, None)
-    early = estimate.times < 2.5  # it stands
+    early = estimate.times < 2.5  # at standstill
     assert early.any()
     assert np.isnan(estimate.values[early]).all()
     assert np.isnan(truth.values[truth.times < 2.5]).all()
@@ -108,7 +108,7 @@ def test_box_is_drawn_at_its_pose(run: Run) -> None:
 
 
 def test_laser_points_are_on_the_walls_of_the_site(run: Run) -> None:
-    """Those of config/site.yaml: the fence from (−12, 14) to (22, 16)."""
+    """The fence of config/site.yaml from (−12, 14) to (22, 16)."""
     points = run.recording.points
     fence = points[(points[:, 1] > 13.0) & (points[:, 1] < 17.0)]
     assert len(fence) > 50

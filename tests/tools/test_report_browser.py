@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A report in a real browser: it draws, zooms, is scrolled by fingers, and asks nobody for anything."""
+"""A report in a real browser: it draws, zooms, scrolls by touch, and makes no network request."""
 
 import dataclasses
 import io
@@ -26,7 +26,7 @@ CURSOR = f"{CURSORS}.some(m => m.visible)"
 MATHS = "$$\\href{javascript:alert(1)}{x}$$"
 ENDING = "</script><script>alert(1)</script>"
 DESK, TABLET = 1500, 1024
-LEAST_COLOURS = 100  # of a plot with curves; one without has fewer shades of grey
+LEAST_COLOURS = 100  # of a plot with curves; a plot without has fewer shades of grey
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def one_run(emulated_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 @pytest.fixture(scope="module")
 def comparison(emulated_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report of two runs, with names and reasons that must stay text."""
+    """A report of two runs with markup in names and reasons, which must remain text."""
     file = tmp_path_factory.mktemp("report") / "two.html"
     recording = hostile(emulated_run.recording)
     runs = [
@@ -50,7 +50,7 @@ def comparison(emulated_run: Run, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 def hostile(recording: Recording) -> Recording:
-    """With names of topics and lights, and with reasons, that would like to run."""
+    """A recording with markup and scripts in topics, lights and reasons."""
     (timing, *_) = recording.timings.values()
     names = (EVIL, MATHS, ENDING)
     return dataclasses.replace(
@@ -64,13 +64,13 @@ def hostile(recording: Recording) -> Recording:
 
 @pytest.fixture(scope="module")
 def complaints_of_browser() -> list[str]:
-    """What the pages complain about that several tests use."""
+    """Complaints of the pages that several tests share."""
     return []
 
 
 @pytest.fixture
 def complaints(complaints_of_browser: list[str]) -> Iterator[list[str]]:
-    """That, and the complaints of the page of a test; each is stated once."""
+    """Complaints of shared pages and of the test's own page; each is reported to one test only."""
     yield complaints_of_browser
     complaints_of_browser.clear()
 
@@ -93,28 +93,28 @@ def opened_on_tablet(open_shared: OpenPage, one_run: Path) -> Any:
 
 @pytest.fixture
 def page(opened_on_desk: Any) -> Any:
-    """The report of one run, drawn once for all tests: at its top, no moment chosen, the mouse at no plot."""
+    """The shared report of one run: scrolled to the top, no time selected, the mouse off the plots."""
     opened_on_desk.mouse.move(0.0, 0.0)
     opened_on_desk.evaluate(f"scrollTo(0, 0); {CURSORS}.forEach(m => {{m.visible = false}})")
     return opened_on_desk
 
 
 def show(page: Any, file: Path) -> Any:
-    """The page, when all of the file is drawn."""
+    """Open the file; the page once it is drawn completely."""
     page.goto(file.as_uri())
     page.wait_for_function(DRAWN)
     return page
 
 
 def shown_range(page: Any, name: str) -> tuple[float, float]:
-    """Of the x axis of a plot."""
+    """Range of the x axis of a plot."""
     script = "name => {const {x_range} = Bokeh.documents[0].get_model_by_name(name); "
     start, end = page.evaluate(f"{script} return [x_range.start, x_range.end]}}", name)
     return start, end
 
 
 def middle(page: Any, index: int) -> tuple[float, float, float]:
-    """x, y and width on the screen of the index-th plot over time."""
+    """x and y of a point in the index-th time plot, and the plot's width, on the screen."""
     plot = page.locator(".plot").nth(1 + index)
     plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
@@ -136,7 +136,7 @@ def test_every_plot_is_drawn_without_a_complaint(page: Any, complaints: list[str
 
 def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(page: Any, complaints: list[str]) -> None:
     whole = shown_range(page, "time-0")
-    for _ in range(5):  # on a busy machine a plot may still move away below the mouse
+    for _ in range(5):  # on a busy machine the layout may still move the plot
         x, y, width = middle(page, 2)
         page.mouse.move(x - 0.1 * width, y)
         page.mouse.down()
@@ -149,7 +149,7 @@ def test_a_zoom_in_one_plot_zooms_all_and_a_double_click_ends_it(page: Any, comp
     assert whole[0] < start < end < whole[1]
     assert end - start == pytest.approx(0.22 * (whole[1] - whole[0]), rel=0.2)
     assert shown_range(page, "time-5") == (start, end)
-    for _ in range(20):  # on a busy machine two clicks are too far apart to be a double one
+    for _ in range(20):  # on a busy machine two clicks may be too far apart for a double click
         page.mouse.dblclick(x, y)
         page.wait_for_timeout(500)
         if shown_range(page, "time-5") == whole:
@@ -169,7 +169,7 @@ def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(page: Any, c
     assert len(moments) == page.locator(".plot").count() - 1
     assert len(set(moments)) == 1
     start, end = shown_range(page, "time-0")
-    assert moments[0] == pytest.approx((start + end) / 2.0, rel=0.2)  # the border left is wider
+    assert moments[0] == pytest.approx((start + end) / 2.0, rel=0.2)  # the left margin is wider
     x_there, nearest = page.evaluate(
         """moment => {
                const sources = [...Bokeh.documents[0].all_models].filter(m => m.type == "ColumnDataSource")
@@ -180,7 +180,7 @@ def test_the_cursor_is_the_same_moment_in_all_plots_and_on_the_path(page: Any, c
            }""",
         moments[0],
     )
-    assert x_there > 0.5  # it has left the start
+    assert x_there > 0.5  # away from the start
     assert nearest == 0.0
     assert complaints == []
 
@@ -248,7 +248,7 @@ def test_one_finger_scrolls_a_button_zooms_and_a_tap_chooses_the_moment(
 
 
 def test_the_first_swipe_after_a_mouse_scrolls_too(opened_on_tablet: Any, complaints: list[str]) -> None:
-    """The tools of the mouse took it, and zoomed: the page scrolled from the second swipe on."""
+    """The tools of the mouse do not capture the first swipe."""
     page = opened_on_tablet
     whole = shown_range(page, "time-0")
     x, y, _ = middle(page, 3)

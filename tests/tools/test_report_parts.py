@@ -37,7 +37,7 @@ def test_gap_in_a_curve_is_kept() -> None:
     kept = extremes([values], 200)
     broken = np.isnan(values[kept])
     assert broken.any()
-    assert (np.diff(np.flatnonzero(broken)) == 1).all()  # one stretch, between two that are whole
+    assert (np.diff(np.flatnonzero(broken)) == 1).all()  # one gap between two sections
     assert not broken[0]
     assert not broken[-1]
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip report``: its headline, events, lights, and how runs over several bags are aligned."""
+"""``trackslip report``: headline, events, lights, and alignment of runs over several bags."""
 
 import dataclasses
 from collections.abc import Callable
@@ -124,7 +124,7 @@ def test_lost_fixes_and_gated_fixes_are_events(emulated_run: Run) -> None:
 
 
 def test_fixes_are_not_lost_after_the_last_measurement(emulated_run: Run) -> None:
-    """A recorder runs on for some seconds when all nodes have ended."""
+    """A recorder continues for some seconds after all nodes have ended."""
     recording = dataclasses.replace(emulated_run.recording, stop_s=emulated_run.recording.stop_s + 20.0)
     assert events_of(dataclasses.replace(emulated_run, recording=recording)) == []
 
@@ -142,7 +142,7 @@ def test_a_silent_gyro_is_an_event(emulated_run: Run) -> None:
 def test_fixes_at_1_hz_are_not_lost_between_two_of_them(
     emulated_bag: Path, run_over: Callable[..., Run]
 ) -> None:
-    """Their timeout is 1 s; of stamps at 1 Hz about half are further apart."""
+    """The timeout is 1 s; about half of the stamp intervals at 1 Hz are longer."""
     run = run_over(emulated_bag, filters=InputFilters(thin=(Thin("box_pose", 1.0),)))
     stamps_ns = np.sort(run.details.fixes["stamp_ns"])
     assert (np.diff(stamps_ns) > run.parameters.timeouts_ns()["box_pose"]).any()
@@ -151,7 +151,7 @@ def test_fixes_at_1_hz_are_not_lost_between_two_of_them(
 
 
 def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run) -> None:
-    """A replay knows both; a bag without /diagnostics serves."""
+    """A replay provides both; the bag may lack /diagnostics."""
     zero_ns = emulated_run.recording.zero_ns
     off = Explanation("box_pose is 1.0 m off", 0.9, zero_ns)
     moved = Explanation("the machine was moved", 0.1, zero_ns, is_ongoing=False)

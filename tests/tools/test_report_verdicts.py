@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip report``: whether innovations and verdicts separate a consistent run from one that is not."""
+"""``trackslip report``: innovations and verdicts distinguish a consistent run from an inconsistent one."""
 
 import dataclasses
 import re
@@ -41,7 +41,7 @@ def run(emulated_run: Run) -> Run:
 
 
 def changed(run: Run, recording: dict[str, Any] | None = None, **replayed: Any) -> Run:
-    """The run with other findings."""
+    """The run with other recorded or replayed results."""
     return dataclasses.replace(
         run,
         recording=dataclasses.replace(run.recording, **(recording or {})),
@@ -53,7 +53,7 @@ def changed(run: Run, recording: dict[str, Any] | None = None, **replayed: Any) 
 
 
 def consistent_run(run: Run, factor: float = 1.0, size: int = 600) -> Run:
-    """Fixes about a machine at rest whose pose is known with an error as claimed, times ``factor``."""
+    """Fixes of a machine at rest; errors of fixes and poses are ``factor`` times as large as stated."""
     rng = np.random.default_rng(3)
     own, theirs = np.diag((0.02, 0.03, 0.01)), np.diag((0.05, 0.04, 0.02))
     sources, k = ("sprockets", "box_pose"), np.arange(size)
@@ -167,7 +167,7 @@ def test_rejections_are_shares_of_their_source(run: Run) -> None:
     assert rejection_rows(few)[0] == ("box_pose", "gated", "10", f"{100.0 * share:.2f}")
     found = verdicts(few, load_limits())["Rejections"]
     assert found.state is State.ATTENTION
-    assert "sprockets" not in found.value  # waiting for the first fix is no fault
+    assert "sprockets" not in found.value  # waiting for the first fix is not a fault
 
 
 def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
@@ -183,7 +183,7 @@ def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
     every = "Every measurement was used."
     assert words(changed(run, rejected=Tally())) == every
     jumped = refusing(("sprockets", Outcome.JUMPED), ("sprockets", Outcome.RESTARTED))
-    assert words(changed(run, rejected=jumped)) == every  # used, but not as it stands
+    assert words(changed(run, rejected=jumped)) == every  # used in a modified form
     early = refusing(("sprockets", Outcome.WAITING))
     assert words(changed(run, rejected=early)) == "Since the start every measurement was used."
     soil = SoilReplay(load_soil_parameters(), rejected=refusing(("hydraulics", Outcome.INVALID)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of paths made by hand."""
+"""Scores of constructed paths."""
 
 import math
 from typing import Any
@@ -35,7 +35,7 @@ def path(times: tuple[int, ...], *poses: tuple[float, float, float]) -> Path:
 
 
 def estimates(*of: tuple[int, tuple[float, float, float], FloatArray]) -> Rows:
-    """Of times in ms, poses and covariances."""
+    """Estimates from times in ms, poses and covariances."""
     found = np.zeros(len(of), ESTIMATE)
     for record, (ms, pose, covariance) in zip(found, of, strict=True):
         record["stamp_ns"], record["pose"] = EPOCH_NS + ms * MS, pose
@@ -127,7 +127,7 @@ def test_nees_is_none_without_overlap() -> None:
 
 
 def test_a_reference_of_positions_is_scored_as_such() -> None:
-    """No heading of it counts, be it nan: 0.1 m with σ = 0.1 m is 1 of 2."""
+    """Its headings are ignored, even NaN: 0.1 m with σ = 0.1 m is 1 of 2."""
     own = estimates(*((t, (0.1, 0, 3.0), np.diag((0.01, 0.01, 1e-9))) for t in (0, 100)))
     reference = path((0, 100), (0, 0, math.nan), (0, 0, math.nan))
     errors = errors_against(own, reference)
@@ -155,7 +155,7 @@ def test_slip_errors_are_interpolated_for_both_tracks() -> None:
 
 
 def test_slips_are_scored_only_where_a_track_moves() -> None:
-    """At 0.73 m of tread: standing, creeping at 0.04 m/s, driving, reversing, turning on the spot."""
+    """Tread 0.73 m: standstill, creeping at 0.04 m/s, driving, reversing, a pivot turn."""
     times = (0, 100, 200, 300, 400)
     twists = ((0.0, 0.0), (0.04, 0.0), (0.3, 0.0), (-0.3, 0.0), (0.0, -0.2))
     v_x, rates = zip(*twists, strict=True)
@@ -167,7 +167,7 @@ def test_slips_are_scored_only_where_a_track_moves() -> None:
 
 
 def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
-    """A pivot, in which the inner track creeps at 0.02 m/s, a spin on the spot, both tracks running."""
+    """A turn whose inner track creeps at 0.02 m/s, spinning tracks at standstill, and both tracks driving."""
     times, speeds = (0, 100, 200), np.array(((0.02, 0.5), (0.5, 0.5), (0.3, 0.5)))  # left, right r ω
     ground = np.array(((0.08, 0.4), (1e-6, 1e-6), (0.29, 0.4)))
     left, right = (1.0 - ground / speeds).T
@@ -181,11 +181,11 @@ def test_the_slip_of_a_track_that_hardly_turns_is_not_scored() -> None:
     np.testing.assert_allclose(slip_errors(own, kept), (0.03, 0.03, 0.0), atol=1e-12)
 
 
-# The covariance of the reference
+# Covariance of the reference
 
 
 def test_nees_includes_the_covariance_of_the_reference() -> None:
-    """Error of 0.3 m; 0.1 m claimed, 0.2 m stated by the reference: 0.09 / (0.01 + 0.04)."""
+    """Error 0.3 m; standard deviations: estimate 0.1 m, reference 0.2 m: 0.09 / (0.01 + 0.04)."""
     P, R = np.diag((0.01, 0.01, 0.01)), np.diag((0.04, 0.04, 0.04))
     own = estimates((0, (0.3, 0.0, 0.0), P), (100, (1.3, 0.0, 0.0), P))
     errors = errors_against(own, path((0, 100), (0, 0, 0), (1, 0, 0)), np.array((R, R)))
@@ -215,7 +215,7 @@ def test_nees_of_a_consistent_estimate_against_a_reference_with_noise_is_3() -> 
     assert exact > 6.0
 
 
-# Covariances that are singular
+# Singular covariances
 
 SINGULAR = {
     "zero": np.zeros((3, 3)),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Slip seeds in a bag: replayed to the last bit where they are listened to, and otherwise without a trace."""
+"""Slip seeds in a bag: replayed bit for bit if their source is listed, otherwise without effect."""
 
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,12 @@ SOURCE = {"slip_sources": ["slip_seed"]}
 MODELS = ("free_slips", "turning")
 _LATE_NS = 500_000_000
 REPORTS = TOPICS["measurement_reports"].type_name
-LAST_NS = 1_700_000_100_000_000_000  # after all else
+LAST_NS = 1_700_000_100_000_000_000  # later than all messages
 
 
 @pytest.fixture(scope="module")
 def seeded(lines: list[Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The drive with a seed in each straight leg, the second one nonsense; each 0.5 s late."""
+    """The drive with a seed in each straight leg, the second one invalid; each arrives 0.5 s late."""
     origin_ns = min(line.log_ns for line in lines)
     found = []
     for t, slip in ((3.0, 0.02), (9.0, float("nan"))):

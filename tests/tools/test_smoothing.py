@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The smoother over an emulated drive: better than the filter, above all in outages; consistent at breaks."""
+"""The smoother on an emulated drive: better than the filter, mainly in outages; consistent at breaks."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +25,7 @@ from trackslip_tools.smoothing.smoothing import Smoothed, smooth
 
 S = 1_000_000_000
 SIGMAS = (0.05, 0.05, 0.05)  # m, m, rad
-OUTAGE = (22 * S, 34 * S)  # of the fixes, while the machine turns both ways
+OUTAGE = (22 * S, 34 * S)  # of the fixes, during turns both ways
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def outage(log: Any) -> Smoothed:
 
 
 def smoothed_of(measurements: list[Measurement], p: SlipEstimatorParameters | None = None) -> Smoothed:
-    """All blocks together."""
+    """All blocks of the smoother, concatenated."""
     p = p or load_slip_parameters()
     blocks = list(smooth(make_log(to_records(measurements, SlipEstimator(p).sources), p), p))
     return Smoothed(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
@@ -45,7 +45,7 @@ def without(found: tuple[Measurement, ...], kind: type, start_ns: int, stop_ns: 
 
 
 def errors(estimates: Rows, log: Any, start_ns: int = 0, stop_ns: int = 2**62) -> tuple[float, float]:
-    """RMS of position, m, and of heading, rad."""
+    """RMS errors of position, m, and heading, rad."""
     stamps_ns = estimates["stamp_ns"]
     inside = (start_ns <= stamps_ns) & (stamps_ns < min(stop_ns, int(log.truth_ns[-1])))
     found = estimates["pose"][inside] - log.true_pose(stamps_ns[inside])
@@ -58,7 +58,7 @@ def errors(estimates: Rows, log: Any, start_ns: int = 0, stop_ns: int = 2**62) -
 
 
 def rough(found: list[Measurement], seed: int) -> list[Measurement]:
-    """With fixes of 5 cm, one in four of those there are."""
+    """The measurements with every fourth fix, at 5 cm noise."""
     rng = np.random.default_rng(seed)
     fixes = [m for m in found if isinstance(m, PoseFix)][::4]
     noisy = [
@@ -78,9 +78,7 @@ def test_smoother_is_better_than_the_filter_and_much_better_in_an_outage(log: An
 
 
 def test_smoothed_covariance_is_consistent_and_below_the_filtered_one(log: Any, outage: Smoothed) -> None:
-    """Within 1e-4, because the gain of a yaw rate is that of a Schmidt filter, which is not of least
-    variance.
-    """
+    """Within 1e-4: yaw rates have the gain of a Schmidt filter, which does not minimise the variance."""
     filtered, smoothed = (estimates["pose_covariance"] for estimates in outage)
     gained = np.linalg.eigvalsh(filtered - smoothed)[:, 0] / np.trace(filtered, axis1=1, axis2=2)
     assert gained.min() > -1e-4

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The soil estimator in ``trackslip replay``: its result, its messages, and that it is repeatable."""
+"""The soil estimator in ``trackslip replay``: its result and messages, and their repeatability."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -57,7 +57,7 @@ def test_forces_and_soil_are_in_the_output(replayed: tuple[Path, dict[str, Any]]
 def test_replay_reproduces_live_forces(
     emulated_bag: Path, replayed: tuple[Path, dict[str, Any]], tmp_path: Path, summary: Summary
 ) -> None:
-    """Sensors and estimates in one bag; without the journal, whose log times are not those of a recorder."""
+    """Sensors and estimates in one bag; without the journal, whose log times differ from a recorder's."""
     with BagWriter(tmp_path / "live") as live:
         for message in merged_messages(emulated_bag, replayed[0]):
             live.write(message.topic, message.type_name, bytes(message.raw), message.log_time_ns)
@@ -70,7 +70,7 @@ def test_replay_reproduces_live_forces(
 
 @pytest.mark.parametrize("vehicle", ["pc05_cab", "pc05"])
 def test_replay_feeds_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
-    """Bit for bit, with swing and tilt where they are known."""
+    """Bit for bit, including swing and tilt where they are known."""
     own = SlipEstimator(load_slip_parameters({"vehicle": vehicle}))
     records = to_records(record(dig()[:6], Cab(encoder=vehicle == "pc05_cab")).measurements, own.sources)
     results = own.process_records(records)

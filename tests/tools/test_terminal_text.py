@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text for a terminal: nothing wider than 80 columns, nothing lost."""
+"""Text for a terminal: no line exceeds 80 columns, and no word is lost."""
 
 from hypothesis import given
 from hypothesis import strategies as st

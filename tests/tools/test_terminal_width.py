@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of the README on a terminal of 80 columns: nothing wider, and no traceback."""
+"""Commands of the README on a terminal of 80 columns: no wider line, and no traceback."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def test_a_command_keeps_to_the_terminal(words: str, tmp_path: Path) -> None:
     arguments = [word.format(bags=BAGS, out=tmp_path / "out") for word in words.split()]
     shown = on_terminal([*TRACKSLIP, *arguments])
     assert shown.code == (2 if "/no/" in words else 0), shown.text
-    paths = (str(BAGS), str(tmp_path))  # are never broken
+    paths = (str(BAGS), str(tmp_path))  # never wrapped
     assert [s for s in shown.lines if len(s) > COLUMNS and not any(path in s for path in paths)] == []
     assert "Traceback" not in shown.text
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip tune``: files, exit codes, an interruption, and a cluster that finds what one process finds."""
+"""``trackslip tune``: files, exit codes, an interruption, and equal results of a cluster and one process."""
 
 import json
 from pathlib import Path
@@ -136,7 +136,7 @@ def test_two_workers_of_a_cluster_find_what_one_process_finds(
 SLALOMS = [("slalom", "clayey_soil"), ("slalom", "sandy_loam"), ("thesis", "clayey_soil"), ("slalom", "sand")]
 TRIALS = [("field_trial", soil) for soil in ("sand", "sandy_loam", "dry_clay", "clayey_soil")]
 LONG = (pytest.mark.slow, pytest.mark.timeout(1200))
-APART = 7.0  # s after which errors of the pose are independent: the longest correlation time of their NEES
+APART = 7.0  # s, the longest correlation time of the pose's NEES
 
 
 def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
@@ -146,7 +146,7 @@ def recorded(scenario: str, soil: str, seed: int, path: Path) -> Path:
 
 
 def start_off(plan: Path, file: Path, factor: float) -> Path:
-    """Process noise off by a factor; where it is too small, that of the fixes is ten times too large."""
+    """Write process noise times ``factor``; if it is reduced, noise of the fixes is ten times too large."""
     ours = load_slip_parameters()
     names = [name for name in read_plan(plan).bounds if "*" not in name]
     layer: dict[str, Any] = {name: factor * value_of(ours, name) for name in names}
@@ -157,7 +157,7 @@ def start_off(plan: Path, file: Path, factor: float) -> Path:
 
 
 def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
-    """Position m, heading rad, NEES of what the estimator publishes."""
+    """Errors of position, m, and heading, rad, and NEES of the published estimates."""
     p = load_slip_parameters(*(node_parameters(read_yaml(layer), NODE, str(layer)) for layer in layers))
     with open_bag(bag) as opened:
         result = replay(opened, p, InputFilters(), None)
@@ -178,9 +178,9 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
 def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
     drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
 ) -> None:
-    """Over the three the error is 0.75 of before or less, though the filter finds much noise by itself.
+    """On the three bags the error falls to 0.75 or less, although the filter itself adapts much of the noise.
 
-    The covariances are consistent, and the place on an unseen bag is better too.
+    The covariances are consistent, and the position on an unseen bag improves as well.
     """
     bags = [recorded(*names, 11 + k, tmp_path / f"bag{k}") for k, names in enumerate(drives)]
     plan, out = tmp_path / "tune.yaml", tmp_path / "out"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tuner: what it makes of a bag, its journal, and what it leaves behind."""
+"""The tuner: its results on bags, its journal, and its files."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -36,7 +36,7 @@ SEGMENTS = [
 
 
 def measurements(drive: Callable[..., Any], seed: int = 0, sigma: float = 0.1) -> list[Measurement]:
-    """Fixes that claim to be far better than they are."""
+    """Measurements with fixes whose stated covariance is far too small."""
     found: list[Measurement] = drive(SEGMENTS, seed=seed, fix_sigma=(sigma, sigma, 0.02)).measurements
     claimed = np.diag((1e-6, 1e-6, 4e-4))
     return [replace(m, covariance=claimed) if isinstance(m, PoseFix) else m for m in found]
@@ -60,7 +60,7 @@ def tuned(folder: Path, tasks: Sequence[Task], plan: Plan, work: Work | None = N
         return Tuner(plan, tasks, work, journal, lambda _: None).run(cross_validate=True)
 
 
-# scores
+# Scores
 
 
 def test_fixes_are_most_likely_with_the_noise_that_they_have(drive: Callable[..., Any]) -> None:
@@ -90,7 +90,7 @@ def test_errors_are_those_of_the_estimator(drive: Callable[..., Any]) -> None:
 
 
 def test_nees_includes_the_covariance_of_the_reference(drive: Callable[..., Any]) -> None:
-    """A reference of 1 m explains all errors."""
+    """A reference with a standard deviation of 1 m explains all errors."""
     task = task_of(drive)
     exact = task.reference
     assert exact is not None
@@ -127,20 +127,20 @@ def test_without_a_reference_there_are_no_errors(drive: Callable[..., Any]) -> N
     assert np.isnan((task.score({}).position, task.score({}).heading, task.score({}).nees)).all()
 
 
-# the whole
+# Tuning as a whole
 
 
 @pytest.mark.slow
 def test_tuning_corrects_a_wrong_noise_and_writes_the_evidence(
     drive: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """Fixes are ten times worse than stated: the value is found on three bags and helps each one left out."""
+    """The noise of fixes is ten times the stated one; the value found improves each bag that is left out."""
     tasks = [task_of(drive, seed, **{"sources.box_pose.position_floor": 0.01}) for seed in range(3)]
     plan = plan_of(tmp_path)
     result = tuned(tmp_path, tasks, plan)
     assert result.values["sources.*.position_floor"] == pytest.approx(0.1, rel=0.3)
     for before, after in zip(result.before, result.after, strict=True):
-        assert after.position < before.position  # most of it the filter had found by itself
+        assert after.position < before.position  # the filter itself adapts to most of the noise
         assert 1.0 < after.nees < before.nees / 4.0
     assert [fold.bag for fold in result.folds] == [0, 1, 2]
     for fold in result.folds:
@@ -163,7 +163,7 @@ def test_tuning_corrects_a_wrong_noise_and_writes_the_evidence(
 def test_values_that_overfit_their_bags_are_reported_as_no_better(
     drive: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """One bag's fixes are bad, the other's good: what is found on either harms the other."""
+    """One bag has poor fixes, the other good ones: values found on either worsen the other."""
     p = load_slip_parameters({"model": "free_slips", "sources.box_pose.position_floor": 0.1})
     tasks = [
         make_task(f"bag{k}", records(measurements(drive, k, sigma), p), p, None)
@@ -208,7 +208,7 @@ def test_interrupted_search_resumes_and_ends_with_the_same_values(
         tuned(tmp_path / "cut", tasks, plan, work)
     journal = tmp_path / "cut" / "journal.jsonl"
     assert len(journal.read_text().splitlines()) == 20
-    journal.write_text(journal.read_text()[:-7])  # killed while it wrote: that one is scored again
+    journal.write_text(journal.read_text()[:-7])  # killed while writing: this evaluation is repeated
     before, scored[:] = scored[:-1], []
     scored_until = 10**9
     again = tuned(tmp_path / "cut", tasks, plan, work)

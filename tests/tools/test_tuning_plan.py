@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tuner's plan: bounds, and what is refused."""
+"""The tuner's plan: bounds and refusals."""
 
 from pathlib import Path
 
@@ -72,7 +72,7 @@ def test_an_effort_that_does_not_fit_is_refused(tmp_path: Path, text: str, words
 
 @pytest.mark.parametrize("name", [True, 1, None])
 def test_name_in_a_plan_that_is_no_text_is_refused(tmp_path: Path, name: object) -> None:
-    """For example ``true: log`` between the bounds."""
+    """As ``true: log`` between the bounds."""
     file = tmp_path / "tune.yaml"
     bounds = {"low": 0.1, "high": 1.0, name: "log"}
     tree = {"objective": "likelihood", "evaluations": 20, "seed": 0, "parameters": {"turning.loss": bounds}}

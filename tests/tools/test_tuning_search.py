@@ -12,7 +12,7 @@ from trackslip_tools.tuning.search import search
 
 
 def test_error_of_a_worker_ends_the_search() -> None:
-    """scipy must not replace the error by one of its own."""
+    """scipy must not replace the error by its own."""
 
     def costs(_: Any) -> Any:
         raise InputError("its workers ended")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip vehicle new``: files that load, numbers that a machine has, and what is guessed says so."""
+"""``trackslip vehicle new``: files that load, plausible numbers, and guessed values marked as such."""
 
 import math
 from pathlib import Path

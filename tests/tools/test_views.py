@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The layouts in ``config/views/`` show topics that there are, and fields that their messages have."""
+"""The layouts in ``config/views/`` show existing topics, and fields of their messages."""
 
 import json
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ PATHS = [path["value"] for panel in FOXGLOVE["configById"].values() for path in 
 
 
 def placed(layout: Any) -> Iterator[str]:
-    """Panels in their order."""
+    """Panels in order."""
     if isinstance(layout, str):
         yield layout
     else:

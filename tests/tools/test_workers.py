@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Workers of a Dask scheduler: what ends them is said in one line."""
+"""Workers of a Dask scheduler: failures are reported in one line."""
 
 import os
 import signal
@@ -19,4 +19,4 @@ def test_a_worker_that_is_killed_with_what_all_pieces_share_is_named() -> None:
         address = cluster.scheduler_address
         ended = pytest.raises(InputError, match="its workers ended")
         with workers(1, address, shared=nanny.pid) as mapped, ended:
-            list(mapped(os.kill, [signal.SIGKILL]))  # shared is the worker's own process
+            list(mapped(os.kill, [signal.SIGKILL]))  # shared is the pid of the worker's process
