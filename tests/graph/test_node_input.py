@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A user's mistake is reported in one line; a signal ends a node without further output."""
+"""A user's mistake is reported in one line; a signal ends a node quietly."""
 
 import re
 import signal
