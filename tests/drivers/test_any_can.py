@@ -216,7 +216,7 @@ def test_sides_at_50_and_20_hz_are_published_at_20_with_both_at_the_same_time(tm
 
 
 def test_a_sender_that_stalls_and_catches_up_without_a_counter(tmp_path):
-    """The position after the stall equals the true one, whatever is published during the stall."""
+    """Speeds stay bounded in the stall; the total rotation equals the true one."""
     driver = machine(
         tmp_path, ENCODER_ROLES.replace("20.0", "1.0"), ENCODERS.replace("(0.0109863", "(0.0054932")
     )

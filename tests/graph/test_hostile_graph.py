@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A second publisher of an input, and messages of a wrong frame, are reported by name."""
+"""A second publisher of an input, messages of a wrong frame, and floods of messages are reported."""
 
 from collections.abc import Iterator
 from typing import Any

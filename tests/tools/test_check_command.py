@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""``trackslip check`` and the commands that run it: exit codes, JSON, and the finding in the first line."""
+"""``trackslip check`` and the commands that run it: exit codes, JSON, and the set-up verdict in reports."""
 
 import json
 from argparse import Namespace
