@@ -54,7 +54,7 @@ def test_bags_of_others_links_and_files_are_no_recordings(tmp_path: Path) -> Non
     assert not is_recording(tmp_path / "nowhere")
 
 
-def test_the_oldest_go_first_and_never_one_that_is_written() -> None:
+def test_oldest_bags_are_removed_first_except_the_open_one() -> None:
     bag, other, busy = Path("bag"), Path("other"), Path("busy")
     writing = bag / "bag_1.mcap"
     files = [

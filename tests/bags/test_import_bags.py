@@ -116,7 +116,7 @@ def test_imu_and_poses_come_with_their_covariances(log: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("use", ["positions", "velocities"])
-def test_positions_or_velocities_alone_serve(log: Path, tmp_path: Path, use: str) -> None:
+def test_positions_or_velocities_are_sufficient(log: Path, tmp_path: Path, use: str) -> None:
     sprockets = {**MAPPING["topics"]["sprockets"], "use": use}
     _, messages = imported(log, tmp_path, changed(sprockets=sprockets))
     found = [m for _, m in messages["/sprockets"]]
@@ -124,7 +124,7 @@ def test_positions_or_velocities_alone_serve(log: Path, tmp_path: Path, use: str
     np.testing.assert_allclose([m.velocity for m in found[1:]], TRUTH.wheels[1:], atol=1e-5)
 
 
-def test_speeds_of_a_base_controller_serve(log: Path, tmp_path: Path) -> None:
+def test_base_controller_speeds_become_sprocket_speeds(log: Path, tmp_path: Path) -> None:
     """v and ω of the controller are converted to wheel speeds without slip, by the controller's geometry."""
     sprockets = {"from": "/odom", "geometry": GEOMETRY}
     _, messages = imported(log, tmp_path, changed(sprockets=sprockets))

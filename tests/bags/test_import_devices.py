@@ -92,7 +92,7 @@ def test_a_channel_that_has_no_frames_is_refused(tmp_path: Path) -> None:
         imported(tmp_path, [log], can=given)
 
 
-def test_a_damaged_log_is_read_up_to_there(tmp_path: Path) -> None:
+def test_damaged_log_is_read_up_to_the_damage(tmp_path: Path) -> None:
     log = write_bus(tmp_path / "drive.log")
     log.write_bytes(log.read_bytes() + b"(17900 can0 what\n")
     found, messages = imported(tmp_path, [log], can={})

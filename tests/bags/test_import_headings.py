@@ -83,7 +83,7 @@ def test_a_joint_of_another_name_is_the_swing(tmp_path: Path) -> None:
     assert found.left_out["/swing"] == {"has none of the joints": 1, "holds no such numbers": 1}
 
 
-def test_a_swing_without_its_joint_names_those_that_are_there(tmp_path: Path) -> None:
+def test_swing_with_missing_joint_lists_available_joints(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", [("/joint_states", joints(0.0, ["swing_joint"], [0.5], []))])
     with pytest.raises(InputError, match=r"no joints swing \(no joint in .*accepted: swing_joint"):
         import_topics(tmp_path, log, {"swing": {"from": "/joint_states"}})

@@ -72,7 +72,7 @@ def test_wild_positions_are_left_out_and_counted(of_places: Any) -> None:
     assert node_defaults(NODE, f"{NODE}.yaml")["max_distance"] == 1e5
 
 
-def test_a_wild_first_position_is_no_datum(of_places: Any) -> None:
+def test_outlying_first_position_is_no_datum(of_places: Any) -> None:
     found, messages = of_places([(33.889, 151.193), (10.0, 20.0), *NEAR])
     assert found.datum is not None
     assert found.datum[:2] == pytest.approx(NEAR[0])

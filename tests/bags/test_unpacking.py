@@ -94,7 +94,7 @@ def _info(bag: Path) -> None:
             pass
 
 
-def test_131_kb_that_unpack_to_4_gb(tmp_path: Path, bomb: Callable[[Path, int], None]) -> None:
+def test_chunk_stating_4_gb_is_refused(tmp_path: Path, bomb: Callable[[Path, int], None]) -> None:
     """A chunk states 4 GB in a process with less memory."""
     file = tmp_path / "bomb.mcap"
     bomb(file, 4_000_000_000)

@@ -26,7 +26,7 @@ def test_settings_reach_the_bus():
     port.close()
 
 
-def test_a_frame_is_handed_on_before_the_next_is_looked_for():
+def test_each_frame_is_delivered_before_the_next_read():
     port = CanBus("virtual", "one by one", {})
     with can.Bus("one by one", interface="virtual") as peer:
         peer.send(can.Message(arbitration_id=1))

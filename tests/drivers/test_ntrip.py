@@ -194,7 +194,7 @@ def test_flood_reaches_the_receiver_no_faster_than_its_line(casters: Callable[..
         assert receiver.client.state().left_out > 0
 
 
-def test_caster_that_is_not_there_is_named(casters: Callable[..., Caster]) -> None:
+def test_unreachable_caster_is_reported(casters: Callable[..., Caster]) -> None:
     caster = casters(streams(0))
     caster.close()
     with Receiver(caster) as receiver:

@@ -215,7 +215,7 @@ def test_device_that_halts_for_a_moment_is_reported_and_found(bench, programs, o
     run(bench, programs, observer, "can_driver", 200)
 
 
-def test_frames_of_no_use_for_a_moment_are_no_fault(bench, programs, observer, device, udp_port):
+def test_briefly_unusable_frames_are_no_fault(bench, programs, observer, device, udp_port):
     """After a pause, counts jump and one frame waits for another."""
     device(plug_incomplete, udp_port).plug()
     messages = observer.subscribe(TOPIC["can_driver"])

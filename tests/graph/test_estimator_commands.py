@@ -141,7 +141,7 @@ def test_every_user_command_is_executed_reported_and_answered(programs, observer
 
 
 @pytest.mark.slow
-def test_pose_whose_publisher_the_recorder_never_met_is_replayed(programs, observer):
+def test_pose_of_undiscovered_publisher_is_replayed(programs, observer):
     """The recorder may miss a program that sets a pose and ends immediately."""
     machine = Machine(programs, observer, "-r", f"{SET_POSE}:=unheard")
     machine.drive(200, 600)

@@ -119,7 +119,7 @@ def test_parameter_files_of_the_project_are_accepted(programs, observer):
     assert "vehicle.kinematics.tread: 0.8" in texts[0].data
 
 
-def test_recorder_does_not_touch_what_exists(is_refused, tmp_path):
+def test_recorder_keeps_existing_files(is_refused, tmp_path):
     (tmp_path / "bag").mkdir()
     is_refused("record", ros_arguments(output="bag"), "'bag'", "exists already", "accepted: ")
     assert list((tmp_path / "bag").iterdir()) == []

@@ -163,7 +163,7 @@ def test_enforce_without_keys_starts_no_node(programs: Any, keystore: str | None
     assert "docs/security.md" in line
 
 
-def test_the_script_for_keys_refuses_what_it_cannot_use(tmp_path: Path) -> None:
+def test_keystore_script_refuses_invalid_arguments(tmp_path: Path) -> None:
     script = SECURITY / "make_keystore.sh"
     for arguments, word in (((), "usage"), (("keys", "a b"), "NAMESPACE"), (("keys", "/a"), "NAMESPACE")):
         done = subprocess.run([script, *arguments], capture_output=True, text=True, cwd=tmp_path, check=False)

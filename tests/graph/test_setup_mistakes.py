@@ -69,7 +69,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", list(MISTAKES))
-def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
+def test_setup_mistake_is_reported_and_cleared_once_corrected(
     programs: Programs, observer: Observer, can: Values, name: str
 ) -> None:
     mistake = MISTAKES[name]

@@ -62,7 +62,7 @@ def test_patches_cover_all_four_soils() -> None:
     assert set(truth.soil_index.tolist()) == {0, 1, 2, 3}
 
 
-def test_a_file_of_the_users_own(tmp_path: Path) -> None:
+def test_user_file_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("name: mine\nsoil: dry_clay\nsegments:\n  - {duration: 1, left: 2, right: 2}\n")
     assert load_scenario(str(path)).segments == (Segment(1.0, 2.0, 2.0),)

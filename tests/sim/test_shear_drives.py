@@ -28,7 +28,7 @@ def test_estimate_is_consistent_while_tracks_shear_the_soil_at_a_start(soil: str
 
 
 @pytest.mark.slow
-def test_estimate_of_a_tight_turn_does_not_drive_on(tmp_path: Path) -> None:
+def test_tight_turn_does_not_move_the_estimate(tmp_path: Path) -> None:
     """The cab points to the left: the left track bears most of the load, and the right one spins.
 
     The machine hardly turns or moves.

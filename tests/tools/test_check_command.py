@@ -110,7 +110,7 @@ def test_a_mistake_is_named_with_its_remedy(swapped: Path, tmp_path: Path) -> No
     assert cause["odds"] >= 100.0
 
 
-def test_a_mistake_that_is_certain_but_one_of_several_is_no_plausible_setup(tmp_path: Path) -> None:
+def test_ambiguous_mistake_fails_the_check(tmp_path: Path) -> None:
     """A mistake whose cause is ambiguous, as fixes in feet or speeds in another unit, fails the check."""
     log = make_drive()
     (fixes,) = log.fixes

@@ -104,7 +104,7 @@ def test_memory_is_bounded_where_one_side_is_missing() -> None:
     assert comparer.result(JournalCounts()).unmatched == 100_000
 
 
-def test_a_replay_that_waits_for_its_whole_horizon_finds_its_partners() -> None:
+def test_delayed_replay_is_matched_within_the_horizon() -> None:
     """A replay is delayed by its whole horizon where the journal lacks a line."""
     rows, batch = odometry(range(3 * HORIZON_NS // STEP_NS)), 500
     behind = HORIZON_NS // STEP_NS + batch

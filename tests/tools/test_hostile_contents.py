@@ -200,7 +200,7 @@ def test_file_that_the_metadata_name_2000_times_is_read_once(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_metadata", [False, True])
-def test_bag_of_more_topics_than_any_has_is_read_as_far_as_that(tmp_path: Path, has_metadata: bool) -> None:
+def test_number_of_topics_read_is_limited(tmp_path: Path, has_metadata: bool) -> None:
     """The number of topics is limited, because ``recover`` is slow on tens of thousands of schemas."""
     file = tmp_path / "bag.mcap"
     with file.open("wb") as stream:

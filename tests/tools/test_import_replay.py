@@ -71,7 +71,7 @@ def found(bag: Path) -> dict[str, Any]:
     return replayed(bag)
 
 
-def test_a_four_wheel_robot_goes_through(bag: Path, found: dict[str, Any]) -> None:
+def test_four_wheel_robot_is_imported_and_replayed(bag: Path, found: dict[str, Any]) -> None:
     """Fixes of 3 cm at 5 Hz, 0.12 s late; encoders alone are metres off, as it turns at 0.8 of their rate."""
     assert found["rmse"]["dead_reckoning"] > 1.0
     assert found["rmse"]["filter"] < 0.03
@@ -99,7 +99,9 @@ def test_a_log_of_ros_1_gives_the_same(ros1_log: Path, found: dict[str, Any], tm
         assert of_ros_1[key] == found[key], key
 
 
-def test_a_machine_with_gnss_goes_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_machine_with_gnss_is_imported_and_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Three files, RTK of 2 cm at 5 Hz on the boom's side, and a heading with a gap of two seconds."""
     truth = drive(40.0, tread=2.38)
     logs = write_gnss_csv(tmp_path / "logs", truth, (-1.2, 0.6))

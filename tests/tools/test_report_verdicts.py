@@ -228,7 +228,7 @@ def test_bad_limits_are_refused_in_one_line(
     assert expected in refuse("report", bag, "--limits", file, "--output", tmp_path / "out.html")
 
 
-def test_equality_with_live_is_not_asked_of_other_parameters(run: Run) -> None:
+def test_other_parameters_need_not_match_live(run: Run) -> None:
     live = LiveComparison(10, 10, 0.5, 0, 0)
     other = changed(run, recording={"parameters": {"gate_probability": 0.5}}, live=live)
     assert verdicts(other, load_limits())["Replay = live"].state is State.UNKNOWN

@@ -175,7 +175,7 @@ def replayed(bag: Path, *layers: Path) -> tuple[float, float, float]:
         pytest.param(TRIALS, 10.0, 300, id="trials_too_large", marks=LONG),
     ],
 )
-def test_noise_ten_times_off_is_mended_on_three_bags_and_on_a_fourth(
+def test_tuning_corrects_tenfold_wrong_noise_on_unseen_bag(
     drives: list[tuple[str, str]], factor: float, evaluations: int, tmp_path: Path
 ) -> None:
     """On the three bags the error falls to 0.75 or less, although the filter itself adapts much of the noise.

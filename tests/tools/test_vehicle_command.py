@@ -106,7 +106,7 @@ def test_numbers_impossible_for_a_machine_are_refused(
     assert named in capsys.readouterr().err
 
 
-def test_asked_numbers_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_requested_values_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     answers = iter(["18000", "much", "0.4", "", ""])
     monkeypatch.setattr("builtins.input", lambda _: next(answers))

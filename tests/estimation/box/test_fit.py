@@ -150,5 +150,5 @@ assert signatures() == before
 """
 
 
-def test_the_first_scan_waits_for_no_compiler():
+def test_first_scan_needs_no_compilation():
     subprocess.run([sys.executable, "-c", COMPILED_BEFORE], check=True)

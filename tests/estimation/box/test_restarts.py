@@ -46,7 +46,7 @@ def test_restart_while_the_box_is_out_of_sight_follows_no_other_thing(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
-def test_restart_at_any_second_follows_no_other_thing_and_finds_the_box_as_soon(name):
+def test_restart_at_any_second_tracks_only_the_box_without_delay(name):
     """The localizer finds the box within a scan or two of one that is not restarted."""
     drive = DRIVES[name]
     stamps = np.array([fix.stamp for fix in drive.scored(BoxLocalizer(PARAMETERS, BOX), 0.0)])

@@ -102,7 +102,7 @@ def test_headings_are_averaged_over_the_shorter_arc(angle: float) -> None:
 @kappas
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=25)
-def test_a_linear_measurement_makes_it_the_kalman_filter(model: str, kappa: float, seed: int) -> None:
+def test_daf_equals_the_ekf_for_linear_measurements(model: str, kappa: float, seed: int) -> None:
     """Poses are linear in every state: the update equals that of the EKF."""
     rng = np.random.default_rng(seed)
     n = MODELS[model].ACTIVE

@@ -80,7 +80,7 @@ STEERING = ((4.0, 0.0, 0.0), *6 * ((8.0, 0.7, 0.25), (8.0, 0.7, -0.25)))
 
 
 @pytest.mark.parametrize("has_heading", [True, False])
-def test_clay_on_which_tracks_differ_and_do_not_turn_the_machine_is_no_mistake(has_heading: bool) -> None:
+def test_turns_without_yaw_rate_on_clay_are_no_mistake(has_heading: bool) -> None:
     """A gyro bias must not be reported as sprocket counts that differ by a factor of two."""
     log = make_drive(programme=STEERING, efficiency=0.6, has_heading=has_heading)
     (gyro,), (fixes,) = log.gyros, log.fixes
@@ -118,7 +118,7 @@ def test_an_injected_mistake_is_named_and_no_other(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(AMBIGUOUS))
-def test_what_a_drive_cannot_decide_is_not_named_otherwise(name: str) -> None:
+def test_undetermined_mistake_has_no_wrong_cause(name: str) -> None:
     mistake = MISTAKES[name]
     assert {cause.cause for cause in check(mistake.inject(drive())).causes} <= {mistake.cause}
 
@@ -206,7 +206,7 @@ def test_fixes_in_km_are_named(has_heading: bool, stddev: float) -> None:
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1.0, 1.0 / 0.3048, 100.0, 1000.0])
-def test_the_distance_by_the_tracks_is_no_matter_of_the_fixes(factor: float) -> None:
+def test_track_distance_does_not_depend_on_the_unit_of_fixes(factor: float) -> None:
     shown = check(scaled_fixes(drive(), factor)).facts[0].partition(",")[0]
     assert shown == "distance: 116.1 m by the tracks"
 
@@ -498,7 +498,7 @@ QUESTIONS = {  # the mistake, the sensors, words of the question
 
 
 @pytest.mark.parametrize("name", QUESTIONS)
-def test_what_cannot_be_right_is_not_passed_over(name: str) -> None:
+def test_certain_but_ambiguous_mistake_is_an_open_question(name: str) -> None:
     """Some mistake is certain, but the log does not determine which of several."""
     inject, sensors, words = QUESTIONS[name]
     log = make_drive(**sensors)
@@ -551,7 +551,7 @@ def test_encoders_on_a_clock_that_is_fast_or_slow_are_named(rate: float) -> None
 
 
 @pytest.mark.parametrize("rate", [1.002, 0.998])
-def test_a_clock_that_is_fast_beside_one_other_is_an_open_question(rate: float) -> None:
+def test_clock_drift_between_two_sources_is_an_open_question(rate: float) -> None:
     log = make_drive(programme=3 * PROGRAMME, has_heading=False)
     found = check(replace(log, tracks=replace(log.tracks, t=rate * log.tracks.t)))
     assert found.causes == ()

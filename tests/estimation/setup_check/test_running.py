@@ -66,7 +66,7 @@ def causes_after(check: RunningCheck, given: Iterator[Measurement], stop_s: floa
     ("signs", "gyro", "cause"),
     [((-1.0, 1.0), 1.0, "left_track_sign"), ((1.0, 1.0), -1.0, "gyro_sign")],
 )
-def test_a_mistake_is_named_while_it_drives_and_withdrawn_once_mended(
+def test_setup_mistake_is_reported_and_cleared_once_corrected(
     parameters: SlipEstimatorParameters, signs: tuple[float, float], gyro: float, cause: str
 ) -> None:
     check, drive = RunningCheck(parameters), make_drive()

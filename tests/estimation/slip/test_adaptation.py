@@ -141,7 +141,7 @@ def test_adapted_noise_does_not_depend_on_the_delay_of_fixes() -> None:
     assert last[0].tobytes() == last[1].tobytes()
 
 
-def test_one_wild_yaw_rate_hardly_changes_the_noise() -> None:
+def test_yaw_rate_outlier_hardly_changes_the_noise() -> None:
     calm = drive(Machine()).measurements
     k = next(k for k, m in enumerate(calm) if isinstance(m, YawRate) and m.stamp_ns > 40 * 10**9)
     wild = [*calm]

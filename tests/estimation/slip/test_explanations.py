@@ -64,7 +64,7 @@ def test_last_events_have_stamps_and_no_single_outliers() -> None:
     assert recent([]) == "none"
 
 
-def test_source_sound_again_is_no_longer_an_explanation() -> None:
+def test_recovered_source_is_not_an_explanation() -> None:
     """Multipath of 1 m from 20 to 30 s."""
     recording = drive(Machine(duration=45.0, track_error=0.05, fix_noise=0.03, fix_stated=0.03))
     gnss = {"sources.box_pose.fault_rate": 1 / 300, "sources.box_pose.jump_rate": 1 / 3000}

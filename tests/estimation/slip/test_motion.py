@@ -86,7 +86,7 @@ def test_a_drive_with_one_turn(inner: float, outer: float, left_turn: bool) -> N
     assert motions(states) == expected
 
 
-def test_a_change_is_seen_at_once_and_forgotten() -> None:
+def test_change_is_detected_at_once_and_expires() -> None:
     states = drive(held(1.0, 1.0) + held(2.0, 2.0))
     changing = [s.changing for s in states]
     assert not any(changing[10:300])

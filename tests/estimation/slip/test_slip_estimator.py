@@ -183,7 +183,7 @@ def test_configured_start_is_the_first_estimate(thesis_parameters: Make) -> None
     np.testing.assert_allclose(np.diag(estimate.pose_covariance), (0.0009, 0.0009, 0.01))
 
 
-def test_positions_alone_drive_it_whatever_the_speeds_are(drive: Callable[..., Any], thesis_run: Run) -> None:
+def test_positions_override_speeds(drive: Callable[..., Any], thesis_run: Run) -> None:
     found = drive([(3.0, 2.0, 2.0, 0.0, 0.0, 0.0)], fix_every=10**9).measurements
     lying = [replace(m, left_speed=7.0, right_speed=-3.0) if isinstance(m, Sprockets) else m for m in found]
     last = thesis_run([m for m in lying if not isinstance(m, PoseFix)]).estimates[-1]

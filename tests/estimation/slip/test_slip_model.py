@@ -204,7 +204,7 @@ def test_heading_stays_within_a_turn() -> None:
 
 
 @given(states, speeds, speeds)
-def test_a_midpoint_step_is_near_many_fine_ones(x: FloatArray, left: float, right: float) -> None:
+def test_midpoint_step_matches_fine_steps(x: FloatArray, left: float, right: float) -> None:
     """Error of the chord: v dt (φ̇ dt)²/24 (1 + tan α …); that of an Euler step is v dt φ̇ dt/2."""
     dt = 0.1
     fine = x
