@@ -4,6 +4,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,12 @@ def test_the_filter_beats_dead_reckoning(
     shown = capsys.readouterr().out
     for number in (rmse["filter"], rmse["encoder_gyro"], rmse["dead_reckoning"]):
         assert f"{number:.4f}" in shown
+
+
+def test_command_in_a_running_process_counts_its_own_time(bag: Path, summary: Summary) -> None:
+    begin_s = time.monotonic()
+    factor = summary(bag)["real_time_factor"]
+    assert 10.0 / factor <= time.monotonic() - begin_s
 
 
 def test_the_same_replay_twice_is_the_same(bag: Path, summary: Summary) -> None:

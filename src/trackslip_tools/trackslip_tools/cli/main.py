@@ -19,6 +19,7 @@ from trackslip_common.errors import ExitCode, InputError, did_you_mean
 from trackslip_common.start import collect_garbage_seldom, repeat_lost_interrupts, was_interrupted
 from trackslip_tools.cli import progress
 from trackslip_tools.cli.commands import Command, commands
+from trackslip_tools.cli.elapsed import begin_command
 
 
 class _Parser(argparse.ArgumentParser):
@@ -45,6 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         repeat_lost_interrupts()
         collect_garbage_seldom()
         atexit.register(gc.freeze)  # skips the final garbage collection: 0.3 s
+    else:
+        begin_command()
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
         with compilation_announced(progress.show_status):
