@@ -33,7 +33,7 @@ class Ended(NamedTuple):
         if self.code not in CODES:
             return f"exit code {self.code}, {self.seconds:.0f} s, {self.megabytes} MB"
         if self.code == ExitCode.BAD_INPUT and not self.err.splitlines():
-            return "refused without a word"
+            return "rejected without a message"
         for text in (self.out, self.err):
             if not all(line.isprintable() for line in text.split("\n")):
                 return f"not printable: {text!r:.500}"

@@ -48,12 +48,12 @@ def test_odometry_of_a_camera_is_a_source_like_the_others(programs, observer):
     assert outcomes[:2] == [10, 0]  # begun, accepted
     assert set(outcomes[2:]) == {0}
     assert found[-1].twist.twist.linear.x < 0.97 * RADIUS * SPEED  # track slip is 10 %
-    requested = "camera/odom whose covariance says that it has no velocity"
+    requested = "camera/odom whose covariance marks the velocity as absent"
     observer.wait(lambda: any(requested in {v.key for v in s.values} for s in healths), "its count")
     assert recorder.end()[0] == 0
     summary = programs.replay("bag")
     assert summary["replay_matches"] is True
     assert summary["rejected"]["camera/odom"] == {
         "begun": 1,
-        "whose covariance says that it has no velocity": 1,
+        "whose covariance marks the velocity as absent": 1,
     }

@@ -191,7 +191,7 @@ def test_sentence_that_every_measurement_was_used_is_true(run: Run) -> None:
     filters = InputFilters(withhold=(Withhold("box_pose", 1.0, 2.0),))
     withheld = changed(run, rejected=Tally(), withheld=[Withheld(filters.withhold[0], 5, None, None)])
     output = words(dataclasses.replace(withheld, filters=filters))
-    assert output == "Every measurement that the replay was given was used. 5 were withheld."
+    assert output == "Every replayed measurement was used. 5 were withheld."
 
 
 def test_a_stalled_track_is_named(stalled_run: Run) -> None:

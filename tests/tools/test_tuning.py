@@ -155,7 +155,7 @@ def test_tuning_corrects_a_wrong_noise_and_writes_the_evidence(
     )
     table = (tmp_path / "out" / TABLE).read_text()
     assert table.count("| bag1") == 3
-    assert "Bags that had no say are better off" in table
+    assert "Bags that were left out are better off" in table
     assert numbers(result)["left_out"][1]["bag"] == "bag1"
 
 

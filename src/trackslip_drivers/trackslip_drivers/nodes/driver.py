@@ -204,7 +204,7 @@ class DriverNode(TrackslipNode[P], Generic[P, D]):
         reason = self._rejected[0] or "no complete message yet"
         if reason in self.passing:
             return WARN, f"{where}: {reason}{talk}; {self.passing[reason]}"
-        what = f"{where}: {self.carries} come, but nothing of use: {reason}{talk}"
+        what = f"{where}: {self.carries} arrive, but none is usable: {reason}{talk}"
         if time.monotonic() - self._last_s < limit_s + _SETTLING:
             return WARN, what
         return ERROR, f"{what}; check rate and format"

@@ -168,9 +168,9 @@ class Refusal(Enum):
     OTHER_FRAME = "of another frame"
     NO_RATE = "without angular velocity"
     NO_ORIENTATION = "without orientation"
-    NO_MOUNTING = "of a frame that /tf_static does not join to base_link"
-    NO_VELOCITY = "whose covariance says that it has no velocity"
-    NO_POSE = "whose covariance says that it has no pose"
+    NO_MOUNTING = "of a frame without a transform to base_link in /tf_static"
+    NO_VELOCITY = "whose covariance marks the velocity as absent"
+    NO_POSE = "whose covariance marks the pose as absent"
 
 
 CONVENTIONS = ("enu", "compass")  # of headings: from east, counter-clockwise; from north, clockwise

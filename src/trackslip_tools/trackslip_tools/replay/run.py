@@ -94,4 +94,4 @@ def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None
     try:
         return from_tree(tree, meaning(p)), "starts from values learned before the bag begins"
     except InputError as error:
-        return None, f"what was learned before the bag begins is not used: {error}"
+        return None, f"learned values from before the bag are not used: {error}"

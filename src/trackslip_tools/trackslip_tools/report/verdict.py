@@ -289,12 +289,12 @@ def _refused(run: Run) -> dict[str, dict[str, int]]:
 
 def _all_used(run: Run, early: int) -> tuple[str, str]:
     """Value and words for a run without rejections since the start; ``early``: rejections before it."""
-    given = "that the replay was given " if run.filters.changes_inputs else ""
+    given = "replayed " if run.filters.changes_inputs else ""
     hidden = sum(withheld.messages for withheld in run.replay.withheld)
     beside = f" {hidden} were withheld." if hidden else ""
     if early:
-        return f"{early} before the start", f"Since the start every measurement {given}was used.{beside}"
-    return "none", f"Every measurement {given}was used.{beside}"
+        return f"{early} before the start", f"Since the start every {given}measurement was used.{beside}"
+    return "none", f"Every {given}measurement was used.{beside}"
 
 
 def _sensors(run: Run) -> list[str]:

@@ -91,7 +91,7 @@ def table(tuning: Tuning) -> str:
     if tuning.folds:
         notes += " Unseen: with the values found on the other bags alone, whose range the first table gives."
         worse = "" if tuning.improves_unseen else "not "
-        notes += f"\n\nBags that had no say are {worse}better off on average."
+        notes += f"\n\nBags that were left out are {worse}better off on average."
     parts = (
         *markdown_table(["parameter", "before", "after", "without one bag"], values, 1),
         "",
