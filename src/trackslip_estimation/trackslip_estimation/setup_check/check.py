@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check: which few mistakes explain how tracks, inertial unit and fixes of a drive disagree.
+"""The setup check: the few mistakes that explain why tracks, inertial unit and fixes of a drive disagree.
 
-What is found first is undone before the next step looks: missing values, units of time, the unit of the
-speeds, the inertial unit's axis and unit, then all signs together, then what has an interval: delays,
-radius, lever arms, offsets.
+Each step undoes the mistakes it finds, before the next step: missing values, units of time, the unit of the
+speeds, the inertial unit's axis and unit, then all signs together. Quantities with an interval are last:
+delays, radius, lever arms, offsets.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ from trackslip_estimation.setup_check.path import thinned, with_shown_noise
 from trackslip_estimation.setup_check.quantities import judge_quantity
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, scale_of, turns_of
 
-_UNIT_GAIN = 8.0  # ln likelihood of headings of another unit
-_SEGMENTS = (2.5, 5.0, 10.0, 20.0, 40.0)  # s
+_UNIT_GAIN = 8.0  # ln likelihood ratio: another unit of headings, a delay against a lever arm
+_SEGMENTS = (2.5, 5.0, 10.0, 20.0, 40.0)  # s, lengths of segments
 _STILL = Undetermined("everything: the tracks hardly move", "drive 10 m straight, and turn by 90° each way")
 _SLIDES = Undetermined(
     "rolling radius, unit of the speeds, and headings, of a machine that slides across its heading",
@@ -47,7 +47,7 @@ _SLIDES = Undetermined(
 
 @dataclass
 class _Found:
-    """What was found so far."""
+    """Causes, open questions and measured values of the steps so far."""
 
     causes: list[Cause] = field(default_factory=list)
     undetermined: list[Undetermined] = field(default_factory=list)
@@ -63,7 +63,7 @@ class _Found:
 
 
 def check(log: Log) -> Result:
-    """Causes, most certain first, and what cannot be decided."""
+    """Causes, those with the highest odds first, and what the log cannot decide."""
     found = _Found()
     with np.errstate(all="ignore"):
         facts = _check(log, found)
@@ -78,7 +78,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     found.add([_missing_cause(one) for one in missing])
     log, causes = clocks.with_right_times(log)
     found.add(causes)
-    if not causes:  # those that are alone in another unit are left out of the log
+    if not causes:  # else the log lacks the sources whose unit differs from that of the tracks
         log, causes = with_common_clock(log)
         found.add(causes)
     found.add(clocks.judge_fractions(log))
@@ -95,14 +95,14 @@ def _check(log: Log, found: _Found) -> list[str]:
     drive = state.drive if state.unit != 1.0 or state.is_contradicted else _in_radians(state.drive, found)
     causes, open_ones = clocks.judge_drift(drive)
     found.add(causes, open_ones)
-    if causes or open_ones:  # what sources show of each other changes with it
+    if causes or open_ones:  # a drifting clock changes all relations between sources
         return facts_of(log, drive, unit)
     found.add([], unmoved.judge_turns(drive))
-    if questions := unmoved.judge_counting(drive):  # what tracks show of the path is none
+    if questions := unmoved.judge_counting(drive):  # unsigned counts give no path
         found.add([], questions)
         return facts_of(log, drive, unit)
     sided = sides.Sides(None) if state.is_contradicted else sides.examine(drive, unit)
-    if any(cause.cause == "frame" for cause in sided.causes):  # far away in their unit only
+    if any(cause.cause == "frame" for cause in sided.causes):  # the wrong unit explains the distance
         found.causes = [cause for cause in found.causes if cause.cause != "datum"]
     found.add(sided.causes, sided.undetermined)
     if sided.drive is None:
@@ -116,7 +116,7 @@ def _check(log: Log, found: _Found) -> list[str]:
 
 
 def _with_right_quantities(log: Log, found: _Found) -> tuple[Log, Drive]:
-    """The log with columns read as what they are, and a drive of it without a gyro, or fixes that stay."""
+    """The log with its columns as the right quantities; a drive without gyro, and without wrong fixes."""
     drive, quantity = judge_quantity(Drive.of(log, _first_gyro(log), *_primary(log)))
     found.add([] if quantity is None else [quantity])
     counts = None if found.has("speed_unit") else judge_counts(log.counts)
@@ -141,7 +141,7 @@ def _missing_cause(one: Missing) -> Cause:
 
 
 def _primary(log: Log) -> tuple[Fixes | None, Compass | None]:
-    """The source of places with the most information, and the headings: of the same source if it has some."""
+    """The fixes with the most information, and the headings: of the same source if it has any."""
     fixes = max(log.fixes, key=lambda f: len(f.t) / max(f.noise, 0.01), default=None)
     usable = [c for c in log.compasses if not c.is_above and np.isfinite(c.headings).sum() > 10]
     own = [c for c in usable if fixes is not None and c.name == fixes.name]
@@ -150,12 +150,12 @@ def _primary(log: Log) -> tuple[Fixes | None, Compass | None]:
 
 
 def _first_gyro(log: Log) -> Gyro | None:
-    """That has readings."""
+    """The first gyro of the log that has readings."""
     return next((one for one in log.gyros if len(one.t) >= 10), None)
 
 
 def _inertial(drive: Drive, log: Log, found: _Found, *, is_unit_known: bool) -> inertial.Inertial:
-    """By the first gyro of the log that has readings."""
+    """Result for the first gyro of the log that has readings."""
     gyro = _first_gyro(log)
     if gyro is None:
         return inertial.Inertial(drive)
@@ -165,7 +165,7 @@ def _inertial(drive: Drive, log: Log, found: _Found, *, is_unit_known: bool) -> 
 
 
 def _in_radians(drive: Drive, found: _Found) -> Drive:
-    """Without headings in another unit than rad, which are named."""
+    """The drive without its headings if they are not in rad; that becomes a cause."""
     compass = drive.compass
     if compass is None or drive.gyro is None:
         return drive
@@ -186,7 +186,7 @@ def _in_radians(drive: Drive, found: _Found) -> Drive:
 
 
 def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> None:
-    """Of a drive with all signs undone, and the units of speeds and gyro."""
+    """Judge quantities with an interval; ``drive`` has right signs and right units of speeds and gyro."""
     lates = clocks.lates_of(drive)
     lever = _lever(drive, lates)
     late = _judge_delays(lates, lever, drive.fixes, found)
@@ -194,7 +194,7 @@ def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> N
         drive = clocks.undelayed(drive, late)
     scale = judge_scale(drive, gyro_unit, lever)
     if scale is not None:
-        found.causes = [cause for cause in found.causes if cause.cause != scale.cause]  # none is its unit
+        found.causes = [cause for cause in found.causes if cause.cause != scale.cause]  # replaces a unit
         found.add([scale])
     if drive.fixes is None:
         needed = "record fixes while driving 10 m straight"
@@ -204,7 +204,7 @@ def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> N
         found.add([], [_SLIDES])
         return
     if not found.has("speed_unit") and not _judge_distance(drive, drive.fixes, unit, found):
-        return  # an arm is in the unit of the fixes
+        return  # a lever arm needs the unit of the fixes
     if drive.gyro is not None and late is None and scale is None:
         found.add(*places.judge_lever(lever, drive.fixes, drive.machine))
     found.add([], places.judge_direction(drive))
@@ -217,7 +217,7 @@ def _continuous(drive: Drive, unit: float, gyro_unit: float, found: _Found) -> N
 
 
 def _lever(drive: Drive, lates: Sequence[clocks.Late]) -> Lever | None:
-    """Of the fixes, by the turns of a gyro: those of tracks depend on the ground."""
+    """Lever arm of the fixes, by the turns of a gyro: turns by the tracks depend on the ground."""
     fixes = drive.fixes
     if fixes is None or drive.gyro is None:
         return None
@@ -228,7 +228,7 @@ def _lever(drive: Drive, lates: Sequence[clocks.Late]) -> Lever | None:
 def _judge_delays(
     lates: list[clocks.Late], lever: Lever | None, fixes: Fixes | None, found: _Found
 ) -> clocks.Late | None:
-    """The source that is late, unless a lever arm explains its path: both move fixes along it in turns."""
+    """The delayed source, unless a lever arm explains its path: in turns, both shift fixes along the path."""
     found.measured += [_delay(late) for late in lates if late.first == clocks.TRACKS and late.stddev < 0.2]
     causes, open_ones = ([], []) if found.has("time_unit") else clocks.judge(lates)
     late = clocks.late_of(causes[0].source, lates) if causes else None
@@ -244,7 +244,7 @@ def _judge_delays(
 
 
 def _judge_distance(drive: Drive, fixes: Fixes, unit: float, found: _Found) -> bool:
-    """Whether the fixes may be in m."""
+    """Judge distance by tracks against distance by fixes; False if the unit of the fixes may be wrong."""
     fit, thin = drive.fit, thinned(fixes, 0.2)
     all_scales = [scales(drive.path, thin, length) for length in _SEGMENTS]
     best = max((one for one in all_scales if one is not None), key=speeds.worth, default=None)
@@ -272,9 +272,9 @@ def _arms(lever: Lever, fixes: Fixes) -> list[Measured]:
 
 
 def facts_of(log: Log, drive: Drive, unit: float) -> list[str]:
-    """Distance and turn by each odometer, and rates: what a user checks against memory.
+    """Lines with distance and turn by each odometer, and rates, for the user to compare with the drive.
 
-    ``unit``: of the speeds, which is undone in ``drive``: shown is what was recorded.
+    ``unit``: factor of the speeds, undone in ``drive``; the lines state the recorded values.
     """
     left, right = unit * drive.grid.tracks.T
     distance = float(np.nansum(np.abs(window_sums(drive.grid, (left + right) / 2.0))))

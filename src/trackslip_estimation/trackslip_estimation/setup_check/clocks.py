@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps: a unit of time that no sensor has, and delays of the sources against each other.
+"""Stamps: implausible units of time, and delays of the sources against each other.
 
-Delays of turn rates come from cross-correlations, that of fixes without headings from the shape of the path.
-The source that is late against two others, which agree, is the late one.
+Cross-correlation gives the delays of turn rates; the shape of the path gives that of fixes without headings.
+If two sources agree and a third is delayed against both, the third is the cause.
 """
 
 import itertools
@@ -21,42 +21,42 @@ from trackslip_estimation.setup_check.grid import angles_of
 from trackslip_estimation.setup_check.log import Fixes, Log, Tracks
 from trackslip_estimation.setup_check.path import thinned
 
-LEAST_DELAY = 0.15  # s, below which it may be the ground's answer, filters of sensors, held values
-_LONGER, _CERTAIN = 2.0, 4.0  # standard deviations, by which a delay is longer than that, and than none
-_FINE = 0.15  # s, of a delay by turn rates
-_LATES = np.arange(-2.0, 2.01, 0.1)  # s
-_LENGTHS = (10.0, 20.0)  # s
-_LEAST_SEGMENTS, _SHOWN = 5, 2.0  # of which each shows a delay by so much of ln likelihood
+LEAST_DELAY = 0.15  # s; shorter ones may come from the ground's response, sensor filters or held values
+_LONGER, _CERTAIN = 2.0, 4.0  # standard deviations: margin of a delay over LEAST_DELAY, and over zero
+_FINE = 0.15  # s, standard deviation below which a delay by turn rates is preferred
+_LATES = np.arange(-2.0, 2.01, 0.1)  # s, delays that are tried by the shape of the path
+_LENGTHS = (10.0, 20.0)  # s, of segments
+_LEAST_SEGMENTS, _SHOWN = 5, 2.0  # segments that show a delay; least range of ln likelihood in each
 TRACKS = "sprockets"
-_LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings at each, s
-_PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive, of which each shows a delay
-_LATEST = 0.8 * LATEST  # s, beyond which the next part may show none, or another turn's
+_LEAST_STAMPS, _SEVERAL, _EXACT = 10, 1.5, 1e-6  # stamps, readings per stamp, s
+_PART, _MOST_PARTS, _LEAST_PARTS = 30.0, 60, 5  # s of the drive per delay; numbers of such parts
+_LATEST = 0.8 * LATEST  # s; beyond it the next part may show no delay, or that of another turn
 _NAMES = {1e-9: "ns, declared s", 1e-6: "µs, declared s", 1e-3: "ms, declared s"}
 _NAMES |= {1e3: "s, declared ms", 1e6: "s, declared µs", 1e9: "s, declared ns"}
 
 
 @dataclass(frozen=True)
 class Late:
-    """By how much the stamps of the second are later than those of the first."""
+    """Delay of the stamps of the second source after those of the first."""
 
     first: str  # topic
     second: str
     value: float  # s
     stddev: float  # s
-    gain: float | None = None  # ln likelihood over no delay, of one by the shape of the path
+    gain: float | None = None  # ln likelihood ratio over no delay; None: by turn rates
 
 
 def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
     """The log in s, and the sources whose stamps were in another unit.
 
-    One that is alone in that is left out: where its stamps begin is unknown.
+    A source in another unit than the tracks is left out: the origin of its stamps is unknown.
     """
     series = _series(log)
     factors = {name: time_factor(t, kind) for name, kind, t in series}
     if all(factor == 1.0 for factor in factors.values()):
         return log, []
     common = set(factors.values())
-    if len(common) > 1 and 1.0 in common:  # one that may still be within reason, beside others that are not
+    if len(common) > 1 and 1.0 in common:  # a wrong unit may still give a plausible period
         other = (common - {1.0}).pop()
         spans = {name: float(t[-1] - t[0]) for name, _, t in series if len(t) > 1}
         longest = max(spans[n] for n in spans if factors[n] == other)
@@ -84,7 +84,7 @@ def _series(log: Log) -> list[tuple[str, str, FloatArray]]:
 
 
 def judge_fractions(log: Log) -> list[Cause]:
-    """Several readings at each of some stamps, which are whole seconds."""
+    """A cause for each source with several readings per stamp, where all stamps are whole seconds."""
     causes = []
     for name, _, t in _series(log):
         seconds, per_stamp = np.diff(t), log.per_stamp.get(name, 1.0)
@@ -121,7 +121,7 @@ def _scaled(log: Log, factors: dict[str, float]) -> Log:
 
 
 def lates_of(drive: Drive) -> list[Late]:
-    """Of each pair of tracks, gyro, headings and fixes of which the drive shows one."""
+    """Delays between pairs of tracks, gyro, headings and fixes, as far as the drive shows them."""
     found: list[Late] = []
     rates = _turn_rates(drive)
     for first, second in itertools.combinations(rates, 2):
@@ -132,7 +132,7 @@ def lates_of(drive: Drive) -> list[Late]:
 
 
 def _turn_rates(drive: Drive) -> dict[str, FloatArray]:
-    """(m,) of each source that shows them, rad/s."""
+    """(m,) turn rates of tracks, gyro and headings, by topic, rad/s."""
     cell, (left, right) = drive.grid.cell, drive.grid.tracks.T
     rates = {TRACKS: (right - left) / drive.machine.tread / cell}
     if drive.gyro is not None:
@@ -143,7 +143,7 @@ def _turn_rates(drive: Drive) -> dict[str, FloatArray]:
 
 
 def judge_drift(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
-    """A clock that is fast or slow: a source that is later against all others, the longer the drive lasts."""
+    """A clock that is fast or slow: the delay of one source against all others grows with time."""
     rates = _turn_rates(drive)
     drifts = {
         pair: drift
@@ -169,7 +169,7 @@ def judge_drift(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
 
 
 def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, bool] | None:
-    """Of the second of two rates (m,) after the first, s/s, by delays of parts; whether it is certain."""
+    """Drift of the second of two rates (m,) after the first, s/s, by delays of parts; its significance."""
     count = min(int(len(first) * cell / _PART), _MOST_PARTS)
     if count < _LEAST_PARTS:
         return None
@@ -190,7 +190,7 @@ def _drift(first: FloatArray, second: FloatArray, cell: float) -> tuple[float, b
 
 
 def _of_path(drive: Drive, fixes: Fixes, found: list[Late]) -> list[Late]:
-    """Fixes against dead reckoning by tracks; by tracks and gyro where these agree."""
+    """Delays of fixes after dead reckoning by tracks; by tracks and gyro if these have no mutual delay."""
     gyro = drive.gyro.name if drive.gyro is not None else ""
     apart = next((one for one in found if (one.first, one.second) == (TRACKS, gyro)), None)
     is_common = apart is not None and abs(apart.value) < LEAST_DELAY
@@ -206,7 +206,7 @@ def _of_path(drive: Drive, fixes: Fixes, found: list[Late]) -> list[Late]:
 
 
 def _by_segments(of_segments: FloatArray, fixes: Fixes) -> Late | None:
-    """By (d, s) likelihoods; None where the top lies beyond, or is not certain."""
+    """Delay by (d, s) likelihoods; None where the maximum is at an end of the search, or not significant."""
     logs = of_segments.sum(axis=1)
     k = int(np.argmax(logs))
     if k in (0, len(_LATES) - 1) or not _is_consistent(of_segments, k):
@@ -220,7 +220,7 @@ def _by_segments(of_segments: FloatArray, fixes: Fixes) -> Late | None:
 
 
 def _is_consistent(of_segments: FloatArray, best: int) -> bool:
-    """Whether segments of (d, s) likelihoods show a delay, and half of them this one: stamps have but one."""
+    """Whether enough segments of (d, s) likelihoods show a delay, and half of them the delay ``best``."""
     shown = of_segments[:, np.ptp(of_segments, axis=0) > _SHOWN]
     if shown.shape[1] < _LEAST_SEGMENTS:
         return False
@@ -237,7 +237,7 @@ def _jackknife(of_segments: FloatArray, best: int) -> float:
 
 
 def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
-    """The source that is late against the others."""
+    """The source whose stamps are delayed against those of the others."""
     values: dict[tuple[str, str], tuple[float, float]] = {}
     for late in sorted(lates, key=lambda one: (not (one.gain is None and one.stddev < _FINE), one.stddev)):
         values.setdefault((late.first, late.second), (late.value, late.stddev))
@@ -284,7 +284,7 @@ def judge(lates: list[Late]) -> tuple[list[Cause], list[Undetermined]]:
 
 
 def undelayed(drive: Drive, late: Late) -> Drive:
-    """The drive with the stamps of the second source of a pair made earlier."""
+    """The drive with the delay taken off the stamps of the second source of a pair."""
     log, source, value = drive.log, late.second, late.value
     if source == TRACKS:
         return Drive(replace(log, tracks=replace(log.tracks, t=log.tracks.t - value)))
@@ -295,7 +295,7 @@ def undelayed(drive: Drive, late: Late) -> Drive:
 
 
 def late_of(source: str, lates: list[Late]) -> Late:
-    """The pair that shows a late source best, with that source as its second."""
+    """The pair with the most precise delay of a source, ordered with that source as its second."""
     own = [late for late in lates if source in (late.first, late.second)]
     best = min(own, key=lambda late: (late.gain is not None, late.stddev))
     return (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements of the slip estimator become the columns that the setup check compares."""
+"""Conversion of measurements of the slip estimator to the columns that the setup check compares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,12 +18,12 @@ from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS
 
 Rows = NDArray[np.void]  # of at least the fields of ``records.MEASUREMENT``
 
-_NO_HEADING = 0.3**2  # rad², variance of a heading that is none
-_NO_RATE = 1e3  # (rad/s)², variance of an axis that is unknown
-_LARGEST = 1e12  # of any number
-_OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from most stamps of a source
+_NO_HEADING = 0.3**2  # rad², variance from which a heading counts as unmeasured
+_NO_RATE = 1e3  # (rad/s)², variance above which an axis counts as unmeasured
+_LARGEST = 1e12  # magnitude of any valid number
+_OTHER_CLOCK = 40 * 365 * 86_400 * 1_000_000_000  # ns from the median stamp of a source
 _KINDS = (SPROCKETS, YAW_RATE, POSE, HEADING, ON_SWING)
-_MOST = 2_000_000  # readings of a source: hours; what comes later is not compared
+_MOST = 2_000_000  # readings of a source: hours; later ones are not compared
 
 Key: TypeAlias = tuple[int, str]  # kind of ``slip.records``, source
 Columns: TypeAlias = dict[Key, tuple[NDArray[np.int64], FloatArray]]
@@ -33,14 +33,14 @@ z, their variances, specific force along x, y, z; of a pose x, y, heading, their
 
 @dataclass
 class Collector:
-    """Columns of each source, part by part."""
+    """Collects measurements, part by part, as columns of each source."""
 
     parameters: SlipEstimatorParameters
     parts: dict[Key, list[tuple[NDArray[np.int64], FloatArray]]] = field(default_factory=dict)
     counts: dict[Key, int] = field(default_factory=dict)
 
     def add(self, rows: Rows, sources: Sequence[str]) -> None:
-        """Of (n,) measurements; ``sources``: names by their numbers. Other kinds are left out."""
+        """Append (n,) measurements of the kinds that are compared; ``sources``: names by their numbers."""
         for kind in _KINDS:
             of_kind = rows[rows["kind"] == kind]
             for number in np.unique(of_kind["source"]).tolist() if len(of_kind) else ():
@@ -51,7 +51,7 @@ class Collector:
                     self.parts.setdefault(key, []).append(found)
 
     def log(self) -> Log | None:
-        """All columns on one clock; None without sprockets."""
+        """The log of all columns, on one clock; None without sprockets."""
         whole: Columns = {}
         for key, parts in self.parts.items():
             stamps, values = zip(*parts, strict=True)
@@ -60,7 +60,7 @@ class Collector:
 
 
 def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
-    """All columns on one clock, with what the parameters state applied; None without sprockets."""
+    """The log of all columns, on one clock, with the stated parameters applied; None without sprockets."""
     tracks = next((stamps for (kind, _), (stamps, _) in columns.items() if kind == SPROCKETS), None)
     if tracks is None or not len(tracks):
         return None
@@ -80,7 +80,7 @@ def log_of_columns(columns: Columns, p: SlipEstimatorParameters) -> Log | None:
 
 
 def _values(kind: int, rows: Rows) -> FloatArray:
-    """(n, k) of one source, as ``Columns`` has them."""
+    """(n, k) values of one source, in the order of ``Columns``."""
     if kind == SPROCKETS:
         names = ("left_speed", "right_speed", "left_angle", "right_angle")
         return np.column_stack([rows[name] for name in names])
@@ -93,7 +93,7 @@ def _values(kind: int, rows: Rows) -> FloatArray:
 
 
 def _refined(kind: int, values: FloatArray) -> FloatArray:
-    """Without what its variance says there is none of: an axis of an IMU, a heading."""
+    """Values without the variances of rates and headings; nan where a variance marks them as unmeasured."""
     if kind == YAW_RATE:
         return np.column_stack((np.where(values[:, 3:6] > _NO_RATE, np.nan, values[:, :3]), values[:, 6:]))
     if kind == POSE:
@@ -108,7 +108,10 @@ _NEEDED = {SPROCKETS: slice(0, 2), YAW_RATE: slice(2, 3), POSE: slice(0, 2), HEA
 def _sound(
     stamps: NDArray[np.int64], values: FloatArray, start_ns: int, kind: int
 ) -> tuple[FloatArray, FloatArray, int]:
-    """By stamp, the first of each; how many were no numbers, or of another clock than most of the source."""
+    """Times (n,), s, ascending, and the first valid values at each; the number of invalid readings.
+
+    A reading is invalid if a needed value is no number, or if its stamp is on another clock than most.
+    """
     needed = values[:, _NEEDED.get(kind, slice(0, 1))]
     with np.errstate(invalid="ignore"):
         sound = (np.abs(needed) < _LARGEST).all(axis=1)
@@ -157,7 +160,7 @@ def _log(
 
 
 def _of_undercarriage(compass: Compass, swing: tuple[FloatArray, FloatArray]) -> Compass:
-    """Its headings less the swing, where it sits above."""
+    """The compass with headings of the undercarriage: the swing is taken off those of the upper structure."""
     if not compass.is_above or len(swing[0]) < 2:
         return compass
     angle = np.interp(compass.t, swing[0], np.unwrap(swing[1]))

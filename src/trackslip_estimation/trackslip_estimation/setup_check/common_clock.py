@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sources on another clock than the tracks: speeds of fixes that follow those of the tracks much later.
+"""Sources on another clock than the tracks, by the delay of their speeds after those of the tracks.
 
     r(τ) = correlation of |v| by the tracks at t and |v| by the fixes at t + τ
 
-Neither signs nor units change r. Whatever is less than ``LATEST`` is left to ``clocks``, which is finer.
+Neither signs nor units change r. ``clocks`` resolves delays below ``LATEST``, with a finer step.
 """
 
 from dataclasses import replace
@@ -17,21 +17,21 @@ from trackslip_estimation.setup_check.delay import LATEST
 from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR, Cause, odds_of
 from trackslip_estimation.setup_check.log import Fixes, Gyro, Log, Tracks
 
-_FARTHEST, _OVERLAP = 60.0, 0.75  # s, searched; share of the readings that must remain
-_STEP, _WINDOW = 0.5, 2.0  # s
-_WIDTH = 4.0  # s about the top of r, which belongs to it
+_FARTHEST, _OVERLAP = 60.0, 0.75  # s, largest delay that is tried; share of the readings that must overlap
+_STEP, _WINDOW = 0.5, 2.0  # s, between delays; length of the window of a speed
+_WIDTH = 4.0  # s about the maximum of r that belong to it
 _LEAST_READINGS = 10
-_LEAST_APART = 150.0  # s without readings: longer than what a running estimator keeps, than outages
-_LEAST, _MOST = 0.9, 0.999  # correlation: tracks that spin at times lower that of sound stamps too
+_LEAST_APART = 150.0  # s without readings: longer than outages, and than the data of a running check
+_LEAST, _MOST = 0.9, 0.999  # correlation; spinning tracks lower it for right stamps too
 
 
 class _Shift(NamedTuple):
-    """Of the fixes after the tracks."""
+    """Delay of the fixes after the tracks."""
 
     value: float  # s
     correlation: float
     without: float  # correlation with the stamps as they are
-    gain: float  # ln likelihood over these
+    gain: float  # ln likelihood ratio over the stamps as they are
 
 
 def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
@@ -48,14 +48,14 @@ def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
         return log, []
     gyros = tuple(one for one in log.gyros if one.name not in elsewhere)
     fixes = [replace(one, t=one.t - shifts.get(one.name, 0.0)) for one in log.fixes]
-    # which clock a compass has that is no part of the fixes is unknown then
+    # the clock of all other compasses is unknown
     compasses = [replace(one, t=one.t - shifts[one.name]) for one in log.compasses if one.name in shifts]
     kept = tuple(one for one in fixes if one.name not in elsewhere)
     return replace(log, gyros=gyros, fixes=kept, compasses=tuple(compasses)), causes
 
 
 def _elsewhere(log: Log) -> list[Cause]:
-    """Sources all of whose readings are before the first of the tracks, or after the last."""
+    """A cause for each source whose readings all lie before the first of the tracks, or after the last."""
     begin, end = float(log.tracks.t[0]), float(log.tracks.t[-1])
     found = []
     sources: tuple[Gyro | Fixes, ...] = (*log.gyros, *log.fixes)
@@ -85,7 +85,7 @@ def _cause(name: str, shift: _Shift) -> Cause:
 
 
 def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
-    """Beyond ``LATEST``; None where the drive shows none."""
+    """Delay of the fixes beyond ``LATEST``; None where the drive shows none."""
     sound = np.isfinite(fixes.places).all(axis=1)
     if min(len(tracks.t), int(sound.sum())) < _LEAST_READINGS:
         return None
@@ -102,7 +102,7 @@ def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
     if not LATEST + max(period - _WINDOW, 0.0) <= abs(shifts[best]) < steps * _STEP or r[best] < _LEAST:
         return None
     of_tracks, of_fixes = (_correlations(one, one, steps)[0] for one in (by_tracks, by_fixes))
-    effective = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings that tell the same (Bartlett)
+    effective = max(float(np.sum(of_tracks * of_fixes)), 1.0)  # readings per independent one (Bartlett)
     without = float(r[np.abs(shifts) <= _STEP].max())
     second = float(r[np.abs(shifts - shifts[best]) > _WIDTH].max())
     gain, over_second = (
@@ -118,7 +118,7 @@ def _shift_of(tracks: Tracks, radius: float, fixes: Fixes) -> _Shift | None:
 
 
 def _speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
-    """(k,) of (n, d) values in windows about the times; nan beyond the readings; outliers are cut."""
+    """(k,) speeds by (n, d) values in windows about the times; nan outside the readings."""
     ends = [
         np.column_stack([np.interp(times + side * _WINDOW / 2.0, t, one, np.nan, np.nan) for one in values.T])
         for side in (-1.0, 1.0)
@@ -130,7 +130,7 @@ def _speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def _correlations(a: FloatArray, b: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
-    """(2 steps + 1,) of a at k and b at k + j, and of how many; 0 where little overlaps."""
+    """(2 steps + 1,) correlations of a at k and b at k + j, and sample counts; 0 where too little overlaps."""
     least = _OVERLAP * min(np.isfinite(a).sum(), np.isfinite(b).sum())
     r, counts = np.zeros(2 * steps + 1), np.zeros(2 * steps + 1)
     for k, j in enumerate(range(-steps, steps + 1)):

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The angle of one count of the encoders: what positions change by at the least, against what is stated.
+"""The angle of one count of the encoders: the smallest change of positions, against the stated angle.
 
-Where there are no positions, speeds show it that a driver differenced from counts: over its period, which is
-even or that between two stamps, the sprockets turn by whole counts.
+Without positions, speeds show it if a driver computes them from differences of counts: the sprockets turn by
+whole counts over its period, which is constant or the time between two stamps.
 """
 
 import numpy as np
@@ -13,24 +13,22 @@ from trackslip_estimation.setup_check import remedies
 from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.log import Counts
 
-_NOTHING = 1e-9  # of the largest change: the rounding of numbers
-_WHOLE, _SHARE = 0.15, 0.95  # of a count, by which most changes may miss a whole number of them
-_MOST = 5.5  # counts in a change, beyond which the digits of a log may hide them
+_NOTHING = 1e-9  # of the largest change: floating-point rounding
+_WHOLE, _SHARE = 0.15, 0.95  # of a count, tolerance of a whole number; share of the changes within it
+_MOST = 5.5  # counts in a change; the digits of a log may hide counts in larger ones
 _LEAST_CHANGES = 5
-_ROUNDED = 0.1  # share of readings whose change is another than that before
-_COARSE = 5e-3  # rad: a finer count hides in the noise of any speed
-_TOO_SMALL = 5.0  # times
-_LEAST_STEP = 1e-6  # m, that 64 bit floats have of a place on the earth
-COARSER = (
-    2.0  # times the standard deviation that is stated: steps of such a rounding are motion to an estimator
-)
+_ROUNDED = 0.1  # share of readings whose change differs from that before
+_COARSE = 5e-3  # rad; a finer count is below the noise of any speed
+_TOO_SMALL = 5.0  # ratio of the shown to the stated angle
+_LEAST_STEP = 1e-6  # m, resolution of a place on the earth in 64 bit floats
+COARSER = 2.0  # times the stated standard deviation; the estimator takes steps of such a rounding for motion
 MORE_DIGITS = "more digits (of degrees 8, no 32 bit floats)"
 
 
 def angle_of_count(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> float:
-    """Of the coarser side, rad; 0: nothing is counted, or there is nothing.
+    """Angle of one count, rad, of the coarser side; 0 where the values show no counts.
 
-    At times (n,), s, of positions (n, 2), rad; or of speeds (n, 2), rad/s, where no position is a number.
+    Times (n,) in s, positions (n, 2) in rad; speeds (n, 2) in rad/s are used where no position is a number.
     """
     if np.isfinite(positions).any():
         return max(least_change(np.diff(side[np.isfinite(side)])) for side in positions.T)
@@ -40,9 +38,9 @@ def angle_of_count(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> 
 
 
 def least_change(changes: FloatArray) -> float:
-    """Of changes (n,) of a position, if other small ones are multiples of it; else 0.
+    """Smallest of the changes (n,) of a position, if other small ones are multiples of it; else 0.
 
-    Speeds that are even make whole multiples too: counts come and go from one reading to the next.
+    Constant speeds give whole multiples too; of true counts, the number varies from reading to reading.
     """
     changes = np.abs(changes)
     moves = changes > _NOTHING * changes.max(initial=0.0)
@@ -62,14 +60,14 @@ def least_change(changes: FloatArray) -> float:
 def rounding_of(places: FloatArray, stated: float) -> float:
     """Standard deviation of the rounding of places (n,), m; 0 where their changes show no last digit.
 
-    Changes of less than a tenth of what they state are none: degrees that are metres on a map have some.
+    Changes below a tenth of ``stated``, a standard deviation, are ignored: degrees converted to m have some.
     """
     least = max(0.1 * stated, _LEAST_STEP)
     return least_change(np.diff(least * np.round(places / least))) / float(np.sqrt(12.0))
 
 
 def judge_counts(counts: Counts) -> Cause | None:
-    """A count that is stated far too small: whole ones are jumps to the estimator then."""
+    """A count that is stated far too small: the estimator takes single counts for jumps then."""
     if counts.shown < _COARSE or counts.stated * _TOO_SMALL > counts.shown:
         return None
     evidence = (

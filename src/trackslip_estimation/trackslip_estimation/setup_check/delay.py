@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""By how much one turn rate follows another: cross-correlation in pieces, with an interval."""
+"""Delay of one turn rate after another, with its standard deviation: cross-correlation in pieces."""
 
 from typing import NamedTuple
 
@@ -8,23 +8,23 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray, IntArray
 
-LATEST = 2.0  # s, searched
-_PIECE = 15.0  # s, of which each has a correlation of its own
+LATEST = 2.0  # s, largest delay that is tried
+_PIECE = 15.0  # s, length of a piece
 _LEAST_PIECES = 3
 _LEAST_CORRELATION = 0.5
 
 
 class Delay(NamedTuple):
-    """Of the second rate after the first."""
+    """Delay of the second rate after the first."""
 
     value: float  # s
     stddev: float  # s
-    correlation: float  # at best
-    pieces: int
+    correlation: float  # maximum
+    pieces: int  # with enough turning
 
 
 def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None:
-    """Of two rates (m,) on cells of ``cell`` s; None where they do not follow each other."""
+    """Delay between two rates (m,) on cells of ``cell`` s; None where they are not correlated."""
     steps = round(LATEST / cell)
     usable = np.isfinite(first) & np.isfinite(second)
     a, b = (_without_spikes(np.where(usable, rates, 0.0)) for rates in (first, second))
@@ -46,7 +46,7 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
         cross[k] = own @ windows
         energies[k, 0], energies[k, 1] = own @ own, np.sum(windows**2, axis=0)
     total = _peak(cross.sum(axis=0), energies.sum(axis=0), shifts, cell)
-    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LATEST:  # the top lies beyond
+    if total is None or total[1] < _LEAST_CORRELATION or abs(total[0]) >= LATEST:  # maximum at an end
         return None
     strong = energies[:, 0, 0] > 0.02 * energies[:, 0, 0].sum()
     if strong.sum() < 2:
@@ -63,13 +63,13 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
 
 
 def _without_spikes(rates: FloatArray) -> FloatArray:
-    """What jumps of poses would otherwise outweigh."""
+    """Clipped rates: unclipped, jumps of poses dominate the correlation."""
     most = 1.5 * float(np.percentile(np.abs(rates), 98))
     return np.clip(rates, -most, most)
 
 
 def _peak(cross: FloatArray, energy: FloatArray, shifts: IntArray, cell: float) -> tuple[float, float] | None:
-    """Shift in s at the top, between cells, and the correlation there."""
+    """Shift of the maximum, s, interpolated between cells, and the correlation there; None without motion."""
     scale = np.sqrt(energy[0] * energy[1])
     if (scale <= 0.0).any():
         return None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signs that are decided become causes with evidence, if the drive holds enough of turns and distance."""
+"""Causes and evidence of wrong signs, if the drive holds enough turns and distance to decide them."""
 
 from dataclasses import dataclass, field, replace
 
@@ -17,8 +17,8 @@ from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.signs import Assignment, Decision, Evidence, decide
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
-_CLEAR = float(np.log(1e4))  # odds that need no three turns
-_LEAST_TURNED = np.radians(25.0)  # but so much in all
+_CLEAR = float(np.log(1e4))  # ln odds at which fewer than three turns suffice
+_LEAST_TURNED = np.radians(25.0)  # in all, for these odds
 _TURNING = np.radians(2.0)  # in a window
 _LEAST_DISTANCE = 2.0  # m, times what the tread is over 1 m
 MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
@@ -27,13 +27,13 @@ _TURN = "turn left and right by 90° once each, and drive 10 m straight"
 
 @dataclass(frozen=True)
 class Directions:
-    """What undoes the mistakes of signs."""
+    """Corrections of the signs, and the causes they undo."""
 
     assignment: Assignment
     gyro: float
     is_mirrored: bool
     heading: float
-    mirror: int = 0  # 0: x and y swapped, 1: y, 2: x the other way round
+    mirror: int = 0  # 0: x and y swapped, 1: y negated, 2: x negated
     convention: int = 0  # 0: from north, clockwise; 1: clockwise
     is_decided: bool = True
     causes: tuple[Cause, ...] = ()
@@ -54,7 +54,7 @@ class Directions:
 
 
 def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
-    """Of tracks, gyro, map and headings together."""
+    """Signs of tracks, gyro, map and headings, decided together."""
     evidence, gyro = gather(drive), drive.gyro
     decision = decide(evidence)
     mirror, convention = _kinds(drive, decision)
@@ -82,7 +82,7 @@ def decide_signs(drive: Drive, *, is_upside_down: bool) -> Directions:
 
 
 def _missing_motion(drive: Drive, decision: Decision) -> list[Undetermined]:
-    """What the drive lacks of turns and distance."""
+    """Turns and distance that the drive lacks."""
     turn, (left, right) = drive.turn - drive.fit.bias * WINDOW, drive.x.T
     count, turned = turns_of(turn), float(np.nansum(np.abs(turn[np.abs(turn) > _TURNING])))
     if drive.gyro is None:
@@ -118,7 +118,7 @@ def _missing_sensor(evidence: Evidence) -> str:
 
 
 def _kinds(drive: Drive, decision: Decision) -> tuple[int, int]:
-    """Which mirror image, and which other way of counting headings, agrees best with courses."""
+    """Index of the mirror image, and of the other convention of headings, that agree best with courses."""
     steps = drive.courses
     if drive.compass is None or not len(steps.courses):
         return 0, 0
@@ -132,7 +132,7 @@ def _kinds(drive: Drive, decision: Decision) -> tuple[int, int]:
 
 
 def _headings(steps: Courses, sense: float, twice_offset: float) -> list[FloatArray]:
-    """As they are, or counted otherwise: the offset, which is taken off, stays as it is."""
+    """(n,) headings as stated, or in each other convention; the offset that was taken off stays the same."""
     if sense > 0.0:
         return [steps.headings]
     return [np.pi / 2.0 - steps.headings - twice_offset, -steps.headings - twice_offset]

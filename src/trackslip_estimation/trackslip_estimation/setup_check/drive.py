@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One gyro, one source of fixes and one of headings beside the tracks: what a drive shows of each other."""
+"""A drive with tracks, one gyro, one source of fixes and one of headings, and quantities derived of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ from trackslip_estimation.setup_check.log import Compass, Fixes, Gyro, Log, Mach
 from trackslip_estimation.setup_check.path import Path, Shapes, compare, dead_reckoning, thinned
 from trackslip_estimation.setup_check.turning import TurnFit, bias_of, fit_turns
 
-USUAL_EFFICIENCY = 0.7  # κ where the turns do not show it
+USUAL_EFFICIENCY = 0.7  # κ, turning efficiency, where the turns do not show it
 HEADING_NOISE = np.radians(5.0)  # rad, in a window
-_FIX_SPACING = 0.5  # s
+_FIX_SPACING = 0.5  # s, between fixes that are compared with paths
 
 
 @dataclass(frozen=True)
 class Drive:
-    """Of a log with one source of each kind at most; windows are of ``grid.WINDOW`` s."""
+    """A log with one source of each kind at most; windows are of ``grid.WINDOW`` s."""
 
     log: Log
 
@@ -33,11 +33,11 @@ class Drive:
         return cls(replace(log, gyros=gyros, fixes=places, compasses=() if compass is None else (compass,)))
 
     def with_gyro(self, gyro: Gyro | None) -> "Drive":
-        """The same with another version of the gyro, or none."""
+        """The drive with another version of the gyro, or none."""
         return Drive.of(self.log, gyro, self.fixes, self.compass)
 
     def without_fixes(self) -> "Drive":
-        """The same by tracks, gyro and headings."""
+        """The drive with tracks, gyro and headings only."""
         return Drive.of(self.log, self.gyro, None, self.compass)
 
     @property
@@ -47,57 +47,57 @@ class Drive:
 
     @property
     def gyro(self) -> Gyro | None:
-        """None where its z axis shows no turns."""
+        """The gyro; None where there is none, or where its z axis shows no turns."""
         return next(iter(self.log.gyros), None)
 
     @property
     def fixes(self) -> Fixes | None:
-        """Of places."""
+        """The source of positions, or None."""
         return next(iter(self.log.fixes), None)
 
     @property
     def compass(self) -> Compass | None:
-        """Of headings."""
+        """The source of headings, or None."""
         return next(iter(self.log.compasses), None)
 
     @cached_property
     def grid(self) -> Grid:
-        """Tracks and gyro."""
+        """Increments of tracks and gyro."""
         grid = make_grid(self.log, self.gyro)
-        assert grid is not None  # of a log that is too short no drive is made
+        assert grid is not None  # callers check the length of the log first
         return grid
 
     @cached_property
     def x(self) -> FloatArray:
-        """(w, 2) distances of the tracks in windows over the tread, rad; nan where they were not recorded."""
+        """(w, 2) distances of the tracks in windows over the tread, rad; nan where not recorded."""
         tracks = np.where(self.grid.is_driven[:, np.newaxis], self.grid.tracks, np.nan)
         return window_sums(self.grid, tracks) / self.machine.tread
 
     @cached_property
     def turn(self) -> FloatArray:
-        """(w,) of the gyro, with its bias, rad."""
+        """(w,) turn of the gyro, with its bias, rad."""
         return window_sums(self.grid, self.grid.turns[:, 2])
 
     @cached_property
     def unbiased_turn(self) -> FloatArray:
-        """(w,) of the gyro, less its usual turn while the tracks stand, or in all, rad."""
+        """(w,) turn of the gyro, rad, less its median at standstill; without standstill, less that of all."""
         known = np.isfinite(self.turn) & np.isfinite(self.x).all(axis=1)
         return self.turn - bias_of(self.turn[known], self.x[known], WINDOW) * WINDOW
 
     @cached_property
     def headings(self) -> FloatArray:
-        """(m + 1,) stated at the edges of the grid, rad; nan where there is none."""
+        """(m + 1,) stated headings at the edges of the grid, rad; nan where there is none."""
         edges = self.grid.edges
         return np.full(len(edges), np.nan) if self.compass is None else heading_at(self.compass, edges)
 
     @cached_property
     def heading_turn(self) -> FloatArray:
-        """(w,) of these, rad."""
+        """(w,) turn of the stated headings, rad."""
         return np.diff(self.headings[:: max(round(WINDOW / self.grid.cell), 1)])
 
     @cached_property
     def fix_distances(self) -> FloatArray:
-        """(w,) m by the fixes; nan where there is none."""
+        """(w,) distance by the fixes, m; nan where there is none."""
         if self.fixes is None:
             return np.full(len(self.x), np.nan)
         return np.asarray(np.hypot(*steps_of(self.fixes, self.grid).T))
@@ -111,33 +111,33 @@ class Drive:
 
     @cached_property
     def fit(self) -> TurnFit:
-        """Turns of the gyro by the tracks."""
+        """Fit of the turns of the gyro by the tracks."""
         return fit_turns(self.turn, self.x, WINDOW)
 
     @cached_property
     def gyro_turn(self) -> FloatArray:
-        """(m,) of the gyro in the cells, without its bias, rad; zeros without a gyro."""
+        """(m,) turn of the gyro in the cells, without its bias, rad; zeros without a gyro."""
         if self.gyro is None:
             return np.zeros(len(self.grid.tracks))
         return np.asarray(self.grid.turns[:, 2] - self.fit.bias * self.grid.cell)
 
     @cached_property
     def path(self) -> Path:
-        """By tracks and gyro; by the tracks alone without a gyro."""
+        """Dead reckoning by tracks and gyro; by the tracks alone without a gyro."""
         if self.gyro is None:
             return self.track_path
         return dead_reckoning(self.grid, self.grid.tracks.mean(axis=1), self.gyro_turn)
 
     @cached_property
     def track_path(self) -> Path:
-        """By the tracks alone, with the efficiency that a gyro shows."""
+        """Dead reckoning by the tracks alone, with the turning efficiency by the gyro, or the usual one."""
         efficiency = float(self.fit.efficiencies[0]) if self.fit.logs[0] > 0.0 else USUAL_EFFICIENCY
         left, right = self.grid.tracks.T
         turn = efficiency * (right - left) / self.machine.tread
         return dead_reckoning(self.grid, (left + right) / 2.0, turn)
 
     def shapes(self, motions: Sequence[tuple[FloatArray, FloatArray]]) -> Shapes:
-        """How well dead reckoning by each motion fits the path of the fixes; zeros without fixes.
+        """Likelihoods of dead reckoning by each motion, given the path of the fixes; zeros without fixes.
 
         A motion: signs of both tracks (2,), whose mean is the distance; turns (m,) of the cells, rad.
         """

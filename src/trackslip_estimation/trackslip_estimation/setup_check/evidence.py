@@ -18,7 +18,7 @@ _LEAST_COURSES = 3
 
 
 def gather(drive: Drive) -> Evidence:
-    """All likelihoods, none below that of a gyro that shows no turns; zeros where a sensor is missing."""
+    """All ln likelihoods, those of the gyro at least that of one without turns; zeros for missing sensors."""
     of_heading, has_gyro = drive.heading_turn, drive.gyro is not None
     has_heading = int(np.isfinite(of_heading).sum()) >= 3
     return Evidence(
@@ -36,7 +36,7 @@ def gather(drive: Drive) -> Evidence:
 
 
 def _heading_logs(drive: Drive) -> FloatArray:
-    """(2,) that headings turn with the gyro, or against it."""
+    """(2,) ln likelihood that headings turn with the gyro, or against it."""
     if drive.gyro is None:
         return np.zeros(2)
     logs = turn_logs(drive.heading_turn, drive.turn - drive.fit.bias * WINDOW)
@@ -52,7 +52,7 @@ def _gyro_shapes(drive: Drive) -> FloatArray:
 
 
 def _track_shapes(drive: Drive) -> FloatArray:
-    """By turns of the tracks, for a machine without a gyro that turns."""
+    """(2, 2) ln likelihood of the path by turns of the tracks; zeros with a gyro."""
     if drive.gyro is not None:
         return np.zeros((2, 2))
     efficiency = USUAL_EFFICIENCY / drive.machine.tread
@@ -62,12 +62,12 @@ def _track_shapes(drive: Drive) -> FloatArray:
 
 
 def _courses(drive: Drive) -> FloatArray:
-    """(8, 2, 2) of each assignment, map as it is or mirrored, heading as it is or the other way round."""
+    """(8, 2, 2) ln likelihood: assignments, map as it is or mirrored, heading as it is or inverted."""
     found, steps = np.zeros((len(ASSIGNMENTS), 2, 2)), drive.courses
     if len(steps.courses) < _LEAST_COURSES:
         return found
     distances = window_sums(drive.grid, drive.grid.tracks)[steps.windows]
-    of_distance: dict[tuple[float, ...], FloatArray] = {}  # of which pairs of assignments have the same
+    of_distance: dict[tuple[float, ...], FloatArray] = {}  # pairs of assignments share one
     for a, assignment in enumerate(ASSIGNMENTS):
         key = tuple(assignment.distance.tolist())
         if key not in of_distance:
@@ -78,7 +78,7 @@ def _courses(drive: Drive) -> FloatArray:
 
 
 def _course_logs(steps: Courses, reverse: FloatArray) -> FloatArray:
-    """(2, 2) of map as it is or mirrored, heading as it is or the other way round."""
+    """(2, 2) ln likelihood: map as it is or mirrored, heading as it is or inverted."""
     found = np.zeros((2, 2))
     for p, h in itertools.product((0, 1), repeat=2):
         found[p, h] = max(
@@ -90,12 +90,12 @@ def _course_logs(steps: Courses, reverse: FloatArray) -> FloatArray:
 
 
 def direction_log(differences: FloatArray) -> float:
-    """Ln likelihood of course less heading: around 0, or off by an angle that is as likely as a mistake."""
+    """Ln likelihood of course less heading: around 0, or, with the prior of a mistake, around any angle."""
     return float(np.logaddexp(course_logs(differences)[0], around_any(differences) - PRIOR))
 
 
 def unmirrored(steps: Courses, *, is_mirrored: bool) -> list[FloatArray]:
-    """Courses as they are, or with x and y swapped, y the other way round, x the other way round."""
+    """Courses as they are, or with x and y swapped, y negated, x negated."""
     course = steps.courses
     return [np.pi / 2.0 - course, -course, np.pi - course] if is_mirrored else [course]
 
@@ -107,7 +107,7 @@ def turned_over(steps: Courses, *, is_turned: bool) -> list[FloatArray]:
 
 
 def forward_shares(tracks: FloatArray) -> FloatArray:
-    """(8,) of the distance, by each assignment; a few metres of it are taken as half."""
+    """(8,) share of the distance that is forward, by each assignment; near one half for a few metres."""
     known = tracks[np.isfinite(tracks).all(axis=1)]
     shares = []
     for assignment in ASSIGNMENTS:

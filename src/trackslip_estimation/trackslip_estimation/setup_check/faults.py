@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that no machine gives: missing values, wrong units of time."""
+"""Columns with placeholders of missing values, or with wrong units of time."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -13,34 +13,34 @@ from trackslip_estimation.setup_check.grid import angles_of
 from trackslip_estimation.setup_check.log import ComplexArray, Log, Tracks
 
 _LEAST_READINGS = 10
-_LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, among the others or beyond them
-_BEYOND = 3.0  # times as far from the others as these reach
-_LEAST_PLACES, _LEAST_HELD = 2, 3  # jumps to one place to the last digit; fixes at it at the begin or end
-_LEAST_SHARE = 0.002  # of all
+_LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, within the range of the others or far beyond it
+_BEYOND = 3.0  # times the largest deviation of the others from their median
+_LEAST_PLACES, _LEAST_HELD = 2, 3  # jumps to one exact place; fixes at it at the begin or end
+_LEAST_SHARE = 0.002  # of all readings
 _LONGEST_RUN = 3  # readings of the same value in a row
-_RETURN = 0.3  # of a jump, by which the readings before and after it differ at most
-_QUANTA = 5.0  # times the least changes of readings
-_COUNTS = 2.5  # to and fro in a row, and half of one that stamps make
-_LARGE = 0.3  # of the size of large readings, below which a jump may be motion or noise
+_RETURN = 0.3  # of a jump, largest difference of the readings before and after it
+_QUANTA = 5.0  # times the smallest changes of readings
+_COUNTS = 2.5  # counts: one forward and one back in a row, and half of one by jitter of stamps
+_LARGE = 0.3  # of the size of large readings; smaller jumps may be motion or noise
 _TIME_FACTORS = (1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9)
 _PERIODS = {"tracks": (5e-4, 2.0), "gyro": (2e-4, 2.0), "fixes": (2e-3, 30.0)}  # s, of any such sensor
-_FIX_STEP = 30.0  # m from both neighbours, beyond which a place is no fix of the machine
+_FIX_STEP = 30.0  # m from both neighbours; a place farther away is no fix of the machine
 
 
 @dataclass(frozen=True)
 class Missing:
-    """A value that stands for none."""
+    """A value that marks missing readings."""
 
     source: str
     column: str
     value: float
     count: int
     share: float
-    numbers: int = 1  # of each reading that are the same
+    numbers: int = 1  # components of each reading that repeat
 
 
 class _Jumps(NamedTuple):
-    """To one value and back at once."""
+    """Jumps to one value and immediately back."""
 
     value: float | complex
     where: BoolArray  # (n,) readings
@@ -48,15 +48,15 @@ class _Jumps(NamedTuple):
 
 
 def missing_in(values: FloatArray, count: float = 0.0) -> tuple[float, BoolArray] | None:
-    """The value of (n,) to which readings jump and from which they return at once, and where.
+    """The value to which readings (n,) jump and from which they return at once, and where; None without one.
 
-    ``count``: what one of an encoder makes of a reading; a jump is farther.
+    ``count``: change of a reading by one encoder count; jumps are larger.
     """
     change = np.abs(np.diff(values))
     change = change[change > 0.0]
     if len(values) < _LEAST_READINGS or not len(change):
         return None
-    step = float(np.percentile(change, 5))  # of a quantised signal its quantum
+    step = float(np.percentile(change, 5))  # the quantum of a quantised signal
     level = float(np.percentile(np.abs(values[values != 0.0]), 95))
     found = _jumps(values, max(_QUANTA * step, _LARGE * level, _COUNTS * count), _RETURN, _LONGEST_RUN)
     if found is None or found.where.sum() < _LEAST_SHARE * len(values):
@@ -66,7 +66,7 @@ def missing_in(values: FloatArray, count: float = 0.0) -> tuple[float, BoolArray
 
 
 def _is_beyond(values: FloatArray, found: _Jumps) -> bool:
-    """Whether a value lies farther from all others than these reach."""
+    """Whether a value lies far outside the range of all others."""
     others = values[~found.where]
     usual = float(np.median(others))
     return abs(found.value - usual) > _BEYOND * float(np.abs(others - usual).max())
@@ -75,7 +75,7 @@ def _is_beyond(values: FloatArray, found: _Jumps) -> bool:
 def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest: int) -> _Jumps | None:
     """The value to which most jumps of more than ``least`` go, in runs of at most ``longest`` readings.
 
-    ``back``: of a jump, by which what is before and after it differs at most.
+    ``back``: share of a jump, by which the readings before and after it differ at most.
     """
     runs = equal_runs(values)
     heads, lengths = values[runs.first], runs.lengths
@@ -89,14 +89,14 @@ def _jumps(values: FloatArray | ComplexArray, least: float, back: float, longest
     found, counts = np.unique(heads[jumps], return_counts=True)
     top = found[np.argmax(counts)]
     there = jumps & (heads == top)
-    similar = jumps & (size > 0.5 * np.median(size[there]))  # what jumps as far
+    similar = jumps & (size > 0.5 * np.median(size[there]))  # jumps of similar size
     if there.sum() < 0.5 * similar.sum():
         return None
     return _Jumps(top, np.repeat(there, lengths), int(there.sum()))
 
 
 def without_missing(log: Log) -> tuple[Log, list[Missing]]:
-    """The log without such readings, and what they were."""
+    """The log without missing readings, and the values that mark them."""
     found: list[Missing] = []
     tracks = log.tracks
     lost = np.zeros(len(tracks.t), np.bool_)
@@ -126,7 +126,7 @@ def without_missing(log: Log) -> tuple[Log, list[Missing]]:
 
 
 def _after_gap(t: FloatArray) -> BoolArray:
-    """(n,) readings before which one is missing: an increment is twice as large there."""
+    """(n,) readings after a gap: an increment is twice as large there."""
     intervals = np.diff(t, prepend=t[:1])
     return np.asarray(intervals > 1.5 * np.median(intervals))
 
@@ -148,7 +148,7 @@ def _note(
 
 
 def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> BoolArray:
-    """(n,) places that stand for none: one exact place far from others that comes back, or is held first."""
+    """(n,) missing fixes: at one exact place far from others that recurs, or is held at the begin or end."""
     nothing = np.zeros(len(places), np.bool_)
     if len(places) < _LEAST_READINGS:
         return nothing
@@ -165,7 +165,7 @@ def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> Boo
 
 
 def time_factor(t: FloatArray, kind: str) -> float:
-    """What stamps must be multiplied by for a rate that such a sensor has; 1 where theirs is one."""
+    """Factor that gives stamps a plausible period of such a sensor; 1 where they have one, or none fits."""
     if len(t) < 10:
         return 1.0
     period = float(np.median(np.diff(t)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the setup check finds: causes with evidence, odds and remedy, and what the log cannot decide."""
+"""Findings of the setup check: causes with evidence, odds and remedy; questions that the log leaves open."""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from typing import Any
 
 LEAST_ODDS = 100.0  # to 1, below which no cause is reported
 LEAST_LOG = math.log(LEAST_ODDS)
-PRIOR = math.log(300.0)  # of each mistake
-MOST_ODDS = 1e9  # that a sentence states
+PRIOR = math.log(300.0)  # ln odds against each mistake
+MOST_ODDS = 1e9  # largest odds in a sentence
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class Cause:
 
 @dataclass(frozen=True)
 class Undetermined:
-    """What the log cannot decide, and the motion that would."""
+    """A question that the log cannot decide, and the motion that would decide it."""
 
     what: str
     needed: str
-    is_wrong: bool = False  # something is, but not which of two
+    is_wrong: bool = False  # there is a mistake, but the log does not show which of several
 
     def as_dict(self) -> dict[str, str]:
         """For JSON."""
@@ -54,7 +54,7 @@ class Undetermined:
 
 @dataclass(frozen=True)
 class Measured:
-    """A number of the machine that the drive shows."""
+    """A quantity of the machine, measured from the drive."""
 
     name: str  # lever_arm_x, lever_arm_y, yaw_offset, delay
     source: str
@@ -66,7 +66,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Result:
-    """Of one check."""
+    """Result of one check."""
 
     causes: tuple[Cause, ...] = ()
     undetermined: tuple[Undetermined, ...] = ()
@@ -75,12 +75,12 @@ class Result:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether no cause was found, and no mistake is certain."""
+        """Whether there is neither a cause nor a certain mistake."""
         return not self.causes and not self.open_questions
 
     @property
     def open_questions(self) -> tuple[Undetermined, ...]:
-        """Mistakes that are certain, but not which of several they are."""
+        """Certain mistakes whose cause is one of several."""
         return tuple(one for one in self.undetermined if one.is_wrong)
 
     @property
@@ -100,7 +100,7 @@ class Result:
 
 
 def odds_text(odds: float) -> str:
-    """``2000 : 1``."""
+    """Odds as text, as ``2000 : 1``."""
     if odds >= MOST_ODDS or not math.isfinite(odds):
         return "> 1e9 : 1"
     return f"{odds:.0f} : 1" if odds < 1e5 else f"{odds:.0e} : 1"

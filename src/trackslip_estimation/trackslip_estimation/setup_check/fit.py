@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the path of the fixes shows of dead reckoning: scale of distance, lever arm, delay, with intervals.
+"""Fit of dead reckoning to the path of the fixes: scale of distance, lever arm, delay, with intervals.
 
     e^{−iφ_s} z_k = a_s + ρ_s q_k + (l + Δl) e^{iψ_k} + b ∫e^{iψ}|dψ| − τ q̇_k + e      in each segment s
 
-Place a_s and scale ρ_s are those of the segment; Δl, b and τ are common to all. b is the distance that the
-tracks lose or gain in turns, m/rad: with turns to one side alone, a sensor off to a side shows the same. τ
-is a delay: in turns at one speed alone, a sensor ahead shows the same. a_s and ρ_s are projected out; the
-covariance is the jackknife's over segments, or that of the fit.
+Each segment has its own place a_s, direction φ_s and scale ρ_s; Δl, b and τ are common to all. b, m/rad, is
+the distance that the tracks lose or gain in turns; if all turns are to one side, a lateral Δl has the same
+effect. τ is a delay; if all turns have one speed, a longitudinal Δl has the same effect. a_s and ρ_s are
+projected out. Standard deviations are the larger of those of the jackknife over segments and of the fit.
 """
 
 from typing import NamedTuple
@@ -19,9 +19,9 @@ from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 from trackslip_estimation.setup_check.path import MOST_LOG, Moments, Path, free_counts, segments
 
 _LEAST_SEGMENTS = 3
-_FITS = 4
-_FEW = 3.0  # of few segments the standard deviation is larger by _FEW / (n − 1)
-_FOLLOWS = 0.95  # correlation of the fixes with the path, below which they show errors or slips, no scale
+_FITS = 4  # iterations
+_FEW = 3.0  # standard deviations by n segments grow by a share of _FEW / (n − 1)
+_FOLLOWS = 0.95  # correlation of the fixes with the path; below it, errors or slips dominate the scale
 
 
 class Scales(NamedTuple):
@@ -32,20 +32,20 @@ class Scales(NamedTuple):
     weights: FloatArray  # (s,) 1/variance
     times: FloatArray  # (s,) s, of the middle
     straight: FloatArray  # (s,) chord over length of the path
-    extents: FloatArray  # (s,) m, of the path by the tracks
+    extents: FloatArray  # (s,) m, RMS extent of the path by the tracks
 
 
 class Lever(NamedTuple):
-    """Δl of a source."""
+    """Correction Δl of the lever arm of a source."""
 
     value: complex  # m, forward and left
     stddevs: tuple[float, float]  # m
-    log_ratio: float  # ln likelihood against Δl = 0
+    log_ratio: float  # ln likelihood ratio over Δl = 0
     turned: float  # rad, in all
 
 
 def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
-    """Of segments of ``length`` s in which fixes follow the path over six times their noise."""
+    """Scales of segments of ``length`` s in which fixes follow the path and exceed six times their noise."""
     parts = segments(path, fixes, length)
     if not len(parts):
         return None
@@ -71,16 +71,16 @@ def scales(path: Path, fixes: Fixes, length: float) -> Scales | None:
 class _Projected(NamedTuple):
     """Sums of s segments over the columns of x, y, b and τ, with place and scale projected out."""
 
-    zz: FloatArray  # (s,)
+    zz: FloatArray  # (s,) of the fixes with each other
     products: FloatArray  # (s, 4, 4) of the columns with each other
     of_z: FloatArray  # (s, 4) of the columns with the fixes
-    free: FloatArray  # (s,)
+    free: FloatArray  # (s,) degrees of freedom
 
 
 def fit_lever(
     path: Path, fixes: Fixes, length: float, slip_stddev: float, delay_stddev: float
 ) -> Lever | None:
-    """Δl, from segments of ``length`` s; None where too few turn; σ of b, m/rad, and of τ, s."""
+    """Δl, from segments of ``length`` s; None where too few turn. Stddevs: of b, m/rad, and of τ, s."""
     parts = segments(path, fixes, length)
     if len(parts) < _LEAST_SEGMENTS:
         return None
@@ -88,7 +88,7 @@ def fit_lever(
     noise = fixes.noise**2 + 1e-6
     prior = np.diag((1e-9, 1e-9, slip_stddev**-2, delay_stddev**-2))
     value = np.zeros(4)
-    for _ in range(_FITS):  # each with the weights of what the last one leaves
+    for _ in range(_FITS):  # weights by the residuals of the previous fit
         weights = sums.free / _rests(sums, value, noise)
         products = weights[:, np.newaxis, np.newaxis] * sums.products
         of_z = weights[:, np.newaxis] * sums.of_z
@@ -97,7 +97,7 @@ def fit_lever(
     uu = products[:, 0, 0]
     if (uu > 0.05 * uu.sum()).sum() < _LEAST_SEGMENTS:
         return None
-    count = float(uu.sum() ** 2 / np.sum(uu**2))  # of segments that turn alike
+    count = float(uu.sum() ** 2 / np.sum(uu**2))  # effective number of turning segments
     without = np.linalg.solve(total - products, (of_z.sum(axis=0) - of_z)[:, :, np.newaxis])[:, :, 0]
     moved = (without - value) * np.sqrt((len(parts) - 1) / len(parts))
     stddevs = np.maximum(np.sqrt(np.sum(moved**2, axis=0)), np.sqrt(np.diag(np.linalg.inv(total))))
@@ -109,7 +109,7 @@ def fit_lever(
 
 
 def _rests(sums: _Projected, value: FloatArray, noise: float) -> FloatArray:
-    """(s,) squares that (4,) values leave, and noise (m²)."""
+    """(s,) residual squares at (4,) values, with those of the noise, m²."""
     left = sums.zz - 2.0 * sums.of_z @ value + np.einsum("i,sij,j->s", value, sums.products, value)
     return np.asarray(np.maximum(left, 0.0) + sums.free * noise + 1e-9)
 
@@ -126,7 +126,7 @@ def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, flo
         return np.where(of_q > 1e-3, own, 0.0)
 
     uu = np.maximum(product(u, u).real, 0.0)
-    # direction of the begin: of the scale once Δl is fitted too
+    # direction φ_s: that of the scale, with Δl fitted too
     own = np.where(uu > 1e-6, product(u, z) / np.maximum(uu, 1e-6), 0.0)
     c = moments.product(q, z) - moments.product(q, u) * own
     turn = c / np.maximum(np.abs(c), 1e-12)
@@ -139,14 +139,14 @@ def _project(path: Path, fixes: Fixes, parts: IntArray) -> tuple[_Projected, flo
 
 
 def _of_turns(path: Path, t: FloatArray) -> ComplexArray:
-    """(n,) ∫ e^{iψ} |dψ|: where a machine would be that goes 1 m a radian."""
+    """(n,) ∫ e^{iψ} |dψ|: places of a machine that drives 1 m per radian."""
     middle = (path.headings[1:] + path.headings[:-1]) / 2.0
     places = np.concatenate(([0.0], np.cumsum(np.exp(1j * middle) * np.abs(np.diff(path.headings)))))
     return np.asarray(np.interp(t, path.edges, places.real) + 1j * np.interp(t, path.edges, places.imag))
 
 
 def _of_delay(path: Path, fixes: Fixes) -> ComplexArray:
-    """(n,) −q̇: by how much places lag for each second of delay."""
+    """(n,) −q̇: change of the places for each second of delay."""
     step, arm = path.edges[1] - path.edges[0], fixes.arm
     return np.asarray((path.at(fixes.t - step, arm) - path.at(fixes.t + step, arm)) / (2.0 * step))
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A gyro that shows the same, bit for bit, while the machine turns otherwise."""
+"""A gyro with readings that stay bit for bit the same while the machine's turn rate changes."""
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from trackslip_estimation.setup_check.finding import Cause, odds_of
 from trackslip_estimation.setup_check.grid import window_sums
 from trackslip_estimation.setup_check.log import Gyro
 
-_LEAST_READINGS = 50  # that are the same
-_MOST_SPANS = 10  # that are looked at
+_LEAST_READINGS = 50  # equal readings in a span
+_MOST_SPANS = 10  # spans that are examined
 _LEAST_TURN = np.radians(40.0)  # of the machine, which the gyro does not show
-_LEAST_EFFICIENCY = 0.25  # of tracks, of which not all stand still on ice
+_LEAST_EFFICIENCY = 0.25  # turning efficiency of the tracks, low as on ice
 
 
 def frozen_cause(drive: Drive, gyro: Gyro) -> Cause | None:
-    """Bit for bit the same, while tracks, or headings, turn otherwise."""
+    """The cause if readings stay bit for bit the same while tracks or headings turn differently."""
     found = (_frozen_in(drive, gyro, *span) for span in frozen_spans(gyro))
     return next((cause for cause in found if cause is not None), None)
 
@@ -32,7 +32,7 @@ def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | No
     apart = window_sums(grid, np.where(inside, grid.tracks[:, 1] - grid.tracks[:, 0], 0.0))
     by_tracks = apart / drive.machine.tread
     by_heading = window_sums(grid, np.where(inside, np.diff(drive.headings), 0.0))
-    by_heading = np.where(np.abs(by_heading) <= HEADING_NOISE, 0.0, by_heading)  # nan stays: it is not known
+    by_heading = np.where(np.abs(by_heading) <= HEADING_NOISE, 0.0, by_heading)  # nan stays: unknown
     is_by_heading = _otherwise(by_heading, shown) >= _LEAST_TURN
     if not is_by_heading and _otherwise(by_tracks, shown) * _LEAST_EFFICIENCY < _LEAST_TURN:
         return None
@@ -50,9 +50,9 @@ def _frozen_in(drive: Drive, gyro: Gyro, begin: float, end: float) -> Cause | No
 
 
 def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
-    """How much of the turns (n,) what the gyro shows (n,) explains at no scale, rad.
+    """Part of the turns (n,), rad, that no multiple of the gyro's turns ``shown`` (n,) explains.
 
-    A gyro without noise, as a simulator's, shows the same for as long as the machine turns evenly.
+    A simulated gyro without noise is constant as long as the machine turns evenly.
     """
     known = np.isfinite(turns)
     turns, shown = turns[known], shown[known]
@@ -61,7 +61,7 @@ def _otherwise(turns: FloatArray, shown: FloatArray) -> float:
 
 
 def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
-    """Times in which all readings about z are bit for bit the same, s; the longest first, none too short."""
+    """Spans, s, in which all readings about z are bit for bit the same; by readings, longest first."""
     runs = equal_runs(gyro.rates[:, 2])
     lengths = runs.lengths
     order = [k for k in np.argsort(-lengths, kind="stable")[:_MOST_SPANS] if lengths[k] >= _LEAST_READINGS]
@@ -69,6 +69,6 @@ def frozen_spans(gyro: Gyro) -> list[tuple[float, float]]:
 
 
 def frozen_share(gyro: Gyro) -> float:
-    """Share of its time in the longest frozen span."""
+    """Share of the gyro's recording in the longest frozen span."""
     spans = frozen_spans(gyro)
     return (spans[0][1] - spans[0][0]) / max(float(gyro.t[-1] - gyro.t[0]), 1e-9) if spans else 0.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks and gyro on one grid of time: increments of each cell, and sums of them over windows."""
+"""Tracks and gyro on one time grid: increments in each cell, and their sums over windows."""
 
 from dataclasses import dataclass, replace
 
@@ -11,10 +11,10 @@ from trackslip_estimation.setup_check.log import Gyro, Log
 
 CELL = 0.1  # s
 WINDOW = 2.0  # s: longer than delays of sensors, shorter than a turn
-LONGEST_GAP = 1.0  # s between readings, beyond which what happened in between is unknown
-_SWINGING = 0.02  # rad/s, beyond which a gyro above shows the swing
-_SWING_MARGIN = 1.0  # s
-MOST_CELLS = 400_000  # eleven hours; of longer logs the cells are longer
+LONGEST_GAP = 1.0  # s between readings; motion in longer gaps is unknown
+_SWINGING = 0.02  # rad/s, swing rate above which a gyro on the upper structure is not used
+_SWING_MARGIN = 1.0  # s, before and after a swing
+MOST_CELLS = 400_000  # eleven hours; longer logs have longer cells
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class Grid:
         return float(self.edges[1] - self.edges[0])
 
     def with_tracks(self, matrix: FloatArray) -> "Grid":
-        """The same with (2, 2) ``matrix`` applied to the tracks."""
+        """The grid with (2, 2) ``matrix`` applied to the tracks."""
         return replace(self, tracks=self.tracks @ matrix.T)
 
 
 def make_grid(log: Log, gyro: Gyro | None, *, delays: tuple[float, float] = (0.0, 0.0)) -> Grid | None:
-    """From the first to the last reading of the tracks; None where there are hardly any.
+    """Grid from the first to the last reading of the tracks; None where there are hardly any.
 
-    ``delays``: of tracks and gyro, s, which are taken off their stamps.
+    ``delays``: of tracks and gyro, s, taken off their stamps.
     """
     t = log.tracks.t - delays[0]
     if len(t) < 3 or t[-1] - t[0] < 2.0 * WINDOW:
@@ -67,7 +67,7 @@ def _swings(swing: tuple[FloatArray, FloatArray], edges: FloatArray) -> BoolArra
 
 
 def integral(t: FloatArray, rates: FloatArray) -> FloatArray:
-    """(n, k) from the first of n readings on, by trapezoids; what happened in a gap counts as nothing."""
+    """(n, k) integral from the first of n readings on, by trapezoids; gaps add zero."""
     steps = np.where(np.diff(t) <= LONGEST_GAP, np.diff(t), 0.0)[:, np.newaxis]
     means = (rates[1:] + rates[:-1]) / 2.0
     return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(means * steps, axis=0)))
@@ -81,12 +81,12 @@ def angles_of(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> Float
 
 
 def increments(t: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
-    """(m, k) of n values between m + 1 edges, linear between readings."""
+    """(m, k) increments of (n, k) values between m + 1 edges, linear between readings."""
     return np.diff(np.column_stack([np.interp(edges, t, column) for column in values.T]), axis=0)
 
 
 def covered(t: FloatArray, edges: FloatArray) -> BoolArray:
-    """(m,) whether readings reach over each cell without a gap."""
+    """(m,) whether readings cover each cell without a gap."""
     after = np.clip(np.searchsorted(t, edges[1:]), 1, len(t) - 1)
     before = np.clip(np.searchsorted(t, edges[:-1], side="right") - 1, 0, len(t) - 2)
     found: BoolArray = (t[after] - t[before] <= LONGEST_GAP + edges[1] - edges[0]) & (
@@ -104,6 +104,6 @@ def window_sums(grid: Grid, values: FloatArray, length: float = WINDOW) -> Float
 
 
 def window_edges(grid: Grid, length: float = WINDOW) -> FloatArray:
-    """(w + 1,) s."""
+    """(w + 1,) edges of the windows, s."""
     size = max(round(length / grid.cell), 1)
     return grid.edges[: (len(grid.edges) - 1) // size * size + 1 : size]

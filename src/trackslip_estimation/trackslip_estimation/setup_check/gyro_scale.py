@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much of a turn the gyro shows: by headings, and by the shape of the path of the fixes.
+"""Scale of the gyro, by headings and by the shape of the path of the fixes.
 
-Tracks cannot show it, since they slip. What looks like a unit beside them is undone before (``inertial``).
+Tracks cannot show it, since they slip. ``inertial`` has undone scales that are wrong units by the tracks.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,15 @@ from trackslip_estimation.setup_check.heading import turn_logs
 from trackslip_estimation.setup_check.log import Gyro
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
-_SCALES = (np.geomspace(0.42, 1 / 0.42, 19), np.geomspace(0.08, 1 / 0.08, 53))  # far ones hide what is near 1
-_RIGHT = np.log(1.11)  # by which the logarithm of the scale of a sound gyro differs from 0 at the most
+_SCALES = (np.geomspace(0.42, 1 / 0.42, 19), np.geomspace(0.08, 1 / 0.08, 53))  # near ones first
+_RIGHT = np.log(1.11)  # largest magnitude of the ln scale of a sound gyro
 _LEAST_SEGMENTS = 3  # of the path
 
 
 def judge_scale(drive: Drive, unit: float, lever: Lever | None) -> Cause | None:
-    """Of a drive with all signs undone, and ``unit``: what the gyro showed of 1 rad/s.
+    """The cause if the scale is wrong, of a drive with right signs; ``unit``: undone readings per rad/s.
 
-    ``lever``: another arm of the fixes, which explains their path too.
+    ``lever``: correction of the lever arm of the fixes, which may explain their path instead.
     """
     if drive.gyro is None:
         return None
@@ -49,7 +49,7 @@ def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: 
     total = np.sum(list(witnesses.values()), axis=0)
     best = int(np.argmax(total))
     gain = float(total[best] - total[is_right].max())
-    if best in (0, len(scales) - 1) or gain < PRIOR + by_lever:  # at an end none makes it show the turns
+    if best in (0, len(scales) - 1) or gain < PRIOR + by_lever:  # at an end: no maximum
         return None
     turns = turns_of((drive.turn - bias * WINDOW) / scales[best])
     if turns < LEAST_TURNS or any(logs[best] < logs[is_right].max() for logs in witnesses.values()):
@@ -60,7 +60,7 @@ def _judge(drive: Drive, gyro: Gyro, scales: FloatArray, unit: float, by_lever: 
 
 
 def heading_logs(drive: Drive, scales: FloatArray, bias: float) -> FloatArray:
-    """(s, 2) ln likelihood of each scale: headings turn with the gyro, or against it; zeros without them."""
+    """(s, 2) ln likelihood of each scale: headings with the gyro, or against it; zeros without headings."""
     turn = drive.turn - bias * WINDOW
     return np.array([turn_logs(drive.heading_turn, turn / scale)[:2] for scale in scales])
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stated headings against the turn of the gyro or tracks, and against the course of the fixes.
 
-Δψ = s Δψ_g + e         s = 1, or −1 for a heading that counts the other way round
+Δψ = s Δψ_g + e         s = 1, or −1 for a heading of the opposite sense
 γ = course − ψ − π [reverse]      0 for a heading of the machine, forward
 """
 
@@ -21,7 +21,7 @@ _SHARE = 0.1  # of a turn
 _LEAST_WINDOWS = 3
 _COURSE = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
 _LEAST_STEP = 0.3  # m in a window
-_STRAIGHT = 0.35  # rad in a window
+_STRAIGHT = 0.35  # rad in a window, largest turn of a straight step
 _DEGREES = float(np.degrees(1.0))
 _STEP_NOISE = 0.03  # rad, of a difference of neighbouring headings
 _LEAST_STEP_TURN, _MOST_STEP_TURN = 0.02, 0.5  # rad from one heading to the next
@@ -35,11 +35,11 @@ class Courses(NamedTuple):
 
     courses: FloatArray  # (n,) rad, direction in which the fixes move
     headings: FloatArray  # (n,) rad, stated
-    windows: NDArray[np.int64]  # (n,) which of the grid's
+    windows: NDArray[np.int64]  # (n,) indices of the windows of the grid
 
 
 def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
-    """(n,) rad; nan where no heading is near."""
+    """(n,) headings at times t, rad; nan where no heading is near."""
     sound = np.isfinite(compass.headings)
     known, headings = compass.t[sound], np.unwrap(compass.headings[sound])
     if len(known) < 2:
@@ -50,7 +50,7 @@ def heading_at(compass: Compass, t: FloatArray) -> FloatArray:
 
 
 def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
-    """(n, 2) m; nan where no fix is near."""
+    """(n, 2) places at times t, m; nan where no fix is near."""
     if len(fixes.t) < 2:
         return np.full((len(t), 2), np.nan)
     after = np.clip(np.searchsorted(fixes.t, t), 1, len(fixes.t) - 1)
@@ -61,12 +61,12 @@ def place_at(fixes: Fixes, t: FloatArray) -> FloatArray:
 
 
 def steps_of(fixes: Fixes, grid: Grid) -> FloatArray:
-    """(w, 2) m in windows; nan where there is no fix."""
+    """(w, 2) displacements in windows, m; nan where there is no fix."""
     return np.diff(place_at(fixes, window_edges(grid)), axis=0)
 
 
 def turn_logs(of_heading: FloatArray, of_machine: FloatArray) -> FloatArray:
-    """(3,) ln likelihood: headings turn with the machine, against it, on their own; (w,) rad in windows.
+    """(3,) ln likelihood: headings turn with the machine, against it, independently; (w,) rad in windows.
 
     Zeros where fewer than three windows show both.
     """
@@ -104,7 +104,7 @@ def course_logs(differences: FloatArray) -> FloatArray:
 
 
 def around_any(differences: FloatArray) -> float:
-    """Ln likelihood that directions lie around some direction, that one being as likely as any other."""
+    """Ln likelihood that directions lie around an unknown direction, with a uniform prior."""
     if not len(differences):
         return 0.0
     middle = mean_direction(differences)
@@ -124,14 +124,14 @@ def mean_direction(angles: FloatArray) -> float:
 
 
 def wrapped(angles: FloatArray) -> FloatArray:
-    """To [−π, π)."""
+    """Angles wrapped to [−π, π)."""
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float, float]:
-    """Factor 57.3 or 1/57.3 of headings whose unit is another, and its ln likelihood over the right one.
+    """Factor 57.3 or 1/57.3 of headings in a wrong unit, else 1; its ln likelihood ratio over the right unit.
 
-    From one heading to the next, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
+    By differences of successive headings, modulo a turn; ``turned`` (n,) rad at times ``t`` (n,) by the gyro.
     """
     sound = np.isfinite(compass.headings)
     known, headings = compass.t[sound], compass.headings[sound]
@@ -152,7 +152,7 @@ def unit_log(compass: Compass, t: FloatArray, turned: FloatArray) -> tuple[float
 
 
 def _follows(headings: FloatArray, turned: FloatArray) -> bool:
-    """Whether small changes of headings are those of a turn, not those of headings that stay."""
+    """Whether small changes of headings follow the turn; those of constant headings do not."""
     y, x = headings - headings.mean(), turned - turned.mean()
     of_x, of_y, both = float(x @ x), float(y @ y), float(x @ y)
     return both > _CORRELATION * np.sqrt(of_x * of_y) and 0.5 < both / max(of_x, 1e-12) < 2.0

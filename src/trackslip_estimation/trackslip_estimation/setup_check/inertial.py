@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The inertial unit against the tracks: biased, of another unit, or turned in its mounting."""
+"""The inertial unit against the tracks: a large bias, a wrong unit, or a wrong mounting."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -28,7 +28,7 @@ from trackslip_estimation.setup_check.turning import (
     turns_of,
 )
 
-UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one declared
+UNITS = {  # reading per rad/s, by true and declared unit
     "deg/s, declared rad/s": np.degrees(1.0),
     "rad/s, declared deg/s": np.radians(1.0),
     "mrad/s, declared rad/s": 1e3,
@@ -41,40 +41,40 @@ UNITS = {  # what a gyro shows of 1 rad/s where its unit is another than the one
     "rad/s, declared rpm": 2.0 * np.pi / 60.0,
     "mdeg/s, declared deg/s": 1e3,
 }
-EFFICIENCY = (0.08, 1.5)  # of turns by the gyro over turns by the tracks, of any machine on any ground
-_CENTRE = 0.6
-_LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; beyond it the unit is another
+EFFICIENCY = (0.08, 1.5)  # turn by the gyro over turn by the tracks, of any machine on any ground
+_CENTRE = 0.6  # usual efficiency
+_LARGE_BIAS, _LARGEST_BIAS = np.radians(2.0), np.radians(15.0)  # rad/s; a larger one is a wrong unit
 _LEAST_STANDING = 2  # windows
 _LEAST_COMPARED = 10  # windows
-_LEAST_GAIN = 5.0  # ln likelihood over no relation
-_TRACK_GAIN = 3.0  # of turns by the tracks, where there are witnesses
-_UNIT_ERROR = 0.35  # of the logarithm of a scale by headings
-_AXIS_GAIN = 8.0  # of another axis, over that of z
-_MOST_TILT = np.radians(60.0)  # between the roll or pitch of two places, on any hill
-_TILT_NOISE = np.radians(12.0)  # of what accelerations show of it
+_LEAST_GAIN = 5.0  # ln likelihood ratio over no relation
+_TRACK_GAIN = 3.0  # the same, of turns by the tracks
+_UNIT_ERROR = 0.35  # of the ln of a scale by headings
+_AXIS_GAIN = 8.0  # ln likelihood ratio of another axis over z
+_MOST_TILT = np.radians(60.0)  # largest difference of roll or pitch of two places, on any hill
+_TILT_NOISE = np.radians(12.0)  # error of that difference by accelerations
 _GRAVITY = (7.5, 12.0)  # m/s²
 _FOLLOWS = 0.85  # correlation of turns of one machine
-_MOST_TURN = 3.0  # of the gyro over the tracks, of any machine
-_FASTEST = 8.0  # rad/s, beyond any machine
+_MOST_TURN = 3.0  # turn by the gyro over turn by the tracks, of any machine
+_FASTEST = 8.0  # rad/s, yaw rate beyond any machine
 _AXES = "xyz"
-_MOSTLY = 0.5  # of all readings
+_MOSTLY = 0.5  # share of the recording
 _LEAST_AXIS = 5  # windows in which an axis was recorded
 
 
 @dataclass(frozen=True)
 class Inertial:
-    """What was found, and the drive with it undone."""
+    """Causes, and the drive with them undone."""
 
-    drive: Drive  # without a gyro where that shows nothing of the turns
+    drive: Drive  # without a gyro where that shows no turns
     causes: tuple[Cause, ...] = ()
     undetermined: tuple[Undetermined, ...] = ()
-    unit: float = 1.0  # what the gyro shows of 1 rad/s, which is undone
+    unit: float = 1.0  # reading per rad/s, undone in ``drive``
     is_upside_down: bool = False
-    is_contradicted: bool = False  # gyro or tracks have another unit, and nothing says which
+    is_contradicted: bool = False  # the unit of gyro or tracks is wrong; the log does not show which
 
 
 def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
-    """Everything but its sign; ``is_unit_known``: that of the tracks."""
+    """Frozen readings, axis, unit and bias of the gyro, not its sign; ``is_unit_known``: of the tracks."""
     drive = drive.with_gyro(gyro)
     gravity = gravity_of(drive, gyro)
     frozen = frozen_cause(drive, gyro)
@@ -110,7 +110,7 @@ def examine(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> Inertial:
 
 
 def _agrees_with(drive: Drive, scale: float) -> str:
-    """What shows that a gyro is right which turns ``scale`` times as much as the tracks; '': nothing."""
+    """The odometer that confirms a gyro turning ``scale`` times as much as the tracks; '' if none does."""
     by_heading = _scale_of_heading(drive)
     if by_heading is not None:
         return "heading" if abs(np.log(by_heading)) < _UNIT_ERROR else ""
@@ -119,7 +119,7 @@ def _agrees_with(drive: Drive, scale: float) -> str:
 
 
 def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
-    """(3,) unit vector of the specific force while the tracks stand, or of the whole; None: there is none."""
+    """(3,) unit vector of the specific force at standstill, or of the whole log; None: not that of gravity."""
     sound = np.isfinite(gyro.accelerations).all(axis=1)
     if sound.sum() < 10:
         return None
@@ -136,10 +136,10 @@ def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
 
 
 def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, Cause | None]:
-    """The gyro with the axis that turns as z, where that is another one.
+    """The gyro with its vertical axis as z, and the cause if that is another axis.
 
-    No machine stands on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
-    axis must turn by more than the machine tilts: pitch on a hill follows the tracks too.
+    No machine lies on its side: gravity along x or y is proof, unless z turns as the tracks do. Else an
+    axis must turn by more than the machine tilts: on a hill, pitch is correlated with the tracks too.
     """
     turns, x = window_sums(drive.grid, drive.grid.turns), drive.x
     found = _axis_gains(turns, x, drive.heading_turn)
@@ -165,21 +165,21 @@ def _axis(drive: Drive, gyro: Gyro, gravity: FloatArray | None) -> tuple[Gyro, C
 
 
 class _AxisGains(NamedTuple):
-    """Of x, y, z; −∞ where an axis shows nothing."""
+    """Evidence that x, y or z is vertical; −∞ where an axis shows no turns."""
 
-    gains: FloatArray  # (3,) ln likelihood by tracks and headings that it is the vertical one
-    by_tracks: FloatArray  # (3,) that by tracks alone
-    units: FloatArray  # (3,) what it shows of 1 rad/s
+    gains: FloatArray  # (3,) ln likelihood ratio by tracks and headings
+    by_tracks: FloatArray  # (3,) the same by tracks alone
+    units: FloatArray  # (3,) readings per rad/s
 
 
 def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray) -> _AxisGains:
-    """Of turns (w, 3) in windows."""
+    """Evidence for each axis, of turns (w, 3) in windows."""
     found = _AxisGains(np.full(3, -np.inf), np.full(3, -np.inf), np.ones(3))
     for axis in range(3):
         scale = scale_of(turns[:, axis], x, WINDOW)
         if np.isfinite(turns[:, axis]).sum() < _LEAST_AXIS or not scale > 0.0:
             continue
-        found.units[axis] = max(_unit_of(scale)[1], 1.0)  # hardly any turn in another unit is a tilt
+        found.units[axis] = max(_unit_of(scale)[1], 1.0)  # a small turn is a tilt, no other unit
         found.by_tracks[axis] = fit_turns(turns[:, axis], x, WINDOW, found.units[axis]).logs.max()
         by_heading = turn_logs(of_heading, turns[:, axis] / found.units[axis])
         found.gains[axis] = found.by_tracks[axis] + max(by_heading[:2].max() - by_heading[2], 0.0)
@@ -187,20 +187,20 @@ def _axis_gains(turns: FloatArray, x: FloatArray, of_heading: FloatArray) -> _Ax
 
 
 def _remounted(gyro: Gyro, fix: FloatArray, name: str, evidence: str, log_ratio: float) -> tuple[Gyro, Cause]:
-    """With ``fix`` (3, 3) applied."""
+    """The gyro with ``fix`` (3, 3) applied, and the cause."""
     turned = replace(gyro, rates=gyro.rates @ fix.T, accelerations=gyro.accelerations @ fix.T)
     return turned, Cause(name, gyro.name, evidence, odds_of(log_ratio), remedies.mounting(gyro, fix))
 
 
 def _span(turn: FloatArray, x: FloatArray) -> float:
-    """Between the headings farthest apart that windows (w,) add up to, rad."""
+    """Range of the heading by turns (w,) in windows, less their bias, rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y = turn[usable] - bias_of(turn[usable], x[usable], WINDOW) * WINDOW
     return float(np.ptp(np.cumsum(y))) if len(y) else 0.0
 
 
 def _tilt_span(gyro: Gyro) -> float:
-    """Twice how far gravity leans from its usual direction, rad: what the unit rolls and pitches."""
+    """Twice the largest tilt of gravity from its median direction, rad: the range of roll and pitch."""
     sound = np.isfinite(gyro.accelerations).all(axis=1)
     of_second = (gyro.t[sound] - gyro.t[0]).astype(np.int64)
     begins = np.flatnonzero(np.diff(of_second, prepend=-1))
@@ -213,7 +213,7 @@ def _tilt_span(gyro: Gyro) -> float:
 
 
 def turned_share(turn: FloatArray, x: FloatArray) -> float:
-    """Turn of the gyro over the most that tracks of any signs explain; 0 for half a turn or less."""
+    """Turn by the gyro over the largest turn that tracks of any signs explain; 0 for half a turn or less."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     y = np.abs(y - bias_of(y, x, WINDOW) * WINDOW)
@@ -232,10 +232,10 @@ def to_vertical(axis: int, sign: float) -> FloatArray:
 
 
 def _unit_of(scale: float, by_heading: float | None = None) -> tuple[str, float]:
-    """The unit that brings a scale by the tracks to turning efficiencies; '', 1 where it is one already.
+    """Name and factor of the unit that makes a scale by the tracks a turning efficiency; '', 1 if it is one.
 
-    Of several the nearest to the scale by headings, which do not slip, or to a usual efficiency; their scale
-    itself where no unit fits them.
+    Of several units, the nearest to the scale by headings, which do not slip, or to a usual efficiency. Where
+    no unit fits the headings, their scale itself.
     """
     units = {"": 1.0, **UNITS}
     fitting = {name: one for name, one in units.items() if _is_usual(scale / one)}
@@ -254,10 +254,10 @@ def _is_usual(efficiency: float) -> bool:
 
 
 def _unit(drive: Drive, gyro: Gyro, *, is_unit_known: bool) -> tuple[float, Cause | None, list[Undetermined]]:
-    """Factor of a unit that headings, or the path of the fixes, ask for as well as the tracks do.
+    """Factor of the gyro's unit by the tracks, confirmed by headings or the path of the fixes.
 
-    Without such a witness, tracks that turn more than the gyro may slip, and those that turn less may have
-    another unit, unless the distance of fixes shows theirs or no machine turns as the gyro says.
+    Without these two: tracks that turn more than the gyro may slip. Tracks that turn less may have a wrong
+    unit, unless the distance of the fixes shows theirs, or no machine turns as fast as the gyro.
     """
     turn, x = drive.turn, drive.x
     scale = scale_of(turn, x, WINDOW)
@@ -289,7 +289,7 @@ def _is_too_fast(turn: FloatArray) -> bool:
 
 
 def _witness(drive: Drive, factor: float) -> float | None:
-    """Ln likelihood of a unit over none, by headings or the path of the fixes; None: no witness."""
+    """Ln likelihood ratio of a unit over none, by headings or the path of the fixes; None without both."""
     scales, signs = np.array((factor, 1.0)), [(tracks, sign) for tracks in DISTANCES for sign in (1.0, -1.0)]
     if _scale_of_heading(drive) is not None:
         logs = heading_logs(drive, scales, 0.0)
@@ -300,7 +300,7 @@ def _witness(drive: Drive, factor: float) -> float | None:
 
 
 def _scale_of_heading(drive: Drive) -> float | None:
-    """What the gyro shows of a turn of the headings; None where these do not turn."""
+    """Turn by the gyro over turn by the headings; None where these do not turn, or are not correlated."""
     usable = np.isfinite(drive.turn) & np.isfinite(drive.heading_turn)
     y, h = drive.turn[usable], drive.heading_turn[usable]
     if (np.abs(h) > 2.0 * HEADING_NOISE).sum() < 3:
@@ -311,7 +311,7 @@ def _scale_of_heading(drive: Drive) -> float | None:
 
 
 def _is_known(drive: Drive) -> bool:
-    """Whether turns of tracks or headings show that its unit is right."""
+    """Whether turns of tracks or headings confirm the unit of the gyro."""
     of_heading = _scale_of_heading(drive)
     if of_heading is not None and 0.6 < of_heading < 1.6:
         return True
@@ -320,7 +320,7 @@ def _is_known(drive: Drive) -> bool:
 
 
 def _bias(drive: Drive, gyro: Gyro) -> Cause | None:
-    """What it shows while nothing moves, and while the machine drives; or more than headings turn."""
+    """The cause if the bias is large: at standstill and in motion, or against the turn of the headings."""
     found = _at_standstill(drive.turn, drive.x) or _against_heading(drive.turn, drive.heading_turn)
     if found is None:
         return None
@@ -379,7 +379,7 @@ def _against_heading(turn: FloatArray, of_heading: FloatArray) -> tuple[float, f
 
 
 def upside_down(gyro: Gyro, log_odds: float) -> Cause:
-    """Turns and gravity are both the other way round."""
+    """The cause if turns and gravity are both inverted."""
     evidence = "turns about z and gravity along z are both the other way round: the unit hangs upside down"
     return Cause(
         "imu_mounting", gyro.name, evidence, odds_of(log_odds), remedies.mounting(gyro, to_vertical(2, -1.0))

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the setup check is given: columns of each sensor, with what the parameters state applied.
+"""Input of the setup check: columns of each sensor, with the stated parameters applied.
 
-Times are s on one clock. A gyro is in axes of base_link as its mounting, sign and scale state; the places
-of fixes
-are those of the sensor, whose stated lever arm stands beside them.
+Times are s on one clock. The stated mounting, sign and scale turn the gyro to axes of base_link. The places
+of fixes are those of the sensor; its stated lever arm is a field of its own.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,7 +19,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 class Machine(NamedTuple):
-    """Geometry that the parameters state."""
+    """Stated geometry."""
 
     radius: float  # rolling radius, m
     tread: float  # m
@@ -28,15 +27,15 @@ class Machine(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Angle of a count of the sprockets' encoders, rad; 0: there are none."""
+    """Angle of one count of the sprocket encoders, rad; 0: no counts."""
 
-    shown: float = 0.0  # by the positions
+    shown: float = 0.0  # by positions or speeds
     stated: float = 0.0
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Sprockets."""
+    """Columns of the sprockets."""
 
     t: FloatArray  # (n,) s, ascending
     speeds: FloatArray  # (n, 2) left, right, rad/s
@@ -45,7 +44,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Gyro:
-    """An inertial unit."""
+    """Columns of an inertial unit."""
 
     name: str  # topic
     t: FloatArray  # (n,) s, ascending
@@ -53,8 +52,8 @@ class Gyro:
     accelerations: FloatArray  # (n, 3) m/s²; nan where there are none
     is_above: bool = False  # on the upper structure, which swings
     sign: float = 1.0  # stated, and applied
-    scale: float = 1.0  # the same
-    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad; the same
+    scale: float = 1.0  # stated, and applied
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad; stated, and applied
 
 
 @dataclass(frozen=True)
@@ -87,15 +86,15 @@ class Fixes:
 
 @dataclass(frozen=True)
 class Compass:
-    """A source of headings: of a pose source, or a pair of antennas."""
+    """Headings of a pose source, or of a pair of antennas."""
 
     name: str
     t: FloatArray  # (n,) s, ascending
     headings: FloatArray  # (n,) rad
-    is_used: bool = True  # by the estimator; else it is evidence only
-    of_poses: bool = True  # else of a topic of its own, whose offset is stated, and applied
-    offset: float = 0.0  # rad
-    convention: str = "enu"  # as stated, and applied
+    is_used: bool = True  # by the estimator; else evidence only
+    of_poses: bool = True  # headings of a pose source; else of a topic of its own
+    offset: float = 0.0  # rad, stated, and applied, as are the next two
+    convention: str = "enu"
     sign: int = 1
     is_above: bool = False
 
@@ -115,15 +114,15 @@ class Log:
     per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
 
     def with_tracks(self, matrix: FloatArray) -> "Log":
-        """The same with (2, 2) ``matrix`` applied to left and right."""
+        """The log with (2, 2) ``matrix`` applied to left and right."""
         own = self.tracks
         return replace(self, tracks=Tracks(own.t, own.speeds @ matrix.T, own.angles @ matrix.T))
 
     def with_gyro(self, gyro: Gyro) -> "Log":
-        """The same with another version of one gyro."""
+        """The log with another version of one gyro."""
         return replace(self, gyros=tuple(gyro if g.name == gyro.name else g for g in self.gyros))
 
 
 def group_of(topic: str) -> str:
-    """Its group of parameters: ``sources.imu_data_raw``."""
+    """Group of parameters of a topic, as ``sources.imu_data_raw``."""
     return f"sources.{topic.replace('/', '_')}"

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The path of the fixes against paths of dead reckoning: which of them has its shape, and which is mirrored.
+"""Likelihoods of dead-reckoning paths, given the path of the fixes: by shape, with or without mirroring.
 
-z_k      places that fixes show                                                 m, complex
-q_k, ψ_k dead reckoning: place and heading of base_link, from any begin         m, rad
+z_k      places of the fixes                                                    m, complex
+q_k, ψ_k dead reckoning: place and heading of base_link, from any start         m, rad
 l        stated place of the sensor in base_link                                m, complex
 
-    z_k = a + c (q_k + l e^{iψ_k}) + e      c complex: heading of the begin, share of the track distance
+    z_k = a + c (q_k + l e^{iψ_k}) + e      c complex: start heading, share of the track distance
 
-A segment is fitted for each path; ln(RSS_b/RSS_a) ν/2 says how much better path a is than b. ν counts
-fixes that
-are a second apart, and no segment counts for more than e⁴: errors of receivers and slips last.
+Each path is fitted to each segment; ln(RSS_b/RSS_a) ν/2 is the ln likelihood ratio of path a over b. ν counts
+fixes at least a second apart, and no ratio of a segment exceeds e⁴: errors of receivers and slips are
+time-correlated.
 """
 
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_estimation.setup_check.grid import LONGEST_GAP, Grid
 from trackslip_estimation.setup_check.log import ComplexArray, Fixes
 
-LENGTHS = (5.0, 10.0, 20.0, 40.0, 80.0)  # s, of segments: which of them depends on speeds and noise
-MOST_LOG = 4.0  # of one segment
+LENGTHS = (5.0, 10.0, 20.0, 40.0, 80.0)  # s, of segments; the best depends on speeds and noise
+MOST_LOG = 4.0  # ln likelihood ratio of one segment
 _LEAST_FIXES = 5
 _MOST_FIXES = 16.0  # that count in a segment
-_SLIP_SHARE = 0.03  # of the extent of a segment: what slips leave of any path
-_LEAST_STEPS = 30  # from fix to fix, which show their noise
-_SPACING = 1.0  # s between fixes whose errors differ
+_SLIP_SHARE = 0.03  # residual of any path by slips, share of the extent of a segment
+_LEAST_STEPS = 30  # between fixes, to estimate their noise
+_SPACING = 1.0  # s between fixes with independent errors
 _LONGEST_OUTAGE = 5.0  # s without fixes within a segment
-_TELLING = 0.5  # ln likelihood that a segment could add, below which it is left out
+_TELLING = 0.5  # ln likelihood ratio that a segment must be able to add
 
 
 @dataclass(frozen=True)
@@ -41,25 +41,25 @@ class Path:
     edges: FloatArray  # (m + 1,) s
     places: ComplexArray  # (m + 1,) m
     headings: FloatArray  # (m + 1,) rad
-    is_known: BoolArray  # (m,) of cells
+    is_known: BoolArray  # (m,) cells with known increments
 
     def at(self, t: FloatArray, lever: complex = 0.0) -> ComplexArray:
-        """(n,) places of a point of base_link."""
+        """(n,) places of a point of base_link at times t, m."""
         heading = np.interp(t, self.edges, self.headings)
         q = np.interp(t, self.edges, self.places.real) + 1j * np.interp(t, self.edges, self.places.imag)
         return np.asarray(q + lever * np.exp(1j * heading))
 
 
 class Shapes(NamedTuple):
-    """How each of p paths fits."""
+    """Fits of p paths."""
 
-    logs: FloatArray  # (p,) ln likelihood, above that of the worst
-    segments: int  # that tell some of the paths apart
-    length: float  # s
+    logs: FloatArray  # (p,) ln likelihood ratio over the worst path
+    segments: int  # number of those that distinguish some of the paths
+    length: float  # of the segments, s
 
 
 def dead_reckoning(grid: Grid, distance: FloatArray, turn: FloatArray) -> Path:
-    """From increments (m,) m and rad; cells where either is unknown stand still."""
+    """Path by increments (m,), m and rad; both are zero in cells where either is unknown."""
     known = np.isfinite(distance) & np.isfinite(turn) & grid.is_driven
     steps, turns = np.where(known, distance, 0.0), np.where(known, turn, 0.0)
     headings = np.concatenate(([0.0], np.cumsum(turns)))
@@ -81,9 +81,9 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
 
 
 def with_shown_noise(fixes: Fixes) -> Fixes:
-    """With the noise that fixes a second apart show, where they state more; a tenth of that at the least.
+    """Fixes with the noise shown by those a second apart, where they state more; at least a tenth of that.
 
-    What they state may be a guess, or an error that lasts, which is in all of a turn and a straight alike.
+    The stated value may be a guess, or a time-correlated error, which is equal in turns and on straights.
     """
     thin = thinned(fixes, _SPACING)
     steps = np.diff(thin.places, axis=0)[np.diff(thin.t) < 1.5 * _SPACING]
@@ -94,9 +94,9 @@ def with_shown_noise(fixes: Fixes) -> Fixes:
 
 
 def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> IntArray:
-    """(s, 2) first fix, and the one after the last, of pieces of ``length`` s without a gap of any sensor.
+    """(s, 2) first fix, and the one after the last, of segments of ``length`` s without a gap of any sensor.
 
-    Nor has the path a gap within ``margin`` s of them.
+    The path has no gap within ``margin`` s of a segment either.
     """
     t = fixes.t
     unknown = np.concatenate(([0], np.cumsum(~path.is_known)))
@@ -116,37 +116,37 @@ def segments(path: Path, fixes: Fixes, length: float, margin: float = 0.0) -> In
 
 
 def free_counts(fixes: Fixes, parts: IntArray) -> FloatArray:
-    """(s,) fixes of segments whose errors differ, less what place and scale take."""
+    """(s,) degrees of freedom: fixes with independent errors, less those of place and scale."""
     duration = fixes.t[parts[:, 1] - 1] - fixes.t[parts[:, 0]]
     count = np.minimum(np.diff(parts, axis=1)[:, 0], duration / _SPACING + 1.0)
     return np.asarray(np.maximum(np.minimum(count, _MOST_FIXES) - 2.0, 0.0))
 
 
 class Moments:
-    """Sums of products of columns over segments, of which fits of one column to another follow."""
+    """Sums of products of columns over segments, for fits of one column to another."""
 
     def __init__(self, parts: IntArray) -> None:
         self._parts = parts
         self.counts = np.diff(parts, axis=1)[:, 0].astype(np.float64)
 
     def sums(self, values: ComplexArray) -> ComplexArray:
-        """(s,) of (n,)."""
+        """(s,) sums of (n,) values."""
         total = np.concatenate(([0.0], np.cumsum(values)))
         return np.asarray(total[self._parts[:, 1]] - total[self._parts[:, 0]])
 
     def product(self, a: ComplexArray, b: ComplexArray) -> ComplexArray:
-        """(s,) Σ conj(a) b of what both are from their means."""
+        """(s,) Σ conj(a) b of the deviations of both from their means."""
         return np.asarray(self.sums(np.conj(a) * b) - np.conj(self.sums(a)) * self.sums(b) / self.counts)
 
     def rests(self, a: ComplexArray, z: ComplexArray) -> FloatArray:
-        """(s,) squares that the best multiple of a leaves of z."""
+        """(s,) residual squares of z after the best multiple of a."""
         of_a = np.maximum(self.product(a, a).real, 1e-12)
         left = self.product(z, z).real - np.abs(self.product(a, z)) ** 2 / of_a
         return np.asarray(np.maximum(left, 0.0))
 
 
 def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
-    """Likelihoods of the paths, with segments of the length that tells them apart best."""
+    """Likelihoods of the paths, with segments of the length that distinguishes them best."""
     columns = np.array([path.at(fixes.t, fixes.arm) for path in paths])
     best, best_power = Shapes(np.zeros(len(paths)), 0, LENGTHS[0]), 0.0
     for length in LENGTHS:
@@ -162,7 +162,7 @@ def compare(paths: Sequence[Path], fixes: Fixes) -> Shapes:
 
 
 def _of_segments(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple[FloatArray, FloatArray]:
-    """(p, s) ln likelihoods, at most ``MOST_LOG`` apart; (s,) how far apart the paths alone let them be."""
+    """(p, s) ln likelihoods, at most ``MOST_LOG`` apart; (s,) sums of the ratios that the paths allow."""
     moments, z = Moments(parts), fixes.z
     extent = np.sqrt(np.maximum(moments.product(z, z).real, 0.0) / moments.counts)
     noise = np.sqrt(moments.sums((fixes.stddevs**2).astype(np.complex128)).real / moments.counts)
@@ -177,7 +177,7 @@ def _of_segments(columns: ComplexArray, fixes: Fixes, parts: IntArray) -> tuple[
 
 
 def _rests(columns: ComplexArray) -> FloatArray:
-    """(p, p) squares that a place and the best multiple of one column (p, n) leave of each other one."""
+    """(p, p) residual squares of each column (p, n) after a place and the best multiple of each other one."""
     own = columns - columns.mean(axis=1, keepdims=True)
     products = own.conj() @ own.T
     squares = np.diag(products).real

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where fixes and headings are: lever arms, an offset of the heading, kilometres from the map."""
+"""Places of fixes, and headings: lever arms, offset of the heading, distance from the map, last digit."""
 
 from collections.abc import Sequence
 
@@ -18,20 +18,20 @@ from trackslip_estimation.setup_check.log import Compass, Fixes, Machine, group_
 from trackslip_estimation.setup_check.path import Path, thinned
 from trackslip_estimation.setup_check.signs import HEADING
 
-_LENGTHS = (5.0, 10.0, 20.0)  # s
-_ICR_SHARE = 0.15  # of the contact length: by how much the centre of rotation lies ahead or behind
+_LENGTHS = (5.0, 10.0, 20.0)  # s, of segments
+_ICR_SHARE = 0.15  # longitudinal offset of the centre of rotation, share of the contact length
 _LEAST_LEVER = 0.08  # m
 _SIGNIFICANT = 4.0  # standard deviations
-_ON_TIME, _LATE = 0.05, 0.5  # s, standard deviation of a delay that headings exclude, or do not
+_ON_TIME, _LATE = 0.05, 0.5  # s, standard deviation of a delay, if headings show it, and else
 _TURN = "turn on the spot by 180° to the left and to the right"
-_EXACT = 0.06  # of the tread, standard deviation of a lever arm that is known
+_EXACT = 0.06  # standard deviation of a known lever arm, share of the tread
 _LEAST_TURN = np.radians(120.0)
-_LEAST_OFFSET = 0.12  # rad: a machine on a side slope goes sideways by less
-_LEAST_COURSES = 5
-_MOST_PIECES = 0.8  # share of them
+_LEAST_OFFSET = 0.12  # rad; a side slope causes a smaller slip angle
+_LEAST_COURSES = 5  # straight pieces
+_MOST_PIECES = 0.8  # share of the pieces
 _AGREE = 0.8  # length of the mean of directions that agree
-_HALF_TURN = 0.3  # rad from it
-_SOON = 30.0  # s between pieces, in which no gyro drifts by that
+_HALF_TURN = 0.3  # rad, tolerance of half a turn
+_SOON = 30.0  # s between pieces; a gyro drifts by less than _HALF_TURN
 _FRONT = "or front and rear exchanged: tracks swapped, and both counting backwards"
 _AHEAD = "drive 10 m ahead: both tracks must count up"
 _FAR = 5e3  # m from the origin of the map, beyond any site
@@ -40,7 +40,7 @@ _APART = 20.0  # m between sources, all the time
 
 
 def lever_of(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> Lever | None:
-    """Δl by the length of segments that shows it best; ``is_on_time``: headings show that fixes are."""
+    """Δl by the segment length with the smallest error; ``is_on_time``: headings show that fixes are."""
     thin, late = thinned(fixes, 0.2), _ON_TIME if is_on_time else _LATE
     fits = [fit_lever(path, thin, length, tread, late) for length in _LENGTHS]
     found = [lever for lever in fits if lever is not None]
@@ -50,7 +50,7 @@ def lever_of(path: Path, fixes: Fixes, tread: float, *, is_on_time: bool) -> Lev
 def judge_lever(
     lever: Lever | None, fixes: Fixes, machine: Machine
 ) -> tuple[list[Cause], list[Undetermined]]:
-    """Of a source on the undercarriage."""
+    """A wrong lever arm of a source on the undercarriage."""
     if fixes.is_above:
         needed = "measure it by tape: the check knows lever arms on the undercarriage only"
         return [], [Undetermined(f"lever arm of {fixes.name}, which swings", needed)]
@@ -86,7 +86,7 @@ def judge_lever(
 
 
 def slides(drive: Drive) -> bool:
-    """Whether the machine goes across its heading, to the same side whichever way its tracks run."""
+    """Whether the machine moves sideways, to the same side in forward and reverse."""
     steps = drive.courses
     is_reverse = drive.x.sum(axis=1)[steps.windows] < 0.0
     if min(is_reverse.sum(), (~is_reverse).sum()) < _LEAST_COURSES:
@@ -98,7 +98,7 @@ def slides(drive: Drive) -> bool:
 
 
 def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Undetermined], Measured | None]:
-    """Of headings against courses; also what it is, where there are courses."""
+    """Offset of headings against courses: cause, open question, and its value where there are courses."""
     steps = drive.courses
     if len(steps.courses) < _LEAST_COURSES:
         needed = "drive 10 m straight ahead with fixes and headings"
@@ -145,9 +145,9 @@ def judge_offset(drive: Drive, compass: Compass) -> tuple[list[Cause], list[Unde
 def _judge_reverse(
     compass: Compass, is_reverse: BoolArray, is_opposite: BoolArray
 ) -> tuple[list[Cause], list[Undetermined]]:
-    """Headings that turn with the direction of travel, or tracks that do not.
+    """Headings that flip with the direction of travel, or tracks that do not count it.
 
-    (n,) straight pieces: whether the tracks reverse; whether the course lies half a turn from that of most.
+    (n,) straight pieces: whether the tracks reverse; whether course less heading is half a turn from most.
     """
     ahead, back = is_opposite[~is_reverse], is_opposite[is_reverse]
     turned = int(is_opposite.sum())
@@ -174,9 +174,9 @@ def _without_direction(by: str, turned: int, pieces: int) -> Undetermined:
 
 
 def judge_direction(drive: Drive) -> list[Undetermined]:
-    """Tracks that only count forward, against courses and the turns of the gyro, where there are no headings.
+    """Tracks that count forward only, by courses and the turns of the gyro, without headings.
 
-    From one straight piece to the next the course turns as the gyro does, or by half a turn more.
+    Between two straight pieces, the course turns as the gyro does, or by half a turn more.
     """
     if drive.gyro is None or drive.fixes is None or drive.compass is not None:
         return []
@@ -195,7 +195,7 @@ def judge_direction(drive: Drive) -> list[Undetermined]:
 
 
 def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
-    """Kilometres from the origin of the map, from one fix to the next, or metres between two sources."""
+    """Fixes kilometres from the origin of the map, or from the fix before; two sources metres apart."""
     causes = []
     for one in fixes:
         sound = np.isfinite(one.places).all(axis=1)
@@ -227,7 +227,7 @@ def judge_places(fixes: Sequence[Fixes]) -> list[Cause]:
 
 
 def judge_digits(fixes: Sequence[Fixes]) -> list[Cause]:
-    """Places whose last digit is coarser than what they state."""
+    """Places whose rounding is coarser than their stated standard deviation."""
     causes = []
     for one in fixes:
         rounding = max(
