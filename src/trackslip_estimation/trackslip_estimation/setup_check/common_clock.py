@@ -130,7 +130,7 @@ def _speeds(t: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def _correlations(a: FloatArray, b: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
-    """(2 steps + 1,) correlations of a at k and b at k + j, and sample counts; 0 where too little overlaps."""
+    """(2 steps + 1,) correlations of a at k and b at k + j, and sample counts; 0 where too few overlap."""
     least = _OVERLAP * min(np.isfinite(a).sum(), np.isfinite(b).sum())
     r, counts = np.zeros(2 * steps + 1), np.zeros(2 * steps + 1)
     for k, j in enumerate(range(-steps, steps + 1)):

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What columns of sprockets and gyro are: positions, speeds or increments, whatever they are declared.
+"""Quantities of the columns of sprockets and gyro: positions, speeds or increments, whatever is declared.
 
-Right is what makes the tracks move when the fixes do, and turn when gyro and headings do; units and signs of
-all sensors are free. n windows of which a share R² is explained weigh −n/2 ln(1 − R²).
+With the right quantity, the tracks move when the fixes do, and turn when gyro and headings do. Units and
+signs of all sensors are free. n windows with an explained share R² have a ln likelihood of −n/2 ln(1 − R²).
 """
 
 from collections.abc import Callable
@@ -20,13 +20,13 @@ from trackslip_estimation.setup_check.log import Log, Tracks
 from trackslip_estimation.setup_check.speeds import rough_scale
 from trackslip_estimation.setup_check.turning import scale_of
 
-_LEAST_EXPLAINED = 0.6  # R², by the quantity that is right
-_MOST_EXPLAINED = 0.95  # of any: no sensor decides by its last per cents
+_LEAST_EXPLAINED = 0.6  # R², by the right quantity
+_MOST_EXPLAINED = 0.95  # cap of any R²: the last per cents do not decide
 _LEAST_WINDOWS = 8
 
 
 class _Reading(NamedTuple):
-    """A way to read the columns, and what to do if it is the right one."""
+    """One interpretation of the columns, and the remedy if it is right."""
 
     cause: str
     what: str
@@ -35,7 +35,7 @@ class _Reading(NamedTuple):
 
 
 def _tracks(angles: Callable[[Tracks], FloatArray]) -> Callable[[Log], Log]:
-    """``angles`` (n, 2) of the sprockets, rad."""
+    """A change of a log to ``angles`` (n, 2) of the sprockets, rad, and their derivatives."""
 
     def change(log: Log) -> Log:
         t, found = log.tracks.t, angles(log.tracks)
@@ -78,23 +78,23 @@ _READINGS = (
 
 
 class _Found(NamedTuple):
-    """How well sensors of a drive explain each other, pair by pair."""
+    """Relations between pairs of sensors of a drive."""
 
-    weight: float  # ln likelihood over that of no relation
+    weight: float  # ln likelihood ratio over no relation
     shares: FloatArray  # (4,) R²
 
 
 def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
-    """The drive with its columns as the right quantity, and the mistake, if they were declared another."""
+    """The drive with its columns as the right quantity, and the cause if another quantity was declared."""
     declared, best = _explained(drive), (drive, _Found(0.0, np.zeros(4)), _READINGS[0])
     for reading in _READINGS:
         other = Drive(reading.change(drive.log))
         found = _explained(other)
         gain = found.weight - best[1].weight
-        if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # but for the distance
+        if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # or a tie
             best = other, found, reading
     changed, found, reading = best
-    pair = int(np.argmax(found.shares - declared.shares))  # that it makes agree
+    pair = int(np.argmax(found.shares - declared.shares))  # that gains most
     log_ratio = found.weight - declared.weight - PRIOR
     if log_ratio < PRIOR or found.shares[pair] < _LEAST_EXPLAINED:
         return drive, None
@@ -107,14 +107,14 @@ def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
 
 
 def _misfit(drive: Drive) -> float:
-    """By which distances of fixes and tracks, or else turns of gyro and tracks, differ from usual ones."""
+    """|ln| of the ratio of fixes to track distances, or else of gyro to track turns, over the usual ratio."""
     distance, turn = rough_scale(drive), scale_of(drive.turn, drive.x, WINDOW)
     ratio = turn / USUAL_EFFICIENCY if np.isnan(distance) else distance
     return float(np.nan_to_num(abs(np.log(ratio)), nan=np.inf))
 
 
 def _explained(drive: Drive) -> _Found:
-    distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))  # with the same sign, or the other
+    distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))  # with equal signs, or opposite
     pairs = (
         max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1)),
         explained_share(drive.turn, drive.x),
@@ -126,7 +126,7 @@ def _explained(drive: Drive) -> _Found:
 
 
 def explained_share(shown: FloatArray, x: FloatArray) -> tuple[float, int]:
-    """R² of what a sensor shows in windows (w,) by a linear relation to x (w, k), and of how many."""
+    """R² of a linear relation of ``shown`` in windows (w,) to x (w, k), and the number of usable windows."""
     usable = np.isfinite(shown) & np.isfinite(x).all(axis=1)
     count = int(usable.sum())
     if count < _LEAST_WINDOWS:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What undoes each mistake: a line of the roles, mapping or parameter file, with its new value."""
+"""Remedies: the line of the roles, mapping or parameter file that undoes a mistake, with its new value."""
 
 import math
 
@@ -11,7 +11,7 @@ from trackslip_estimation.setup_check.log import Compass, Gyro, group_of
 
 
 def parameter(name: str, value: float | str | bool) -> str:
-    """A line for the parameters of the slip estimator; its names are dotted."""
+    """A line for the parameters of the slip estimator, with a dotted name."""
     text = (
         value if isinstance(value, str) else (str(value).lower() if isinstance(value, bool) else f"{value:g}")
     )
@@ -19,7 +19,7 @@ def parameter(name: str, value: float | str | bool) -> str:
 
 
 def swap_tracks() -> str:
-    """Both ways in which sides are named."""
+    """Remedy in the mapping, and in the roles file."""
     return (
         "Exchange left and right: in the mapping the columns of "
         "left_velocity and right_velocity (left_position and "
@@ -28,7 +28,7 @@ def swap_tracks() -> str:
 
 
 def track_sign(*sides: str) -> str:
-    """Of one side or both."""
+    """Remedy for the sign of one side or both."""
     names = " and ".join(f"{side}_velocity" for side in sides)
     roles = ", ".join(f"{side}_position" for side in sides)
     return (
@@ -38,12 +38,12 @@ def track_sign(*sides: str) -> str:
 
 
 def gyro_sign(gyro: Gyro) -> str:
-    """The other sign than now."""
+    """Remedy that inverts the stated sign."""
     return f"Set {parameter(f'{group_of(gyro.name)}.sign', -gyro.sign)}"
 
 
 def gyro_scale(gyro: Gyro, factor: float) -> str:
-    """``factor``: what the gyro shows of what it should."""
+    """Remedy for a wrong unit; ``factor``: reading over true rate."""
     return (
         f"State the gyro's own unit in the mapping (angular_velocity_z: unit), or set "
         f"{parameter(f'{group_of(gyro.name)}.scale', gyro.scale * factor)}"
@@ -51,7 +51,7 @@ def gyro_scale(gyro: Gyro, factor: float) -> str:
 
 
 def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
-    """Headings that count from north, clockwise, or only the other way round than stated."""
+    """Remedy for headings from north, clockwise, or else for headings of the opposite sign than stated."""
     group = group_of(compass.name)
     if compass.of_poses:
         renamed = "Call the column 'heading' instead of 'yaw' in the mapping, or 'yaw' where it is 'heading'"
@@ -64,7 +64,7 @@ def heading_convention(compass: Compass, *, is_from_north: bool) -> str:
 
 
 def mounting(gyro: Gyro, fix: FloatArray) -> str:
-    """``fix`` (3, 3) turns vectors from the stated axes of base_link to its true ones."""
+    """Remedy for a wrong mounting; ``fix`` (3, 3) turns vectors from stated to true axes of base_link."""
     roll, pitch, yaw = angles_of(fix @ rotation(*gyro.mounting))
     group = group_of(gyro.name)
     names = (("roll", roll), ("pitch", pitch), ("yaw", yaw))

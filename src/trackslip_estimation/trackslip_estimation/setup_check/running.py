@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The setup check of an estimator that runs: its last measurements, and causes that come and go with them.
+"""The setup check of a running estimator, on its latest measurements.
 
-A cause is named by the last two minutes. It is withdrawn as soon as the newest part of them, of enough
-motion to decide, shows it no more; what is older is then forgotten. A mistake that is certain but one of
-several stands once two evaluations in a row show one: single ones come and go.
+The last two minutes show a cause. The cause is withdrawn once the newest part of them has enough motion to
+decide and does not show it; older measurements are then dropped. A certain mistake that is one of several is
+reported once two evaluations in a row show one, since single ones are unreliable.
 """
 
 import threading
@@ -30,9 +30,9 @@ from trackslip_estimation.slip.measurements import (
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import HEADING, ON_SWING, POSE, SPROCKETS, YAW_RATE
 
-LONGEST_S = 150.0  # s of measurements that are kept
-RECENT_S = 45.0  # s, by which a cause is withdrawn
-_PERIOD_NS = 20_000_000  # between readings of one source that are kept: the check takes no more
+LONGEST_S = 150.0  # s of measurements that are evaluated
+RECENT_S = 45.0  # s of the newest part, which withdraws a cause
+_PERIOD_NS = 20_000_000  # ns between readings of one source that are kept: the check needs no more
 _MOST = int(LONGEST_S / 0.02)  # readings of a source
 _NO_ANGLES = (np.nan, np.nan)
 
@@ -46,11 +46,11 @@ class RunningCheck:
         self._parameters = p
         self._lock = threading.Lock()
         self._rows: dict[tuple[int, str], deque[_Row]] = {}
-        self._was_open = False  # a question, at the evaluation before
+        self._was_open = False  # whether the previous evaluation had an open question
         self.result = Result()
 
     def add(self, m: Measurement) -> None:
-        """A measurement as the estimator is given it; a microsecond's work."""
+        """Keep a measurement as the estimator receives it; this takes about a microsecond."""
         found = _row(m)
         if found is None:
             return
@@ -63,14 +63,14 @@ class RunningCheck:
                 rows.append((m.stamp_ns, values))
 
     def restart(self, p: SlipEstimatorParameters) -> None:
-        """With other parameters, or after the estimate restarted."""
+        """Drop measurements and result: the parameters changed, or the estimate restarted."""
         with self._lock:
             self._parameters = p
             self._rows = {}
             self.result = Result()
 
     def evaluate(self) -> Result:
-        """The causes that hold now."""
+        """Run the check on the kept measurements; return, and keep, the causes that hold now."""
         columns = self._columns(LONGEST_S)
         result = self._checked(columns)
         if result.causes:
@@ -121,13 +121,13 @@ class Background:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin an evaluation, unless one is under way."""
+        """Begin an evaluation, unless one is running."""
         if self._thread is None or not self._thread.is_alive():
             self._thread = threading.Thread(target=self._evaluate, name="setup check", daemon=True)
             self._thread.start()
 
     def join(self) -> None:
-        """Wait for the one under way."""
+        """Wait for a running evaluation."""
         if self._thread is not None:
             self._thread.join()
 
@@ -146,7 +146,7 @@ def _is_decided(result: Result) -> bool:
 
 
 def _row(m: Measurement) -> tuple[tuple[int, str], tuple[float, ...]] | None:
-    """Kind and source, and the values as ``collect`` has them of a row."""
+    """Kind and source, and the values in the order of ``collect.Columns``; None for other measurements."""
     if isinstance(m, Sprockets):
         return (SPROCKETS, m.source), (m.left_speed, m.right_speed, *(m.positions or _NO_ANGLES))
     if isinstance(m, YawRate):

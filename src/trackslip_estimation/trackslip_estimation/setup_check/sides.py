@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""One track against the other where the machine goes straight, and both against what a machine can do.
+"""One track against the other on straights, and fixes against the speed that a machine can have.
 
     q = distance of one track / distance of the other        1 on straights, whatever the slip of both is
 
-A track whose q is far from 1 on most straights has another number of counts per turn, or an encoder that is
-dead. Fixes tell which track goes as far as the machine.
+A track with q far from 1 on most straights has a wrong number of counts per turn, or a dead encoder. Fixes
+show which track is right.
 """
 
 from typing import NamedTuple
@@ -17,19 +17,19 @@ from trackslip_estimation.setup_check.drive import Drive
 from trackslip_estimation.setup_check.finding import Cause, Undetermined, odds_of
 from trackslip_estimation.setup_check.grid import WINDOW
 
-_STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn, and the sharpest that is used
+_STRAIGHT, _TURNS = 0.06, 0.8  # rad in a window: no turn; sharpest turn that is used
 _NOTHING = 1e-6  # m
-_LEAST_TURN = 0.2  # rad in a window: no drift of a gyro
+_LEAST_TURN = 0.2  # rad in a window, beyond the drift of a gyro
 _LEAST_WINDOWS = 5
-_LEAST_RATIO, _USUAL_SHARE = 1.5, 0.8  # q of most windows, on one side of 1
-_DEAD = 0.02  # q of a track that shows no motion
-_SLIPS = (0.55, 1.1)  # machine over track, of a track that is right
+_LEAST_RATIO, _USUAL_SHARE = 1.5, 0.8  # q, or 1/q, of a wrong track; share of the windows beyond it
+_DEAD = 0.02  # q of a track without motion
+_SLIPS = (0.55, 1.1)  # distance of the machine over that of a right track
 FASTEST = 15.0  # m/s, of a machine on tracks
 _SIDES = ("left", "right")
 
 
 class Sides(NamedTuple):
-    """What was found, and the drive with it undone; None: its tracks show nothing."""
+    """Causes, and the drive with them undone; None: the tracks are unusable."""
 
     drive: Drive | None
     causes: tuple[Cause, ...] = ()
@@ -37,7 +37,7 @@ class Sides(NamedTuple):
 
 
 def examine(drive: Drive, unit: float) -> Sides:
-    """``unit``: of the speeds, which is undone in ``drive``."""
+    """Compare the tracks with each other and with the fixes; ``unit``: of the speeds, undone before."""
     frame, same = _frame(drive, unit), _same(drive)
     if same is not None:
         return Sides(None, (same,))
@@ -45,7 +45,7 @@ def examine(drive: Drive, unit: float) -> Sides:
 
 
 def _same(drive: Drive) -> Cause | None:
-    """Tracks that show one motion in turns, which two cannot."""
+    """The cause if both tracks show the same motion in turns."""
     turn = drive.heading_turn if drive.gyro is None else drive.turn
     goes = np.isfinite(drive.x).all(axis=1) & (np.abs(drive.x).max(axis=1) > _NOTHING) & np.isfinite(turn)
     turns = goes & (np.abs(turn) > _LEAST_TURN)
@@ -65,7 +65,7 @@ def _sides(drive: Drive, unit: float) -> Sides:
     logs = np.log((tracks[:, 0] + _NOTHING) / (tracks[:, 1] + _NOTHING))
     curve = turn / distance
     bent = curve - curve.mean()
-    logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # as without a turn
+    logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # less the effect of turns
     least = float(np.log(_LEAST_RATIO))
     shares = [float((logs < -least).mean()), float((logs > least).mean())]
     less = int(shares[1] > shares[0])  # the side that goes less far
@@ -95,7 +95,7 @@ def _sides(drive: Drive, unit: float) -> Sides:
 
 
 def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Windows in which the machine goes: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad."""
+    """Windows with motion: (w, 2) m of the tracks, (w,) m of the fixes, (w,) rad turned."""
     tracks, distance = np.abs(drive.x) * drive.machine.tread * unit, drive.fix_distances
     turn = drive.heading_turn if drive.gyro is None else drive.unbiased_turn
     goes = np.isfinite(distance) & np.isfinite(turn) & np.isfinite(tracks).all(axis=1)
@@ -109,7 +109,7 @@ def _windows(drive: Drive, unit: float) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def _frame(drive: Drive, unit: float) -> Cause | None:
-    """Fixes at a speed that no machine has, beside tracks at one that it has."""
+    """The cause if fixes show a speed that no machine has, and the tracks a possible one."""
     if drive.fixes is None:
         return None
     tracks = np.abs(drive.x).max(axis=1) * drive.machine.tread * unit / WINDOW
@@ -120,7 +120,7 @@ def _frame(drive: Drive, unit: float) -> Cause | None:
     if int(fast.sum()) < _LEAST_WINDOWS:
         return None
     of_fixes, of_tracks = float(np.median(distance[fast])), float(np.median(tracks[fast]))
-    is_steady = float(np.percentile(distance[fast], 20)) > of_fixes / 3.0  # fixes that leap are not
+    is_steady = float(np.percentile(distance[fast], 20)) > of_fixes / 3.0  # jumps of fixes are not
     if of_fixes < FASTEST or of_tracks > FASTEST or not is_steady:
         return None
     evidence = (

@@ -1,13 +1,11 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signs and swaps, decided together: which few of them explain what all sensors show of each other.
+"""Signs and swaps, decided together: the few that explain the relations between all sensors.
 
-A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a mirrored
-map, and
-headings that count the other way. Its likelihood is that of turns of gyro and tracks, of the shape of the
-path, and of headings; each mistake has a prior of 1 : 300. Of each mistake the odds are those of all
-hypotheses with
-it against all without it: what two mistakes explain equally well is not decided.
+A hypothesis is one of eight assignments of the tracks (swapped, each sign), a sign of the gyro, a map that is
+mirrored or not, and headings that are inverted or not. Its likelihood is that of turns of gyro and tracks, of
+the shape of the path, and of headings. Each mistake has a prior of 1 : 300. The odds of a mistake are those
+of all hypotheses with it against all without it. Two mistakes that explain a log equally well stay undecided.
 """
 
 import itertools
@@ -22,25 +20,25 @@ from trackslip_estimation.setup_check.finding import LEAST_LOG, PRIOR
 SWAPPED = "tracks_swapped"
 LEFT, RIGHT, BOTH = "left_track_sign", "right_track_sign", "both_tracks_sign"
 GYRO, MIRROR, HEADING = "gyro_sign", "position_axes_swapped", "heading_convention"
-_FORWARD = 3.0  # ln odds for each e-fold of more forward than reverse
-_SHARES = (0.12, 0.88)  # of the distance, beyond which more tells no more: some machines only back up
+_FORWARD = 3.0  # ln odds for each e-fold of the share of the distance that is forward
+_SHARES = (0.12, 0.88)  # range that this share is clipped to: some machines only reverse
 
 
 @dataclass(frozen=True)
 class Assignment:
-    """What undoes mistakes of the tracks: recorded (left, right) times ``matrix``ᵀ is true (left, right)."""
+    """Correction of the tracks: recorded (left, right) times ``matrix``ᵀ is true (left, right)."""
 
     causes: frozenset[str]
     matrix: FloatArray  # (2, 2)
 
     @property
     def distance(self) -> FloatArray:
-        """(2,) what distance is of the recorded: half of the sum of the true."""
+        """(2,) coefficients of the recorded tracks in the sum of the true ones, twice the distance."""
         return np.asarray(self.matrix.sum(axis=0))
 
     @property
     def turn(self) -> FloatArray:
-        """(2,) what turn is of the recorded: true right less true left."""
+        """(2,) coefficients of the recorded tracks in the turn, true right less true left."""
         return np.asarray(self.matrix[1] - self.matrix[0])
 
 
@@ -55,7 +53,7 @@ def _assignments() -> tuple[Assignment, ...]:
 
 
 ASSIGNMENTS = _assignments()
-DISTANCES = (np.array((1.0, 1.0)), np.array((1.0, -1.0)))  # of recorded tracks, but for a sign
+DISTANCES = (np.array((1.0, 1.0)), np.array((1.0, -1.0)))  # of recorded tracks, up to a sign
 
 
 @dataclass(frozen=True)
@@ -63,11 +61,11 @@ class Evidence:
     """Ln likelihoods of the relations; zeros where a sensor is missing."""
 
     turns: FloatArray  # (4,) of gyro and tracks: ``turning.PATTERNS``, with the gyro as it is
-    shapes: FloatArray  # (2, 2) of the path by gyro: ``DISTANCES``, gyro and map turn alike or not
-    track_shapes: FloatArray  # (2, 2) of the path by tracks: ``DISTANCES``, their turns as recorded or not
-    headings: FloatArray  # (2,) heading against gyro: alike or not
-    track_headings: FloatArray  # (4,) heading against tracks: ``turning.PATTERNS``
-    courses: FloatArray  # (8, 2, 2) of each assignment, map mirrored or not, heading alike or not
+    shapes: FloatArray  # (2, 2) of the path by gyro: ``DISTANCES``, equal or opposite turns of gyro and map
+    track_shapes: FloatArray  # (2, 2) of the path by tracks: ``DISTANCES``, turns as recorded or opposite
+    headings: FloatArray  # (2,) equal or opposite turns of heading and gyro
+    track_headings: FloatArray  # (4,) of heading and tracks: ``turning.PATTERNS``
+    courses: FloatArray  # (8, 2, 2) of each assignment, map as it is or mirrored, heading as is or inverted
     forward: FloatArray  # (8,) share of the distance that is forward
     has_gyro: bool
     has_map: bool
@@ -76,20 +74,20 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """The most probable hypothesis, and how probable each mistake is."""
+    """The most probable hypothesis, and the odds of each mistake."""
 
     assignment: Assignment
-    gyro: float  # 1 or −1: what undoes it
+    gyro: float  # 1 or −1, correction
     is_mirrored: bool
-    heading: float  # 1 or −1
-    log_odds: Mapping[str, float]  # by cause, that it is there
-    any_odds: float = 0.0  # ln, that there is some mistake
+    heading: float  # 1 or −1, correction
+    log_odds: Mapping[str, float]  # ln odds of each cause
+    any_odds: float = 0.0  # ln odds of any mistake
     rivals: tuple[frozenset[str], ...] = field(default=())  # other sets of mistakes within 1 : 100
-    untested: tuple[str, ...] = ()  # single mistakes against which the drive itself does not say 100 : 1
+    untested: tuple[str, ...] = ()  # single mistakes that the drive excludes by less than 100 : 1
 
 
 def decide(e: Evidence) -> Decision:
-    """Over all hypotheses."""
+    """The most probable of all hypotheses, and odds over all of them."""
     hypotheses = list(
         itertools.product(
             range(len(ASSIGNMENTS)),
@@ -136,17 +134,17 @@ def _score(e: Evidence, a: int, g: int, p: int, h: int) -> float:
 
 
 def turn_pattern(turn: FloatArray) -> int:
-    """Which of ``turning.PATTERNS`` the turn (2,) of an assignment is."""
+    """Index in ``turning.PATTERNS`` of the turn (2,) of an assignment."""
     return {(-1.0, 1.0): 0, (1.0, -1.0): 1, (1.0, 1.0): 2, (-1.0, -1.0): 3}[float(turn[0]), float(turn[1])]
 
 
 def opposite(pattern: int) -> int:
-    """The pattern of opposite turns."""
+    """Index of the pattern of opposite turns."""
     return (1, 0, 3, 2)[pattern]
 
 
 def track_sense(of_distance: int, turn: FloatArray) -> int:
-    """0 where the turn (2,) is right less left, or of a half-flipped pair their sum; 1: the opposite."""
+    """0 where the turn (2,) is right less left, or, with one inverted track, their sum; 1: the opposite."""
     return 0 if turn[1] > 0.0 else 1
 
 

@@ -4,9 +4,8 @@
 
     ρ = distance by fixes / distance by tracks = (1 − i) / f       i slip, f factor of the mistake
 
-Slip has one side: tracks run ahead of the machine, seldom by more than half on a whole drive, and behind it
-only by some per cent, downhill. ρ above 1.1 is no slip, and a factor of 2 holds on the best ground of the
-log too.
+Slip seldom exceeds one half on a whole drive; downhill, it is negative by some per cent at most. Slip does
+not explain ρ above 1.1. A wrong factor of 2 shows on the best ground of the log too.
 """
 
 from collections.abc import Mapping
@@ -38,22 +37,22 @@ _UNITS = {
     "m/s, declared cm/s": 1e-2,
 }
 _FEET = 1.0 / 0.3048  # fixes in feet, declared m
-_USUAL_TURN, _TURN_SPREAD = 0.6, 0.45  # κ of most machines and grounds, spread of its logarithm
-MOST_TURN, _TURN_NOISE = 1.15, 0.1  # κ that no machine exceeds
+_USUAL_TURN, _TURN_SPREAD = 0.6, 0.45  # κ of most machines and grounds, standard deviation of its ln
+MOST_TURN, _TURN_NOISE = 1.15, 0.1  # κ that no machine exceeds, standard deviation of its error
 _LEAST_WINDOWS = 5
 _STRAIGHT = 0.9  # chord over path
 _ENOUGH = 20  # straight pieces
-_RADIUS_RANGE = (1.10, 1.55)  # of ρ: the stated radius is too small
-_SLIP = 0.08  # mean slip of a drive, of an exponential prior
-_AHEAD = 0.04  # standard deviation of how much a machine goes ahead of its tracks
+_RADIUS_RANGE = (1.10, 1.55)  # ρ, if the stated radius is too small
+_SLIP = 0.08  # mean of the exponential prior of the slip of a drive
+_AHEAD = 0.04  # standard deviation of negative slip
 _LEAST_DISTANCE = 5.0  # m
-_WORST_BEST = 0.56  # ρ on the best ground of a drive, if slip leaves so little
-_HOLDS = 1.05  # ρ on the worst ground where the unit makes it larger than 1
+_WORST_BEST = 0.56  # ρ on the best ground; below it, the median counts too
+_HOLDS = 1.05  # ρ on the worst ground, exceeded if a wrong unit makes ρ larger than 1
 _GEAR = (1.4, 3.0)  # ratio of displacements
 _LEAST_IN_GEAR = 4  # pieces
-_LEAST_AHEAD = 3  # pieces in which no slip explains the fixes
-_LEAST_HARD = 0.9  # ρ on the best ground, below which there is slip on all of it, or none
-_EQUAL = float(np.log(10.0))  # between units of which slip may decide
+_LEAST_AHEAD = 3  # pieces with ρ that slip does not explain
+_LEAST_HARD = 0.9  # ρ on the best ground; below it, slip or a wrong factor is possible
+_EQUAL = float(np.log(10.0))  # ln likelihood ratio of units that slip does not distinguish
 _BEST = 80.0  # percentile of ρ: the best ground of the drive
 
 
@@ -74,7 +73,7 @@ def rough_scale(drive: Drive) -> float:
 
 
 def units_of(log: Log) -> Mapping[str, float]:
-    """Speed by the tracks over what it should be, by what is wrong."""
+    """Ratio of the speed by the tracks to the true one, by mistake."""
     return {
         **_UNITS,
         "rad/s, declared m/s": 1.0 / log.machine.radius,
@@ -84,14 +83,14 @@ def units_of(log: Log) -> Mapping[str, float]:
 
 
 def unit_of(rho: float, units: Mapping[str, float]) -> float:
-    """Factor of ``units`` that a rough ρ asks for; 1 where slip or a radius may explain it."""
+    """Factor of ``units`` that explains a rough ρ best; 1 where slip or a wrong radius may explain it."""
     if not np.isfinite(rho) or 0.3 <= rho <= 1.75:
         return 1.0
     return float(min(units.values(), key=lambda f: abs(np.log(rho * f))))
 
 
 def slip_log(rho: float) -> float:
-    """Ln density of ln ρ for right units: slip, or some per cent of going ahead."""
+    """Ln density of ln ρ for right units: positive slip, or some per cent of negative slip."""
     slip = 1.0 - rho
     if slip >= 0.0:
         return -min(slip, 1.0) / _SLIP
@@ -107,12 +106,12 @@ def _turn_log(turned: float) -> float:
 
 
 def worth(found: Scales) -> tuple[int, int]:
-    """How many pieces are straight, and how many there are."""
+    """Number of straight pieces, up to enough of them, and of all pieces."""
     return min(int((found.straight > _STRAIGHT).sum()), _ENOUGH), len(found.ratios)
 
 
 class Ratios:
-    """ρ of the pieces of a drive that are straight, or else the widest."""
+    """ρ of the straight pieces of a drive; where these are too few, of the longer half of all."""
 
     def __init__(self, found: Scales) -> None:
         use = found.straight > _STRAIGHT
@@ -123,17 +122,17 @@ class Ratios:
 
     @property
     def worst(self) -> float:
-        """On the worst ground but a tenth."""
+        """ρ on the worst ground, without the lowest tenth of the pieces."""
         return float(np.percentile(self.values, 10))
 
     @property
     def best(self) -> float:
-        """On the best ground."""
+        """ρ on the best ground."""
         return float(np.percentile(self.values, _BEST))
 
     @property
     def middle(self) -> float:
-        """Median."""
+        """Median of ρ."""
         return float(np.median(self.values))
 
     @property
@@ -150,29 +149,30 @@ class Ratios:
 def judge(
     found: Scales | None, log: Log, factor: float, distance: float, turned: float
 ) -> tuple[list[Cause], list[Undetermined]]:
-    """``factor``: of the unit, undone in ``found`` already; ``distance``: by the fixes, m.
+    """Unit of the speeds, rolling radius and gear, by ρ; ``distance``: by the fixes, m.
 
-    ``turned``: turn by the gyro over turn by the tracks as recorded, which tells feet from speeds; or nan.
+    ``factor``: of the unit, undone in ``found``. ``turned``: turn by the gyro over turn by the recorded
+    tracks, which distinguishes fixes in feet from a wrong unit of the speeds; or nan.
     """
     if found is None or len(found.ratios) < _LEAST_WINDOWS or distance < _LEAST_DISTANCE:
         needed = f"drive {max(10.0, _LEAST_DISTANCE):g} m straight with fixes"
         roughly = f": fixes go about {1.0 / factor:.2g} times as far as the tracks" if factor < 1.0 else ""
         what = f"unit of the speeds and rolling radius{roughly}"
-        return [], [Undetermined(what, needed, is_wrong=factor < 1.0)]  # slip does not do that
+        return [], [Undetermined(what, needed, is_wrong=factor < 1.0)]  # slip does not explain it
     ratios, machine, units = Ratios(found), log.machine, units_of(log)
-    whole = ratios.best / factor  # of what was recorded
+    whole = ratios.best / factor  # ρ of the recorded speeds
     names = {name: slip_log(whole * f) for name, f in units.items()}
     best = max(names, key=lambda name: names[name])
     gain = names[best] - max(slip_log(whole), -60.0) - 1.0
-    if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # no ground of the drive is a better one
+    if whole < 1.0 and ratios.best / factor < _WORST_BEST:  # on all ground
         middle = ratios.middle / factor
         gain = max(gain, slip_log(middle * units[best]) - slip_log(middle) - 1.0)
     gear = _gear(ratios, factor) if ratios.is_straight else None
     if gear is not None:
         return [gear], []
     middle = ratios.middle / factor
-    holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip makes no ρ larger
-    is_radius = holds and ratios.is_straight  # in turns a lever arm shows the same
+    holds = ratios.worst / factor > _HOLDS if whole > 1.0 else True  # slip only lowers ρ
+    is_radius = holds and ratios.is_straight  # in turns a lever arm has the same effect
     if is_radius and _RADIUS_RANGE[0] < middle - ratios.spread / factor and middle <= _RADIUS_RANGE[1]:
         return [_radius(ratios, machine, factor)], []
     if gain > LEAST_LOG and names[best] > -4.0 and not 0.55 < whole < 1.3 and holds:
@@ -223,7 +223,7 @@ def _radius(ratios: Ratios, machine: Machine, factor: float) -> Cause:
 
 
 def _gear(ratios: Ratios, factor: float) -> Cause | None:
-    """Two levels of ρ over times in a row, the upper of which no slip explains."""
+    """The cause if ρ has two levels over time, the upper of which slip does not explain."""
     order = np.argsort(ratios.times)
     values = np.log(np.maximum(ratios.values[order] / factor, 1e-3))
     count = len(values)
@@ -257,7 +257,7 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
 
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
-    """(n,) which values in order of time lie high, single ones smoothed; how far from levels most are."""
+    """(n,) smoothed flags of the values, in time order, at the high level; deviation of most from theirs."""
     low, high = float(np.percentile(values, 10)), float(np.percentile(values, 90))
     is_high = values > (low + high) / 2.0
     for _ in range(5):
@@ -272,7 +272,7 @@ def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
 
 
 def median_of_three(flags: BoolArray) -> BoolArray:
-    """(n,) each with the majority of itself and its neighbours, twice."""
+    """(n,) flags after a majority filter over each flag and its neighbours, twice."""
     for _ in range(2):
         padded = np.concatenate((flags[:1], flags, flags[-1:])).astype(np.int64)
         flags = padded[:-2] + padded[1:-1] + padded[2:] >= 2

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the turn that a sensor shows follows from both tracks: a likelihood for each assignment of signs.
+"""Regression of the turn by a sensor on both tracks: a likelihood for each assignment of signs.
 
-Y, T     turn that a gyro or compass shows in a window, length of the window     rad, s
+Y, T     turn by a gyro or compass in a window, length of the window             rad, s
 x_l, x_r track distance in a window over the tread                               rad
 κ, b     turning efficiency, 0.1 … 1.15; bias                                    1, rad/s
 
     Y = κ (s_l x_l + s_r x_r) + b T + e     healthy: s_l = −1, s_r = +1
 
-Tracks slip, each for itself: σ² = σ₀² + 0.1² (x_l² + x_r²). One window in twenty shows something else
-(a stuck track, a shock), so that no window outweighs all others.
+Tracks slip independently: σ² = σ₀² + 0.1² (x_l² + x_r²). One window in twenty is an outlier (a stuck track, a
+shock), so that no window outweighs all others.
 """
 
 from typing import NamedTuple
@@ -20,26 +20,26 @@ from trackslip_common.arrays import BoolArray, FloatArray
 
 PATTERNS = np.array(((-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, -1.0)))  # s_l, s_r
 EFFICIENCIES = np.geomspace(0.1, 1.15, 18)
-SLIP = 0.1  # standard deviation of what one track slips more than usual, times κ
+SLIP = 0.1  # standard deviation of the slip of one track about its usual slip, times κ
 OUTLIERS = 0.05  # share of windows
 _NOISE = 0.03  # rad in a window: delays, quantisation
 _TURNING = np.radians(3.0)  # in a window
 _LEAST_ANGLE = np.radians(15.0)  # of a turn
 LEAST_TURNS = 3
-_STILL = 0.02  # of the greatest motion of a window, below which the tracks stand
+_STILL = 0.02  # motion of a window at standstill, share of the largest ones
 
 
 class TurnFit(NamedTuple):
     """Likelihoods of one sensor."""
 
-    logs: FloatArray  # (4,) ln likelihood of each of ``PATTERNS``, above that of no relation at all
-    efficiencies: FloatArray  # (4,) κ of each, times the scale
-    bias: float  # rad/s
-    windows: int  # in which something turned
+    logs: FloatArray  # (4,) ln likelihood ratio of each of ``PATTERNS`` over no relation
+    efficiencies: FloatArray  # (4,) κ of each
+    bias: float  # of the sensor, rad/s
+    windows: int  # with a turn
 
 
 def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0) -> TurnFit:
-    """``turn`` (w,), ``x`` (w, 2) in windows of ``length`` s; ``scale``: what is shown of 1 rad."""
+    """Fit of ``turn`` (w,) to ``x`` (w, 2) in windows of ``length`` s; ``scale``: reading per rad."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable] / scale, x[usable]
     if len(y) < 3:
@@ -63,7 +63,7 @@ def fit_turns(turn: FloatArray, x: FloatArray, length: float, scale: float = 1.0
 
 
 def scale_of(turn: FloatArray, x: FloatArray, length: float) -> float:
-    """What the sensor shows of a turn of the tracks, by the pattern that explains it best; nan: nothing."""
+    """Turn by the sensor over turn by the tracks, by the pattern that explains it best; nan: few turns."""
     usable = np.isfinite(turn) & np.isfinite(x).all(axis=1)
     y, x = turn[usable], x[usable]
     if len(y) < 3:
@@ -84,13 +84,13 @@ def scale_of(turn: FloatArray, x: FloatArray, length: float) -> float:
 
 
 def bias_of(y: FloatArray, x: FloatArray, length: float) -> float:
-    """Rate while the tracks stand, rad/s; where they never do, the median: turns to both sides cancel."""
+    """Median rate at standstill, rad/s; without standstill, that of all: turns to both sides cancel."""
     still = standing(x)
     return float(np.median(y[still] if has_standstill(x) else y)) / length if len(y) else 0.0
 
 
 def has_standstill(x: FloatArray) -> bool:
-    """Whether the tracks stand in two windows (w, 2) at least."""
+    """Whether the tracks x (w, 2) are at standstill in two windows at least."""
     return bool(standing(x).sum() >= 2)
 
 
@@ -104,7 +104,7 @@ def standing(x: FloatArray) -> BoolArray:
 
 
 def mixture(rest: FloatArray, variance: FloatArray, width: float) -> FloatArray:
-    """Ln density of residuals, one in twenty of which may be anything within ``width``."""
+    """Ln density of residuals: normal, with one outlier in twenty, uniform within ``width``."""
     usual = (1.0 - OUTLIERS) * np.exp(-0.5 * rest**2 / variance) / np.sqrt(2.0 * np.pi * variance)
     return np.asarray(np.log(usual + OUTLIERS / width))
 
@@ -114,14 +114,14 @@ def _range(y: FloatArray) -> float:
 
 
 def _unrelated(y: FloatArray, x: FloatArray, length: float) -> float:
-    """Ln likelihood of turns that have nothing to do with the tracks."""
+    """Ln likelihood of turns that are independent of the tracks."""
     y = y - bias_of(y, x, length) * length
     variance = np.full(len(y), _NOISE**2 + float(np.mean(y**2)))
     return float(mixture(y, variance, _range(y)).sum())
 
 
 def turns_of(turn: FloatArray) -> int:
-    """How often (w,) turns add up to 15° in one sense."""
+    """Number of turns of 15° or more in one sense, of (w,) turns in windows."""
     count, total = 0, 0.0
     for own in np.where(np.isfinite(turn), turn, 0.0):
         if abs(own) < _TURNING or own * total < 0.0:
@@ -129,6 +129,6 @@ def turns_of(turn: FloatArray) -> int:
             total = 0.0
         if abs(own) >= _TURNING:
             total += float(own)
-            if abs(total) >= np.radians(180.0):  # a long one counts for each half
+            if abs(total) >= np.radians(180.0):  # each half turn counts
                 count, total = count + 1, 0.0
     return int(count + (abs(total) >= _LEAST_ANGLE))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sources that do not show the motion: fixes that stay, a gyro or headings that turn as nothing else does."""
+"""Sources that do not follow the motion: constant fixes, unrelated gyro or headings, unsigned encoders."""
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from trackslip_estimation.setup_check.speeds import MOST_TURN
 from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 
 _LEAST_DISTANCE = 10.0  # m, by the tracks
-_QUIETEST = 5e-3  # m, by which fixes of any receiver differ within minutes
-_STILL = 1e-4  # of the way: no path is so narrow
+_QUIETEST = 5e-3  # m, extent of the fixes of any receiver within minutes
+_STILL = 1e-4  # extent of the fixes, share of the distance: no path is so narrow
 _LEAST_PLACES = 10
-_REPEATED = 0.5  # share of the way
-_LONGEST_HOLD = 5.0  # s, for which a log may hold the last fix
-_LEAST_RATIO = 0.01  # of the way: tracks that slip by more stand, or dig in, and the machine does not follow
+_REPEATED = 0.5  # share of the distance
+_LONGEST_HOLD = 5.0  # s for which a log may hold the last fix
+_LEAST_RATIO = 0.01  # share of the distance; with more slip, the motion does not follow the tracks
 _FOLLOWS, _FOLLOWS_NOT = 0.8, 0.2  # R²
 _LEAST_WINDOWS = 20
 _ROUNDING = 1e-9  # m
@@ -28,7 +28,7 @@ _TURNING, _LEAST_TURNING = 0.1, 5  # rad in a window, and in how many
 
 
 def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
-    """Fixes that are at one place while the tracks go."""
+    """Fixes that repeat, stay at one place, or move far too little while the tracks move."""
     fixes = drive.fixes
     if fixes is None or len(fixes.t) < _LEAST_PLACES:
         return [], []
@@ -61,7 +61,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
 
 
 def _followed(drive: Drive, distance: float) -> float:
-    """Share of the way by the tracks that fixes in another unit go; 0 where they are in none, or stay."""
+    """Distance of fixes in another unit over that by the tracks; 0 for fixes in m, and for constant ones."""
     speeds = np.abs(drive.x).max(axis=1) * drive.machine.tread / WINDOW
     distances = np.abs(drive.x @ np.array(((1.0, 1.0), (1.0, -1.0))))
     share, windows = max(explained_share(drive.fix_distances, distances[:, k : k + 1]) for k in (0, 1))
@@ -71,7 +71,7 @@ def _followed(drive: Drive, distance: float) -> float:
 
 
 def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
-    """By the tracks while fixes were bit for bit the same, for longer than a logger holds them, m."""
+    """Distance by the tracks, m, while fixes stayed bit for bit the same, longer than a logger holds one."""
     distances = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.abs(drive.grid.tracks).max(axis=1)))))
     runs = equal_runs(fixes.z)
     first, last = fixes.t[runs.first], fixes.t[runs.last]
@@ -81,9 +81,9 @@ def _repeated_distance(drive: Drive, fixes: Fixes) -> float:
 
 
 def judge_turns(drive: Drive) -> list[Undetermined]:
-    """A gyro, or headings that are used, which turn as the tracks and each other do not.
+    """A gyro, or used headings, whose turns match neither the tracks nor each other.
 
-    Of a machine that hardly turns nothing is said: on clay and slopes tracks differ for long, and it goes on.
+    A machine that hardly turns is not judged: on clay and slopes, its tracks differ for long on straights.
     """
     by_tracks = turns_of(USUAL_EFFICIENCY * (drive.x[:, 1] - drive.x[:, 0]))
     turning = np.abs(drive.unbiased_turn) > _TURNING
@@ -107,7 +107,7 @@ def judge_turns(drive: Drive) -> list[Undetermined]:
 def judge_counting(drive: Drive) -> list[Undetermined]:
     """Tracks that never count backwards, while the machine turns by more than their difference.
 
-    No machine turns so; one whose tracks run against each other does.
+    Only tracks that run against each other turn a machine like that.
     """
     counted = drive.grid.tracks[drive.grid.is_driven]
     turn = np.abs(drive.heading_turn if drive.gyro is None else drive.unbiased_turn)
@@ -115,7 +115,7 @@ def judge_counting(drive: Drive) -> list[Undetermined]:
     if is_hidden or not len(counted) or float(counted.min()) < -_ROUNDING:
         return []
     apart, both = np.pad(np.abs(drive.x[:, 1] - drive.x[:, 0]), 1), drive.x.sum(axis=1)
-    apart = np.maximum(np.maximum(apart[:-2], apart[2:]), apart[1:-1])  # or soon: a source may be late
+    apart = np.maximum(np.maximum(apart[:-2], apart[2:]), apart[1:-1])  # or in the next window, if delayed
     on_the_spot = (turn > 2.0 * _TURNING) & (turn > 2.0 * MOST_TURN * apart) & (turn < MOST_TURN * both)
     if on_the_spot.sum() < _LEAST_TURNING:
         return []
