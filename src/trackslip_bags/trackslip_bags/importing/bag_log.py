@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of other robots by a mapping: ROS 2 (MCAP, SQLite) and ROS 1; each message keeps how late it came."""
+"""Samples of other robots' bags by a mapping: ROS 2 (MCAP, SQLite) and ROS 1; with stamps and log times."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ def read_bag_log(
 
 
 def _read(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) -> list[Samples]:
-    """One pass over the bag."""
+    """Samples of each topic, by one pass over the bag."""
     types = log.types
     collectors = [_Collector(log, topic, _type_of(log, topic, types)) for topic in topics]
     by_source: dict[str, list[_Collector]] = {}
@@ -65,7 +65,7 @@ def _read(log: RobotLog, topics: Sequence[BagTopic], local: LocalFrame) -> list[
 
 
 def _type_of(log: RobotLog, topic: BagTopic, types: dict[str, str] | Any) -> str:
-    """The type of a topic, which must serve its role."""
+    """The type of a topic; it must be one that its role accepts."""
     source = absolute(topic.source)
     if source not in types:
         like, there = did_you_mean(source, types), ", ".join(sorted(types)) or "nothing"
@@ -78,7 +78,7 @@ def _type_of(log: RobotLog, topic: BagTopic, types: dict[str, str] | Any) -> str
 
 
 class _Collector:
-    """What one topic of the mapping gets of the bag."""
+    """Readings of one topic of the mapping."""
 
     def __init__(self, log: RobotLog, topic: BagTopic, type_name: str) -> None:
         self.topic, self._type_name, self._log = topic, type_name, log
@@ -87,15 +87,15 @@ class _Collector:
         self._times: list[tuple[int, int]] = []  # stamp, log time
         self._frames: list[str] = []
         self._left_out: Counter[str] = Counter()
-        self._seen: dict[str, None] = {}  # joints of messages that did not serve
+        self._seen: dict[str, None] = {}  # joints of unusable messages
         sides = sides_of(topic) if type_name == JOINTS else ()
         self._joints = JointsByStamp({name for side in sides for name in side.names})
 
     def add(self, message: Logged) -> None:
-        """One message of its topic.
+        """Add one message of the topic.
 
         Raises:
-            InputError: it is of another form than its type has elsewhere.
+            InputError: its fields are not those of its type.
         """
         try:
             self._add(message)
@@ -127,7 +127,7 @@ class _Collector:
             self._frames.append(self.topic.frame or frame or ROLES[self.topic.role].frame)
 
     def samples(self, local: LocalFrame) -> Samples:
-        """When all was added."""
+        """Samples of all messages that were added."""
         topic = self.topic
         if apart := self._joints.close():
             self._left_out[PARTIAL] += apart
@@ -147,7 +147,7 @@ class _Collector:
         return Samples(topic.name, topic.role, frames, *times, values, left_out, topic.source)
 
     def _nothing(self) -> str:
-        """Why there is not one sample."""
+        """The reason why there is no sample."""
         topic = self.topic
         if self._seen:
             requested = [name for joints in sides_of(topic) for name in joints.names]

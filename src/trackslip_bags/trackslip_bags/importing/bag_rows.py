@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is read of messages of other robots, one row of numbers a reading, and what it makes of each role.
+"""Conversion of messages of other robots to rows of numbers, one per reading, and of rows to values.
 
-``READERS`` give rows; ``values_of`` makes of (n, k) rows the values of the role's messages (``samples``).
+``READERS`` yield rows; ``values_of`` converts (n, k) rows to the values of the role's messages (``samples``).
 """
 
 import math
@@ -54,11 +54,11 @@ _DEFAULT_JOINTS = {
 
 
 class Reading(NamedTuple):
-    """What one message gave."""
+    """One reading of a message."""
 
     header: Any  # None where it has none
     row: Row
-    lacks: str = ""  # why it gives no sample
+    lacks: str = ""  # reason to leave it out; empty: none
 
 
 Reader = Callable[[Any, BagTopic], Iterator[Reading]]
@@ -109,7 +109,7 @@ def _velocity(message: Any, topic: BagTopic) -> Iterator[Reading]:
 
 
 def _imu(message: Any, topic: BagTopic) -> Iterator[Reading]:
-    """As the message has it: rate, acceleration, orientation, each with its covariance."""
+    """Rate, acceleration and orientation of the message, each with its covariance."""
     turn = message.orientation
     row = (
         *_vector(message.angular_velocity, message.angular_velocity_covariance),
@@ -131,7 +131,7 @@ def _heading(message: Any, topic: BagTopic) -> Iterator[Reading]:
 
 
 def _vector(vector: Any, covariance: Any) -> Row:
-    """Three numbers, nan where the covariance says that there are none, and nine."""
+    """Three components, nan where the covariance marks them as unmeasured, and nine numbers of it."""
     if covariance[0] < 0.0:
         return (math.nan,) * 3 + _ZERO_9
     return (vector.x, vector.y, vector.z, *covariance)
@@ -212,7 +212,7 @@ READERS: Mapping[tuple[str, str], Reader] = {
 def refusals(
     rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame
 ) -> Iterator[tuple[str, BoolArray]]:
-    """Reasons to leave out some of (n, k) rows that hold the numbers they should; (n,) which.
+    """Reasons to leave out some of (n, k) complete rows; (n,) which.
 
     Raises:
         InputError: all of them are to be left out.
@@ -235,10 +235,10 @@ def refusals(
 def values_of(
     rows: FloatArray, stamps_ns: IntArray, topic: BagTopic, type_name: str, local: LocalFrame
 ) -> Values:
-    """What the role's messages are made of, from (n, k) numbers.
+    """Values of the role's messages, from (n, k) numbers.
 
     Raises:
-        InputError: neither mapping nor messages say how sure a pose is, or how large the vehicle.
+        InputError: the variance of a pose, or the geometry of the vehicle, is stated nowhere.
     """
     match topic.role:
         case "sprockets" if type_name == JOINTS:
@@ -270,7 +270,7 @@ def values_of(
 
 
 def _twist_values(rows: FloatArray, topic: BagTopic) -> Values:
-    """Of speed and yaw rate."""
+    """Sprocket speeds by speed and yaw rate."""
     if topic.geometry is None:
         raise InputError(f"{topic.where}: {NEEDS_GEOMETRY}")
     nothing = np.full((len(rows), 2), np.nan)
@@ -278,7 +278,7 @@ def _twist_values(rows: FloatArray, topic: BagTopic) -> Values:
 
 
 def _joint_values(rows: FloatArray, stamps_ns: IntArray, topic: BagTopic) -> Values:
-    """Of each joint's velocity and position, which may restart after each of its turns."""
+    """Sprocket speeds and angles by the joints; a joint's position may restart after each turn."""
     speeds, angles = np.split(rows, 2, axis=1)
     turned = [continuous(stamps_ns, *pair) for pair in zip(angles.T, speeds.T, strict=True)]
     velocity, position = _means(speeds, topic), _means(np.column_stack(turned), topic)
@@ -333,7 +333,7 @@ def _imu_values(rows: FloatArray, topic: BagTopic) -> Values:
 
 
 def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: LocalFrame) -> Values:
-    """A heading that is not known, or not how well, is none."""
+    """Poses and covariances; a heading without a value or a variance counts as missing."""
     covariance = _pose_covariance(rows, topic, type_name)
     if type_name == FIX:
         pose = np.column_stack((local.east_north(rows[:, :3]), np.full(len(rows), np.nan)))
@@ -350,7 +350,7 @@ def _pose_values(rows: FloatArray, topic: BagTopic, type_name: str, local: Local
 
 
 def _pose_covariance(rows: FloatArray, topic: BagTopic, type_name: str) -> FloatArray:
-    """(n, 3, 3) of the messages, and what the mapping states over it; nan where neither does."""
+    """(n, 3, 3) covariances of the messages, overridden by the mapping; nan where neither states one."""
     covariance = rows[:, 3:12].reshape(-1, 3, 3).copy()
     if type_name == FIX:
         covariance[:, 2, :] = covariance[:, :, 2] = np.nan
@@ -364,7 +364,7 @@ def _pose_covariance(rows: FloatArray, topic: BagTopic, type_name: str) -> Float
 
 
 def _is_variance(values: FloatArray) -> BoolArray:
-    """(n,) whether they are finite and above 0."""
+    """(n,) whether values are finite and above 0."""
     found: BoolArray = np.isfinite(values) & (values > 0.0)
     return found
 

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Readers of python-can, with what they leave to their user.
+"""Extended readers of python-can.
 
-ASC: times since the event before, dates of any language. BLF: a bound on what a container unpacks to.
+ASC: times relative to the event before, dates in any language. BLF: a limit on the unpacked container.
 """
 
 import re
@@ -17,18 +17,18 @@ from can.io import blf
 _RELATIVE = re.compile(r"\s*base\s.*timestamps\s+relative", re.IGNORECASE)
 _DATE = re.compile(r"\s*(?:date|(?P<block>begin\s+triggerblock))\s+\S+\s+(?P<date>.+)", re.IGNORECASE)
 _TIME = re.compile(r"\s*(\d+\.\d+)(?=\s)")
-_LARGEST = 1 << 25  # bytes of a container, unpacked, and of an object; writers use 128 kB
+_LARGEST = 1 << 25  # bytes of an unpacked container, and of an object; writers use 128 kB
 
 
 def open_asc(text: TextIO, notes: list[str], name: str) -> can.ASCReader:
-    """Frames of a log, at absolute times; notes get a date that cannot be read."""
+    """Frames of a log, at absolute times; ``notes`` gets an entry for an unreadable date."""
     log = can.ASCReader(text, relative_timestamp=False)
     log.file = cast(TextIO, _Lines(text, notes, name))
     return log
 
 
 class _Lines:
-    """Lines in which each time counts from the begin of its block."""
+    """Lines with each time counted from the begin of its block."""
 
     def __init__(self, text: TextIO, notes: list[str], name: str) -> None:
         self._text, self._notes, self._name = text, notes, name
@@ -63,7 +63,7 @@ class _Lines:
 
 
 class BlfLog(can.BLFReader):
-    """Frames of a log; ``missing`` counts its bytes that are not there, as its header states.
+    """Frames of a log; ``missing``: number of bytes that the file lacks, by its header.
 
     Raises:
         blf.BLFParseError, struct.error, zlib.error: it is damaged.

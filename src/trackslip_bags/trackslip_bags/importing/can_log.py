@@ -39,7 +39,7 @@ _NS_PER_S = 1_000_000_000
 def read_can_logs(
     paths: Sequence[Path], given: CanSection, vehicle: VehicleParameters | None
 ) -> tuple[list[Samples], list[str]]:
-    """Samples of each topic that has roles, and notes on what was refused.
+    """Samples of each topic that has roles, and notes on refused frames.
 
     Raises:
         InputError: a log cannot be read, files of the section do not fit, or no frame has a role.
@@ -85,7 +85,7 @@ def read_can_logs(
 def _frames(
     path: Path, given: CanSection, notes: list[str], channels: set[str]
 ) -> Iterator[tuple[int, bytes, int, str]]:
-    """(id as the driver has it, payload, ns, channel) of each data frame of a log; its channels are added."""
+    """(id with its flags, payload, ns, channel) of each data frame of a log; fills ``channels``."""
     _, words = kind_of(path)
     count = 0
     try:
@@ -132,11 +132,11 @@ def _open(path: Path, words: str, notes: list[str]) -> Any:
 
 def _open_mf4(path: Path) -> Any:
     """A reader by asammdf, which is optional."""
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it finds wrong is raised, too
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its errors are raised as well
     hook = sys.unraisablehook
 
     def keep_others(raised: Any) -> None:
-        """A file of asammdf that was opened in part raises once more when it is freed."""
+        """Ignore errors of asammdf: freeing a partly opened file raises once more."""
         if not str(getattr(raised.object, "__module__", "")).startswith("asammdf"):
             hook(raised)
 
@@ -154,7 +154,7 @@ def _open_mf4(path: Path) -> Any:
 
 
 def _samples(found: Sequence[Any], source: str) -> Samples:
-    """Of one kind."""
+    """Samples of one kind, in order of their stamps."""
     topic = _TOPICS[type(found[0])]
     columns = np.array([one[1:] for one in found], np.float64)
     stamps_ns = np.array([one.stamp_ns for one in found], np.int64)

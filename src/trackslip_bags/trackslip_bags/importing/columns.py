@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a mapping names columns of a CSV log: values with their units, times, and how sure they are."""
+"""Columns of a CSV log in a mapping: values with their units, times, standard deviations and covariances."""
 
 import math
 import re
@@ -27,9 +27,9 @@ class Column:
     quantity: str  # of its unit; empty for a plain number
     factor: float
     origin: float | str = 0.0  # in the column's own unit, or FIRST
-    turn: float = 0.0  # of an angle: a whole one in that unit
-    missing: tuple[float, ...] = ()  # values that stand for none, in the column's own unit
-    increments: bool = False  # each row holds what was added since the one before
+    turn: float = 0.0  # one turn of an angle, in that unit
+    missing: tuple[float, ...] = ()  # values that mark missing ones, in the column's own unit
+    increments: bool = False  # each row holds the change since the row before
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class TimeColumn:
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """All names, for messages."""
         return " + ".join(self.names)
 
     @property
@@ -53,14 +53,14 @@ class TimeColumn:
 
 @dataclass(frozen=True)
 class Spread:
-    """How sure a value is: a number, or a column of its own."""
+    """Uncertainty of a value: a number, or a column of its own."""
 
     value: float | Column
     is_stddev: bool  # else a variance, or a covariance of two axes
 
 
 def read_column(where: str, value: Any, quantities: Sequence[str]) -> Column:
-    """``{column: …, unit: …}`` with ``scale`` and ``origin`` if wanted; no unit without a quantity.
+    """The column of ``{column: …, unit: …}``, optionally with ``scale``, ``origin``; plain numbers: no unit.
 
     Raises:
         InputError: a key, unit or value is not accepted.
@@ -116,7 +116,7 @@ def read_time(where: str, value: Any) -> TimeColumn:
 
 
 def zone_offset_ns(zone: str) -> int | None:
-    """Of ``Z`` or ``+02:00``, ns east of Greenwich; None of anything else."""
+    """Offset of ``Z`` or ``+02:00``, ns east of Greenwich; None for anything else."""
     found = _ZONE.fullmatch(zone)
     if found is None:
         return None
@@ -126,7 +126,7 @@ def zone_offset_ns(zone: str) -> int | None:
 
 
 def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -> dict[str, Spread]:
-    """``stddev: {x: …}`` and ``covariance: {x: …, xy: …}`` of a topic, by axis or pair of axes.
+    """Spreads by axis or pair of axes, of ``stddev: {x: …}`` and ``covariance: {x: …, xy: …}`` of a topic.
 
     Raises:
         InputError: a key, unit or value is not accepted, or an axis is stated twice.
@@ -147,12 +147,12 @@ def read_spreads(where: str, tree: Mapping[str, Any], axes: Mapping[str, str]) -
 
 
 def _stddev(where: str, value: Any, quantity: str) -> float | Column:
-    """A number is SI."""
+    """A number, SI, or a column."""
     return read_column(where, value, (quantity,)) if isinstance(value, Mapping) else positive(where, value)
 
 
 def _variance(where: str, value: Any, quantity: str) -> float | Column:
-    """Of the square of a unit, written as ``m^2``, ``m²`` or ``(rad/s)^2``."""
+    """A number, SI, or a column in the square of a unit: ``m^2``, ``m²`` or ``(rad/s)^2``."""
     if not isinstance(value, Mapping):
         return number(where, value)
     unit = str(value.get("unit"))

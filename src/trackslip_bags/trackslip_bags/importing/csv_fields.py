@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the columns of a CSV log, in SI, to the values of each role's messages (``samples``)."""
+"""Conversion of the columns of a CSV log, in SI, to the values of each role's messages (``samples``)."""
 
 import math
 
@@ -29,7 +29,7 @@ _DIAGONAL, _FULL = 2, 3  # kinds of covariance of a NavSatFix; 0: unknown
 def values_of(
     columns: Values, spreads: Values, stamps_ns: IntArray, topic: CsvTopic, local: LocalFrame
 ) -> Values:
-    """What the role's messages are made of."""
+    """Values of the role's messages."""
     match topic.role:
         case "sprockets":
             return _sprockets(columns, stamps_ns, topic)
@@ -51,7 +51,7 @@ def values_of(
 
 
 def _sprockets(columns: Values, stamps_ns: IntArray, topic: CsvTopic) -> Values:
-    """Velocities as they are, from a twist, or from positions."""
+    """Velocities as recorded, from a twist, or from positions."""
     positions = np.full((len(stamps_ns), 2), np.nan)
     if "left_position" in columns:
         positions = np.column_stack((columns["left_position"], columns["right_position"]))
@@ -80,7 +80,7 @@ def _imu(columns: Values, spreads: Values) -> Values:
 
 
 def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
-    """Local east and north where latitude and longitude are given."""
+    """Poses, with local east and north where latitude and longitude are given."""
     if "latitude" in columns:
         x, y = local.east_north(place_of(columns)).T
     else:
@@ -94,7 +94,7 @@ def _pose(columns: Values, spreads: Values, local: LocalFrame) -> Values:
 
 
 def _yaw(columns: Values, count: int) -> FloatArray:
-    """(n,) from east, counter-clockwise; nan where it is not known."""
+    """(n,) yaw from east, counter-clockwise, rad; nan where unknown."""
     if "qw" in columns:
         return yaw_of(*(columns[name] for name in QUATERNION))
     if "heading" in columns:
@@ -110,7 +110,7 @@ def _turn(columns: Values, count: int) -> FloatArray:
 
 
 def _heading(columns: Values, spreads: Values) -> Values:
-    """Where no row says how sure it is, its source does."""
+    """Headings; a variance of 0 is unknown: the source parameters state it."""
     turn = _turn(columns, len(next(iter(columns.values()))))
     covariance = np.zeros((len(turn), 3, 3))
     covariance[:, 2, 2] = np.nan_to_num(spreads.get("yaw", covariance[:, 2, 2]), nan=0.0)
@@ -139,7 +139,7 @@ def _fix(columns: Values, spreads: Values) -> Values:
 
 
 def _velocity(columns: Values, spreads: Values) -> Values:
-    """Of a radar forward alone; where no row says how sure it is, its source does."""
+    """Velocities, of a radar forward only; a variance of 0 is unknown: the source parameters state it."""
     if "forward" in columns:
         x, y = columns["forward"], np.zeros(len(columns["forward"]))
     elif "course" in columns:
@@ -154,7 +154,7 @@ def _velocity(columns: Values, spreads: Values) -> Values:
 
 
 def _odometry(columns: Values) -> Values:
-    """Its variances are unknown."""
+    """Odometry; variances of 0 are unknown."""
     level = np.zeros(len(columns["x"]))
     turn = _turn(columns, len(level))
     place = np.column_stack((columns["x"], columns["y"], columns.get("z", level)))

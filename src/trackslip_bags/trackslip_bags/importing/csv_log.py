@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""CSV logs by a mapping: one file or several on one time base, each with columns and a rate of its own."""
+"""Samples of CSV logs by a mapping: one or several files on one time base, each with own columns and rate."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,16 +23,16 @@ from trackslip_common.errors import InputError
 from trackslip_common.turns import continuous
 from trackslip_estimation.setup_check.count_angle import COARSER, MORE_DIGITS, rounding_of
 
-_COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # after which counters restart
-_SEVERAL = 3  # rows of one time, which are too many
-_EARTH = 6.37e6  # m in a radian of latitude
-_MOSTLY, _SPELLS = 0.75, 10  # share of zeros, and spells of other values between them, that are noted
+_COUNTERS = tuple(2.0**bits for bits in (8, 12, 16, 24, 32))  # counts at which counters restart
+_SEVERAL = 3  # rows of a topic, which need more than one time
+_EARTH = 6.37e6  # m per radian of latitude
+_MOSTLY, _SPELLS = 0.75, 10  # least share of zeros, least spells of other values, for a note
 
 
 def read_csv_logs(
     paths: Sequence[Path], topics: Sequence[CsvTopic], start_ns: int, local: LocalFrame
 ) -> tuple[list[Samples], list[str]]:
-    """Samples of each topic, and notes on what was left out of the files.
+    """Samples of each topic, and notes on the files.
 
     Raises:
         InputError: a file cannot be read or does not fit the mapping.
@@ -47,7 +47,7 @@ def read_csv_logs(
 
 
 def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
-    """The file that a topic is in."""
+    """The file of a topic."""
     names = ", ".join(path.name for path in paths)
     if topic.file is None:
         if len(paths) > 1:
@@ -61,7 +61,7 @@ def _file_of(topic: CsvTopic, paths: Sequence[Path]) -> Path:
 
 
 def _requested(topics: Sequence[CsvTopic]) -> Requested:
-    """Every column of one file, once."""
+    """All columns of one file, each once."""
     numbers: list[str] = []
     times: list[TimeColumn] = []
     texts: list[str] = []
@@ -81,14 +81,14 @@ def _requested(topics: Sequence[CsvTopic]) -> Requested:
 
 
 class _Chosen:
-    """The rows that become messages, and why others do not."""
+    """The rows that become messages, and the reasons why others do not."""
 
     def __init__(self, rows: BoolArray) -> None:
         self.rows = rows.copy()
         self.left_out: Counter[str] = Counter()
 
     def drop(self, bad: Any, reason: str) -> None:
-        """Rows that do not serve, (rows,) of bool."""
+        """Leave out the rows ``bad``, (rows,) of bool, and count them under ``reason``."""
         count = int((self.rows & bad).sum())
         if count:
             self.left_out[reason] += count
@@ -96,7 +96,7 @@ class _Chosen:
 
 
 def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) -> Samples:
-    """One topic of a file."""
+    """Samples of one topic of a file."""
     role = ROLES[topic.role]
     stamps_ns, received_ns = _stamps(table, topic, start_ns)
     columns = _columns(table, topic, stamps_ns)
@@ -133,7 +133,7 @@ def _samples(table: Table, topic: CsvTopic, start_ns: int, local: LocalFrame) ->
 
 
 def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
-    """Times that lost their last digits are refused where one is left, and noted where rows share some."""
+    """Refuse rows that all have one time, as after a loss of digits; note rows that share a time."""
     distinct = len(np.unique(stamps_ns))
     if len(stamps_ns) >= _SEVERAL and distinct == 1:
         seconds = stamps_ns[0] * 1e-9
@@ -147,7 +147,7 @@ def _check_times(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> None:
 
 
 def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Values) -> None:
-    """Positions whose last digit is coarser than they state; to an estimator its steps are motion.
+    """Refuse positions with a rounding coarser than stated; the estimator takes such steps for motion.
 
     Raises:
         InputError: one is.
@@ -169,17 +169,17 @@ def _check_digits(table: Table, topic: CsvTopic, columns: Values, spreads: Value
 
 
 def _increments_summed(values: FloatArray, column: Column) -> FloatArray:
-    """(n,) what increments add up to; blank where a row has none."""
+    """(n,) sums of increments; nan where a row has none."""
     return np.where(np.isnan(values), np.nan, np.nancumsum(values)) if column.increments else values
 
 
 def _without_missing(values: FloatArray, column: Column) -> FloatArray:
-    """(n,) with nan for values that stand for none."""
+    """(n,) values, with nan for those that mark missing ones."""
     return np.where(np.isin(values, column.missing), np.nan, values) if column.missing else values
 
 
 def _note_zeros(table: Table, topic: CsvTopic) -> None:
-    """Columns that are mostly 0 with other values in between: 0 may stand for a value that is missing."""
+    """Note columns that are mostly 0 with other values in between: 0 may mark a missing value."""
     for name in sorted({n for c in topic.columns.values() if not c.missing for n in c.names}):
         is_zero = table.numbers[name] == 0.0
         spells = int(np.count_nonzero(np.diff(is_zero.astype(np.int8)) < 0))
@@ -191,7 +191,7 @@ def _note_zeros(table: Table, topic: CsvTopic) -> None:
 
 
 def _columns(table: Table, topic: CsvTopic, stamps_ns: IntArray) -> Values:
-    """(rows,) of each, SI; angles of sprockets may restart after each turn of what the column shows."""
+    """(rows,) values of each column, SI; angles of sprockets may restart after each turn of the encoder."""
     _note_zeros(table, topic)
     numbers = {
         name: [_increments_summed(_without_missing(table.numbers[n], column), column) for n in column.names]
@@ -221,9 +221,9 @@ def _without_restarts(
     stamps_ns: IntArray,
     speeds: FloatArray,
 ) -> FloatArray:
-    """(rows,) continuous: of an angle after each ``turn``, of whole numbers where a counter is full, noted.
+    """(rows,) continuous values of an angle that restarts after ``turn``, or of a counter; notes the latter.
 
-    ``timed``: which rows have a time; ``speeds`` in units of the values per second.
+    ``timed``: rows that have a time; ``speeds`` in units of the values per second.
     """
     known = values[np.isfinite(values)]
     counters = _COUNTERS if (known == np.round(known)).all() else ()
@@ -240,7 +240,7 @@ def _without_restarts(
 
 
 def _si(numbers: Sequence[FloatArray], column: Column, topic: CsvTopic) -> FloatArray:
-    """(rows,) SI; what is along the ground as that of a sprocket, in a topic of sprockets."""
+    """(rows,) SI values; of sprockets, speeds and lengths on the ground become rates and angles."""
     values: FloatArray = np.mean(numbers, axis=0)
     known = values[np.isfinite(values)]
     origin = float(column.origin) if column.origin != FIRST else float(known[0]) if known.size else 0.0
@@ -282,7 +282,7 @@ def _stamps(table: Table, topic: CsvTopic, start_ns: int) -> tuple[IntArray, Int
 
 
 def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
-    """(rows,) ns, NO_TIME where blank."""
+    """(rows,) times, ns; NO_TIME where blank."""
     raw_ns = table.times[column]
     times_ns = np.where(raw_ns == NO_TIME, NO_TIME, raw_ns + start_ns)
     bad = np.flatnonzero((raw_ns != NO_TIME) & ((times_ns < 0) | (times_ns >= LIMIT_NS)))
@@ -301,9 +301,9 @@ def _checked(table: Table, column: TimeColumn, start_ns: int) -> IntArray:
 
 
 def _new_rows(table: Table, topic: CsvTopic) -> BoolArray:
-    """Which rows hold a new message: all, or those where the marking column changes.
+    """(rows,) whether a row holds a new message: all, or those where the marking column changes.
 
-    The first row is none of the latter: since when its value has been held is unknown.
+    The first row does not count as a change: the age of its value is unknown.
     """
     found = np.zeros(len(table.lines), np.bool_)
     if topic.new_when_changes is None:
@@ -320,7 +320,7 @@ def _new_rows(table: Table, topic: CsvTopic) -> BoolArray:
 
 
 def _is_nowhere(table: Table, topic: CsvTopic, columns: Mapping[str, FloatArray]) -> BoolArray:
-    """(rows,) whether a receiver without a fix wrote zeros."""
+    """(rows,) whether latitude and longitude are both 0, as from a receiver without a fix."""
     for name, limit in (("latitude", 90.0), ("longitude", 180.0)):
         degrees = np.degrees(columns[name])
         bad = np.flatnonzero(np.abs(degrees) > limit)

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads columns of a CSV log by polars: a line of names (``csv_text``), rows below it.
 
-Accepted besides: a line of units below the names, blank cells (also nan, NA, null), a last row that was cut
-off.
+Also accepted: a line of units below the names, blank cells (also nan, NA, null), a truncated last row.
 """
 
 import csv
@@ -61,7 +60,7 @@ _SHOWN = 40  # characters of a bad cell
 
 
 class Requested(NamedTuple):
-    """What is to be read of a file."""
+    """Columns to read from a file."""
 
     numbers: tuple[str, ...]
     times: tuple[TimeColumn, ...]
@@ -70,7 +69,7 @@ class Requested(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """Of all columns."""
+        """Names of all columns."""
         return [*(name for time in self.times for name in time.names), *self.numbers, *self.texts]
 
 
@@ -79,15 +78,15 @@ class Table:
     """Columns of one file; arrays of (rows,)."""
 
     path: Path
-    lines: IntArray  # where each row is in the file
+    lines: IntArray  # line of each row in the file
     times: dict[TimeColumn, IntArray]  # ns, NO_TIME where blank
     numbers: dict[str, FloatArray]  # nan where blank
     texts: dict[str, NDArray[Any]]
-    notes: list[str] = field(default_factory=list)  # what was left out
+    notes: list[str] = field(default_factory=list)  # for the user
 
 
 def read_table(path: Path, requested: Requested) -> Table:
-    """The wanted columns of a file.
+    """The requested columns of a file.
 
     Raises:
         InputError: the file cannot be read, is of another kind, lacks a column or has no rows, or a cell in
@@ -119,7 +118,7 @@ class _Block(NamedTuple):
 
 
 class _Reader:
-    """One pass over a file."""
+    """Reads a file in one pass."""
 
     def __init__(self, path: Path, lines: Iterator[str], requested: Requested) -> None:
         self.notes: list[str] = []
@@ -132,7 +131,7 @@ class _Reader:
             self._require(name)
 
     def table(self) -> Table:
-        """All rows."""
+        """The table of all rows."""
         requested = self._requested
         lines: list[IntArray] = []
         times: dict[TimeColumn, list[IntArray]] = {column: [] for column in requested.times}
@@ -170,13 +169,13 @@ class _Reader:
                 yield block
 
     def _rows(self) -> Iterator[tuple[int, str]]:
-        """(line, text) of those that are rows."""
+        """(line, text) of each row."""
         for line, text in self._numbered:
             if text.strip() and not text.lstrip().startswith(COMMENT):
                 yield line, "\t".join(text.split()) if self._head.delimiter == BLANKS else text
 
     def _parsed(self, rows: list[tuple[int, str]]) -> _Block | None:
-        """The cells of rows, which are as many as the names; a last row that was cut off is left out."""
+        """The cells of rows, as many as names in each; a truncated last row is left out."""
         delimiter = "\t" if self._head.delimiter == BLANKS else self._head.delimiter
         width = len(self._head.names)
         counts = pl.Series([text for _, text in rows]).str.count_matches(delimiter, literal=True) + 1
@@ -217,7 +216,7 @@ class _Reader:
         return _Block(lines, cells.select(requested))
 
     def _numbers(self, block: _Block, name: str) -> FloatArray:
-        """(rows,) finite numbers, nan of blank cells."""
+        """(rows,) finite numbers; nan for blank cells."""
         cells = block.cells[name]
         is_blank = cells.str.to_lowercase().is_in(_BLANK)
         plain = cells.str.strip_prefix("+")
@@ -230,7 +229,7 @@ class _Reader:
         return np.where(is_blank.to_numpy(), np.nan, found)
 
     def _times(self, block: _Block, column: TimeColumn) -> IntArray:
-        """(rows,) ns, exactly; NO_TIME of blank cells."""
+        """(rows,) ns, exactly; NO_TIME for blank cells."""
         found = np.empty(len(block.lines), np.int64)
         parts = [block.cells[name].to_list() for name in column.names]
         for k, cells in enumerate(zip(*parts, strict=True)):
@@ -246,7 +245,7 @@ class _Reader:
         return [cell.replace(",", ".") for cell in cells] if self._requested.dialect.decimal_comma else cells
 
     def _is_units(self, text: str) -> bool:
-        """Below the names: no cell that is wanted holds a value, and some hold a word."""
+        """Whether a line below the names holds units: requested cells hold no values, and some hold words."""
         try:
             row = split(text, "\t" if self._head.delimiter == BLANKS else self._head.delimiter)
         except csv.Error:
@@ -265,7 +264,7 @@ class _Reader:
         return any(words) and not any(re.search(r"\d,\d", cell) for cell in words)
 
     def _bad(self, line: int, name: str, cell: str, instead: str) -> InputError:
-        """A cell that cannot be converted."""
+        """Error for a cell that cannot be converted."""
         place = f"{self._path}: line {line}, column '{name}'"
         if DECIMAL_COMMA.fullmatch(cell):
             remedy = "a decimal point, or csv: {decimal: comma} in the mapping"

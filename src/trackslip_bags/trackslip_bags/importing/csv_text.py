@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the text of a table is written: its encoding, where its names are, what stands between its cells.
+"""Format of the text of a table: its encoding, the line of names, the delimiter of cells.
 
-Accepted without a word in the mapping: UTF-8, UTF-16, cp1252; comma, semicolon, tab, pipe or blanks;
-a ``sep=;`` line; comment lines that begin with ``#``; text before the line of names. A mapping says the rest:
+Accepted without an entry in the mapping: UTF-8, UTF-16, cp1252; comma, semicolon, tab, pipe or blanks; a
+``sep=;`` line; comment lines that begin with ``#``; text before the line of names. A mapping states the rest:
 
     csv: {names: [t, x, y], delimiter: ";", decimal: comma}     or    csv: {format: tum}
 """
@@ -29,13 +29,13 @@ _NAMED = {**_WORDS, **{delimiter: delimiter for delimiter in _WORDS.values()}}
 _DECIMALS = ("point", "comma")
 _TUM = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")  # of trajectories, blanks between
 _FORMATS = ("tum",)
-_HEAD = 100  # lines in which names are looked for
+_HEAD = 100  # lines that are searched for names
 _PIECE = 1 << 20
 _SEPARATOR = re.compile(r'"?sep=(.)"?')
 
 
 class Dialect(NamedTuple):
-    """What a mapping says of a table; empty where it does not."""
+    """Format of a table as a mapping states it; empty where it does not."""
 
     names: tuple[str, ...] = ()
     delimiter: str = ""
@@ -43,16 +43,16 @@ class Dialect(NamedTuple):
 
 
 class Head(NamedTuple):
-    """Where rows begin, and what they hold."""
+    """Line of the names, and names of the cells."""
 
     names: list[str]
     delimiter: str
-    line: int  # that of the names, 1 the first; 0: the mapping has them
-    has_rows: bool  # rows follow at once: the names are the mapping's, or in a comment
+    line: int  # of the names, 1 the first; 0: the mapping has them
+    has_rows: bool  # rows follow without a line of units: the names are the mapping's, or in a comment
 
 
 def read_dialect(where: str, value: Any) -> Dialect:
-    """``csv: …`` of a mapping.
+    """The format of ``csv: …`` in a mapping.
 
     Raises:
         InputError: a key or value is not accepted.
@@ -71,7 +71,7 @@ def read_dialect(where: str, value: Any) -> Dialect:
 
 
 def encoding_of(path: Path) -> str:
-    """UTF-16 by its mark or its zeros, UTF-8 where the whole file is, else cp1252.
+    """Encoding of a file: UTF-16 by its mark or zeros, UTF-8 if the whole file is valid, else cp1252.
 
     Raises:
         OSError: the file cannot be read.
@@ -93,7 +93,7 @@ def encoding_of(path: Path) -> str:
 
 
 def ends_in_zeros(path: Path) -> bool:
-    """Whether a recorder lost its power before it wrote the end.
+    """Whether a file ends in two zero bytes, as after a loss of the recorder's power.
 
     Raises:
         OSError: the file cannot be read.
@@ -120,9 +120,9 @@ def lines_of(path: Path, stream: Any) -> Iterator[str]:
 
 
 def find_head(path: Path, lines: list[str], dialect: Dialect, requested: Collection[str]) -> Head:
-    """Where the names of a table are: the first line that has all that are wanted.
+    """The head of a table: the first line that has all requested names.
 
-    Where none has, the first line that is no comment, or the comment above rows.
+    If no line has them, the first line that is no comment, or the comment above rows.
 
     Raises:
         InputError: there are only values, and the mapping has no names.
@@ -176,7 +176,7 @@ def _likely_head(path: Path, lines: list[str], first: int, stated: str) -> Head:
 
 
 def _guess(line: str, decimal_comma: bool = False) -> str:
-    """What stands between the cells of a line: that of which there is most; blanks where there is none."""
+    """The most frequent delimiter of a line; without any, blanks between words, or else a comma."""
     delimiter = max(_DELIMITERS.replace(",", "") if decimal_comma else _DELIMITERS, key=line.count)
     return delimiter if delimiter in line else BLANKS if len(line.split()) > 1 else ","
 

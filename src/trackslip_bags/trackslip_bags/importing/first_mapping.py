@@ -24,9 +24,9 @@ from trackslip_common.errors import InputError
 from trackslip_common.units import UNITS
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
-_LINES = 2000  # whose names and values are looked at
+_LINES = 2000  # that are read for names and values
 
-# As they stand in names, where / and ° cannot.
+# Spellings of units in names, which cannot hold / and °.
 _SPELT = {"kmh": "km/h", "kph": "km/h", "mps": "m/s", "m_s": "m/s", "rad_s": "rad/s", "rads": "rad/s"} | {
     "deg_s": "deg/s", "degs": "deg/s", "dps": "deg/s", "sec": "s", "km_h": "km/h"
 }  # fmt: skip
@@ -38,19 +38,19 @@ _STATED = re.compile(
 
 
 class _Kind(NamedTuple):
-    """A field of a mapping, and the names that columns of it have."""
+    """A field of a mapping, and the names of its columns."""
 
     topic: str  # empty: the time
     field: str
     names: str  # pattern of the words of a name, without its unit
     quantities: tuple[str, ...]
     usual: str  # unit where neither name nor values state one
-    is_certain: bool = False  # the name states it without writing it
+    is_certain: bool = False  # the name implies the usual unit
     scale: float = 1.0
 
 
 _SIDES = {"left": "left|links|linke[rs]?|gauche|l", "right": "right|rechts|rechte[rs]?|droite?|r"}
-_BY_NUMBER = {"left": "0", "right": "1"}  # guessed, and said to be
+_BY_NUMBER = {"left": "0", "right": "1"}  # a guess, reported as such
 _PART = (
     "wheels?|tracks?|sprockets?|motors?|joints?|states?|field|measured|meas|actual|ist|"
     "ketten?|rad|antrieb|chenille|roue|moteur"
@@ -68,11 +68,11 @@ _NO_MEASUREMENT = re.compile(
     "(?:.*_)?(?:cmd|command(?:ed)?|set|setpoint|sp|target|ref|desired|goal|home|soll|consigne|"
     "std|stddev|sigma|var|variance|cov|covariance)(?:_.*)?"
 )
-_COUNTS_PER_TURN = 1000  # guessed, and said to be
+_COUNTS_PER_TURN = 1000  # a guess, reported as such
 
 
 def _of_side(side: str, needed: str, more: str = "") -> str:
-    """Pattern of words about a side, one of ``needed`` among them; a side by number comes last."""
+    """Pattern of names with a side and a word of ``needed``; a side by number comes last."""
     word = f"(?:{needed}|{_PART}{more})"
     return (
         f"(?=.*(?:{needed}))(?:(?:{word}_?)*(?:{_SIDES[side]})(?:_?{word})*|(?:{word}_?)+{_BY_NUMBER[side]})"
@@ -100,7 +100,7 @@ def _kinds_of(side: str) -> tuple[_Kind, ...]:
     )
 
 
-# The first kind of a field with a column counts. The third axis of ArduPilot and PX4 points down.
+# For each field, the first kind that has a column is used. The third axis of ArduPilot and PX4 points down.
 _KINDS = (
     _Kind("", "time", rf"ts?|{_CLOCK}(?:{_TIMES})|seconds?|secs?|utc", ("time",), "s"),
     *_kinds_of("left"),
@@ -146,27 +146,27 @@ _IN_TWO = (  # times in two columns, and their units
     (rf"(?:{_CLOCK}stamp_)?secs?", rf"(?:{_CLOCK}stamp_)?n(?:ano)?secs?", ("s", "ns")),
     ("date|datum", "time|zeit|uhrzeit|heure", (ISO,)),
 )
-_PAIRS = (  # of which a log has both or none; the first one counts
+_PAIRS = (  # fields that come together; the first complete pair is used
     (("left_velocity", "right_velocity"), ("left_position", "right_position")),
     (("latitude", "longitude"), ("x", "y")),
 )
 _LONGEST_PERIOD = 2.0  # s between rows
 _LARGEST_ANGLES = {"latitude": 90.0, "longitude": 180.0}  # deg
-_AS_WHOLE_NUMBER = 1e-7  # deg, of MAVLink, u-blox and PX4
+_AS_WHOLE_NUMBER = 1e-7  # deg per unit of the integers of MAVLink, u-blox and PX4
 
 
 @dataclass(frozen=True)
 class FirstMapping:
-    """A mapping as text, and what is to be checked in it."""
+    """A mapping as text, and entries for the user to check."""
 
     text: str
     found: Mapping[str, str]  # field → column and unit, as they are printed
-    guessed: tuple[str, ...]  # what no name states
-    unused: tuple[str, ...]  # columns
+    guessed: tuple[str, ...]  # entries that no name states
+    unused: tuple[str, ...]  # names of columns
 
 
 def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> FirstMapping:
-    """Of a CSV log with times, speeds or positions of both sides, and if it has them yaw rate and places.
+    """A mapping of a CSV log with times, speeds or positions of both sides; yaw rate and places if present.
 
     ``parameters``: of the slip estimator, dotted, over those that follow from the columns.
 
@@ -207,13 +207,13 @@ def first_mapping(log: Path, vehicle: str, parameters: Mapping[str, Any]) -> Fir
 
 
 class _Table(NamedTuple):
-    """How a log begins."""
+    """The first rows of a log."""
 
-    cells: Mapping[str, list[str]]  # by column, those that are not blank
+    cells: Mapping[str, list[str]]  # non-blank cells, by column
     has_decimal_commas: bool
 
     def numbers(self, name: str) -> FloatArray:
-        """(n,) of a column; empty where it holds something else."""
+        """(n,) numbers of a column; empty where a cell is no number."""
         try:
             return np.array([float(cell.replace(",", ".")) for cell in self.cells[name]], np.float64)
         except ValueError:
@@ -248,7 +248,7 @@ class _Found(NamedTuple):
 
     @property
     def entry(self) -> "_Flow":
-        """Of the mapping."""
+        """Entry of the mapping."""
         column, unit = (list(own) if len(own) > 1 else own[0] for own in (self.names, self.units))
         scale = {} if self.scale == 1.0 else {"scale": self.scale}
         increments = {"increments": True} if self.has_increments else {}
@@ -256,7 +256,7 @@ class _Found(NamedTuple):
 
 
 def _fields(table: _Table) -> dict[str, _Found]:
-    """Of each field the first column of its first kind."""
+    """For each field, the first column of its first kind."""
     found: dict[str, _Found] = {}
     for kind in _KINDS:
         column = None if kind.field in found else _column(kind, table)
@@ -275,7 +275,7 @@ def _column(kind: _Kind, table: _Table) -> _Found | None:
 
 
 def _found(kind: _Kind, table: _Table, name: str, stem: str, unit: str) -> _Found:
-    """A column of a kind, with what its name and its values state of it."""
+    """A column of a kind, with unit, scale and guesses by its name and values."""
     scale, words = kind.scale, re.findall(r"[^\W\d_]+|\d+", stem)
     is_position, side = kind.field.endswith("_position"), kind.field.partition("_")[0]
     guesses = [f"scale of {name}: -1, of an axis that points down"] if scale < 0.0 else []
@@ -297,7 +297,7 @@ def _found(kind: _Kind, table: _Table, name: str, stem: str, unit: str) -> _Foun
 
 
 def _unit_by_values(kind: _Kind, table: _Table, name: str) -> tuple[str, bool]:
-    """Of a column whose name states none, and whether it is certain: a date is, a period is not."""
+    """Unit by the values of a column, and whether it is certain: by a date it is, by a period it is not."""
     if kind.field != "time" or not table.cells[name]:
         return kind.usual, False
     if unit := likely_unit(table.cells[name][0]):
@@ -309,7 +309,7 @@ def _unit_by_values(kind: _Kind, table: _Table, name: str) -> tuple[str, bool]:
 
 
 def _time_in_two(table: _Table) -> _Found | None:
-    """Seconds and nanoseconds, or a date and a time of day."""
+    """A time in two columns: seconds and nanoseconds, or a date and a time of day."""
     words = {name: _words(name) for name in table.cells}
     for first, second, units in _IN_TWO:
         names = tuple(
@@ -325,7 +325,7 @@ def _time_in_two(table: _Table) -> _Found | None:
 
 
 def _one_of_each_pair(fields: Mapping[str, _Found]) -> dict[str, _Found]:
-    """Without half a pair, and without what another pair says already."""
+    """The fields without incomplete pairs, and without pairs that repeat another one."""
     left_out: set[str] = set()
     for pairs in _PAIRS:
         whole = next((pair for pair in pairs if fields.keys() >= set(pair)), ())
@@ -339,7 +339,7 @@ def _words(name: str) -> str:
 
 
 def _readings(name: str) -> Iterator[tuple[str, str]]:
-    """A name without its unit, and the unit; then the whole name, which states none."""
+    """Interpretations of a name: without its unit, and the unit; then the whole name, without a unit."""
     words = _words(name)
     if stated := _STATED.search(name):
         unit = stated[1] or stated[2]
@@ -352,7 +352,7 @@ def _readings(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters that follow from which topics there are."""
+    """Parameters that follow from the topics."""
     found: dict[str, Any] = {"pose_sources": [""], "start": "initial_pose"}
     if "gnss_pose" in topics:
         found = {"pose_sources": ["gnss_pose"], "sources": {"gnss_pose": {"use_heading": False}}}
@@ -361,11 +361,11 @@ def _sources(topics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class _Flow(dict[str, Any]):
-    """A mapping that stands on one line."""
+    """A mapping that is written on one line."""
 
 
 class _Dumper(yaml.SafeDumper):
-    """Of mappings as a person writes them."""
+    """Writes mappings as a person does, short ones on one line."""
 
 
 _Dumper.add_representer(

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Turns another robot's log into a bag, by a mapping file (see ``mapping``): CSV files, or a bag.
+"""Converts another robot's log (CSV files, a bag, recorded devices) to a bag, by a file of ``mapping``.
 
-A message is logged when it came: at the log time that a bag has, or a column ``received``; without one at its
-own stamp. Replay then gives it to the estimator no earlier than the robot had it. Motion is planar.
+The log time of a message is its time of arrival: that of the bag, or of a column ``received``, or else its
+stamp. Replay thus passes it to the estimator no earlier than the robot received it. Motion is planar.
 """
 
 from collections import Counter
@@ -42,7 +42,7 @@ _Kinds = Mapping[Path, tuple[LogKind, str]]
 _NAMED = 3  # files in an error
 _OF_DEVICES = (".log", ".asc", ".blf", ".trc", ".mf4", ".nmea", ".ubx", ".bin", ".gps")
 _OTHER_CLOCK_S = 10.0
-_ENOUGH = 100  # readings of speeds, in which counts would show
+_ENOUGH = 100  # readings of speeds, enough to show counts
 _BEFORE_ZERO = "moved to before 0 s by time_offset"
 
 
@@ -55,23 +55,23 @@ class Lateness:
 
     @property
     def is_other_clock(self) -> bool:
-        """Whether stamps and log are of two clocks."""
+        """Whether stamps and log times are from two clocks."""
         return abs(self.median) > _OTHER_CLOCK_S
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of a log."""
+    """Result of an import."""
 
     counts: dict[str, int]  # messages in the bag, by topic
     left_out: dict[str, dict[str, int]]  # by topic and reason
-    lateness: dict[str, Lateness]  # by topic, of those that were not logged at their stamps
+    lateness: dict[str, Lateness]  # by topic, if log times differ from stamps
     datum: Datum | None  # of local positions made of latitude and longitude
     notes: list[str]
 
 
 def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Imported:
-    """Write the bag; what cannot be a message is left out and counted.
+    """Write the bag; rows that give no message are left out and counted.
 
     Raises:
         InputError: the log cannot be read or does not fit the mapping, or the bag exists already.
@@ -100,7 +100,7 @@ def import_log(logs: Sequence[Path], mapping: LogMapping, output: Path) -> Impor
 
 
 def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple[list[Samples], list[str]]:
-    """Of a bag or of CSV files, as the topics of the mapping are for one or the other, and of its devices."""
+    """Samples and notes of a bag or CSV files, depending on the topics of the mapping, and of its devices."""
     missing = [path for path in logs if not path.exists()]
     if missing:
         raise InputError(f"log '{missing[0]}' not found; accepted: logs or their directory, or a bag")
@@ -116,7 +116,7 @@ def _read(logs: Sequence[Path], mapping: LogMapping, local: LocalFrame) -> tuple
 def _parts(
     bags: Sequence[Path], files: Sequence[Path], mapping: LogMapping, local: LocalFrame
 ) -> Iterator[tuple[list[Samples], list[str]]]:
-    """What each kind of log gives; every log is read by some part of the mapping."""
+    """Samples and notes of each kind of log; each log must be read by some part of the mapping."""
     topics = list(mapping.topics.values())
     of_bag = [topic for topic in topics if isinstance(topic, BagTopic)]
     of_csv = [topic for topic in topics if isinstance(topic, CsvTopic)]
@@ -157,7 +157,7 @@ def _not_read_by(mapping: LogMapping, kind: LogKind) -> str:
 
 
 def _kind(file: Path, gnss: GnssSection | None) -> tuple[LogKind, str]:
-    """Of a file; one for ``gnss`` may begin anywhere in a receiver's stream."""
+    """Kind of a file, and its description; one for ``gnss`` may begin anywhere in a receiver's stream."""
     try:
         kind, words = kind_of(file)
         is_open = (
@@ -200,7 +200,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _latched(mapping: LogMapping, samples: Sequence[Samples]) -> Iterator[tuple[str, str]]:
-    """What a bag begins with: its vehicle, and what the estimator is told."""
+    """The first messages of a bag: its vehicle, and parameters of the estimator."""
     resolution = encoder_resolution(samples)
     positions = [one.values["position"] for one in samples if one.role == "sprockets"]
     has_speeds_alone = any(len(one) >= _ENOUGH and not np.isfinite(one).any() for one in positions)
@@ -221,7 +221,7 @@ def encoder_resolution(samples: Sequence[Samples]) -> float:
 
 
 def _from_zero(one: Samples) -> Samples:
-    """Without what no bag can hold: stamps before 0."""
+    """Samples without stamps before 0, which no bag can hold."""
     good = one.stamps_ns >= 0
     if good.all():
         return one

@@ -1,30 +1,30 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joins JointState messages of one topic that hold one joint each, by their stamps."""
+"""Joins JointState messages of one topic that hold some of the joints each, by their stamps."""
 
 import math
 from types import SimpleNamespace
 from typing import Any
 
-_MOST = 64  # stamps whose joints have not all come
+_MOST = 64  # stamps with missing joints
 
 PARTIAL = "holds some of the joints, and no other message of its stamp the rest"
 
 
 class JointsByStamp:
-    """Parts of messages, until all wanted joints of a stamp have come.
+    """Keeps parts of messages until all requested joints of a stamp have arrived.
 
     Args:
-        wanted: names of joints.
+        requested: names of joints.
     """
 
     def __init__(self, requested: set[str]) -> None:
         self._requested = requested
         self._parts: dict[int, dict[str, tuple[float, float]]] = {}  # stamp → joint → position, velocity
-        self.dropped = 0  # messages whose rest did not come
+        self.dropped = 0  # incomplete stamps that were discarded
 
     def add(self, message: Any) -> Any | None:
-        """The message itself where it holds all wanted joints or none; the joined one once they have come.
+        """The message itself if it holds all requested joints or none; the joined one once all have arrived.
 
         None while some are missing.
         """
@@ -48,7 +48,7 @@ class JointsByStamp:
         return None
 
     def close(self) -> int:
-        """How many stamps never had all joints."""
+        """Number of stamps that never had all joints."""
         return self.dropped + len(self._parts)
 
 

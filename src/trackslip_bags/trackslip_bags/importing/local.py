@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Positions on the Earth as east and north of a datum (WGS84); which are none of its map, as live."""
+"""Positions on the Earth as east and north of a datum (WGS84), with the checks of the GNSS localizer."""
 
 import math
 from collections.abc import Iterator
@@ -13,13 +13,13 @@ from trackslip_common.errors import InputError
 from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, why_far
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
-_MOST_TRIED = 100  # positions, as a datum
+_MOST_TRIED = 100  # positions that are tried as a datum
 
 
 class LocalFrame:
-    """East and north of a datum: of the one that is given, or of the first position that most are near.
+    """East and north of a datum: the given one, or the first position within reach of at least half of all.
 
-    A log begins with a wild position as well as it has one within; the map must not be about that.
+    The first position of a log may be an outlier, which must not become the origin of the map.
     """
 
     def __init__(self, datum: Datum | None) -> None:
@@ -52,12 +52,12 @@ class LocalFrame:
     def east_north(self, place: FloatArray) -> FloatArray:
         """(n, 2) m of (n, 3) latitude and longitude, rad, and altitude, m (nan: that of the datum).
 
-        They are what ``refusals`` leaves.
+        ``place``: positions that ``refusals`` accepts.
         """
         return _east_north(self._datum_of(place, ""), place)
 
     def _datum_of(self, place: FloatArray, where: str) -> Datum:
-        """The datum; of the first position that at least half are near, where none is given."""
+        """The datum; where none is given, the first position within reach of at least half of all."""
         left = np.arange(len(place)) if self.datum is None else np.arange(0)
         for _ in range(_MOST_TRIED):
             if self.datum is not None or not left.size:
@@ -79,7 +79,7 @@ class LocalFrame:
         return far
 
     def _all_refused(self, first: FloatArray, where: str, reasons: dict[Reason, BoolArray]) -> str:
-        """Names the first position, and the datum."""
+        """Message with the first position and the datum."""
         reason = next(reason for reason, rows in reasons.items() if rows[0])
         latitude, longitude = np.degrees(first[:2]).tolist()
         about = "" if self.datum is None else f" ({self.datum.latitude:.6f}, {self.datum.longitude:.6f})"

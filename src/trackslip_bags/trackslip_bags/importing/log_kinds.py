@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What kind of log a file is, by how it begins: a table, a log of a CAN bus, of a GNSS receiver, another."""
+"""Kind of a log by its first bytes: a table, a log of a CAN bus or of a GNSS receiver, or another file."""
 
 import codecs
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trackslip_common.errors import InputError
 
-_FIRST = 4096  # bytes that are looked at
+_FIRST = 4096  # bytes that are examined
 _MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16", codecs.BOM_UTF8: "utf-8-sig"}
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 _HIGH = re.compile(rb"[\x80-\xff]")
@@ -17,11 +17,11 @@ _MOST_CONTROL, _MOST_HIGH = 0.02, 0.3  # of the bytes of a text
 
 
 class LogKind(Enum):
-    """Which part of a mapping reads it."""
+    """Part of a mapping that reads a file."""
 
     CAN = "can"
     GNSS = "gnss"
-    OTHER = ""  # no log that is read here
+    OTHER = ""  # a file that no part reads
     TABLE = "table"
 
 
@@ -84,7 +84,7 @@ _KINDS: tuple[tuple[bytes, LogKind, str], ...] = (
 
 
 def kind_of(path: Path) -> tuple[LogKind, str]:
-    """The kind of a file, and in words what it is.
+    """The kind of a file, and its description in words.
 
     Raises:
         OSError: it cannot be read.
@@ -108,12 +108,12 @@ def kind_of(path: Path) -> tuple[LogKind, str]:
 
 
 def encoding_of_mark(first: bytes) -> str:
-    """The encoding that the mark at the begin of a text states; empty where it has none."""
+    """The encoding by the byte order mark of a text; empty where it has none."""
     return next((name for mark, name in _MARKS.items() if first.startswith(mark)), "")
 
 
 def utf16_without_mark(first: bytes) -> str:
-    """The encoding of a text half of whose bytes are zeros, by where they are; empty where that is not so."""
+    """The encoding of a text with about half of its bytes zero, by their positions; empty for other texts."""
     even, odd = (first[k::2].count(0) for k in (0, 1))
     if not max(even, odd) > len(first) // 4 > min(even, odd):
         return ""
@@ -133,10 +133,10 @@ def _is_binary(first: bytes) -> bool:
 
 
 def refuse_other_kinds(path: Path) -> None:
-    """A table is none of the other kinds.
+    """Accept a table only.
 
     Raises:
-        InputError: it is; says what it is and what reads it.
+        InputError: it is of another kind; names the kind, and the part of the mapping that reads it.
         OSError: it cannot be read.
     """
     kind, words = kind_of(path)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""The mapping file of ``trackslip import``: what of a log is what. docs/import.md has the whole form.
+"""The mapping file of ``trackslip import``: what columns and topics contain. docs/import.md has all keys.
 
 time: {column: t, unit: s}             # of CSV logs
 topics:
@@ -94,7 +94,7 @@ def read_mapping(path: Path, vehicle: VehicleParameters | None = None) -> LogMap
 
 
 def _vehicle(path: Path, value: Any) -> VehicleParameters:
-    """By its name, from a file, here or beside the mapping, or as it stands in the mapping."""
+    """Vehicle by its name, from a file, here or beside the mapping, or as stated in the mapping."""
     where = f"{path}: vehicle"
     if isinstance(value, Mapping):
         return vehicle_of(path.stem, flatten(value), where)
@@ -107,7 +107,7 @@ def _vehicle(path: Path, value: Any) -> VehicleParameters:
 
 
 def _check_parameters(path: Path, parameters: Mapping[str, Any], vehicle: VehicleParameters | None) -> None:
-    """They are the slip estimator's, by the names of today or those that are still read."""
+    """Accept parameters of the slip estimator only, by current names or by old ones that are still read."""
     machine = {} if vehicle is None else vehicle_layer(vehicle)
     try:
         load_slip_parameters(machine, current_names(flatten(parameters)))
@@ -116,7 +116,7 @@ def _check_parameters(path: Path, parameters: Mapping[str, Any], vehicle: Vehicl
 
 
 def _vehicle_among(parameters: Mapping[str, Any]) -> Any:
-    """The vehicle where mappings of earlier versions have it, by the names of today; None where it is not."""
+    """The vehicle among the parameters, as in mappings of earlier versions, with current names; or None."""
     stated = parameters.get("vehicle")
     if not isinstance(stated, Mapping):
         return stated

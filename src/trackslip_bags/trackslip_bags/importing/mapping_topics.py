@@ -34,7 +34,7 @@ USES = ("both", "positions", "velocities")  # of the joints of sprockets
 _COMMON = ("role", "frame", "time_offset", "stddev", "covariance", "geometry")
 _OF_CSV = ("file", "time", "received", "csv", "new_when_changes")
 _OF_BAG = (*SIDES, JOINT, "use", "stamp", "child_frame", "position_only", "convention", "sign")
-_OPPOSITE = (  # fields that no one column holds
+_OPPOSITE = (  # pairs of fields that need two columns
     *(tuple(f"{side}_{what}" for side in SIDES) for what in ("velocity", "position")),
     ("x", "y"),
     ("latitude", "longitude"),
@@ -48,7 +48,7 @@ FROM = "from"  # the key by which a section names a topic of a bag
 
 
 class Geometry(NamedTuple):
-    """What turns speeds over ground into speeds of sprockets."""
+    """Geometry that converts speeds over ground to speeds of sprockets."""
 
     rolling_radius: float  # m
     tread: float  # m
@@ -56,7 +56,7 @@ class Geometry(NamedTuple):
 
 @dataclass(frozen=True)
 class Joints:
-    """Joints whose mean, times the ratio, is a sprocket."""
+    """Joints of a sprocket or swing: its angle is their mean, times the ratio."""
 
     names: tuple[str, ...]
     ratio: float  # turns of the sprocket per turn of a joint; negative where it turns the other way
@@ -64,12 +64,12 @@ class Joints:
 
 @dataclass(frozen=True)
 class Topic:
-    """What one topic of the bag is made of."""
+    """Source of one topic of the new bag."""
 
     name: str
     where: str  # in the mapping file, for messages
     role: str
-    frame: str | None  # None: the role's, or what the message has
+    frame: str | None  # None: that of the message, or of the role
     time_offset_ns: int
     spreads: Mapping[str, Spread]
     geometry: Geometry | None
@@ -77,7 +77,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class CsvTopic(Topic):
-    """From columns."""
+    """A topic from columns of a CSV log."""
 
     file: str | None  # pattern of the file's name; None where there is one file
     time: TimeColumn
@@ -89,7 +89,7 @@ class CsvTopic(Topic):
 
 @dataclass(frozen=True)
 class BagTopic(Topic):
-    """From the messages of a topic."""
+    """A topic from the messages of a bag's topic."""
 
     source: str
     joints: Mapping[str, Joints]  # of sprockets left and right, of a swing its joint
@@ -98,7 +98,7 @@ class BagTopic(Topic):
     child_frame: str | None  # of transforms
     position_only: bool
     convention: str  # of headings, one of CONVENTIONS
-    sign: float  # of headings, as they are in their convention
+    sign: float  # of headings, 1 or −1, in their convention
 
 
 def read_topic(
@@ -184,7 +184,7 @@ def _bag_topic(where: str, tree: Mapping[str, Any], role: Role, of_both: Mapping
 
 
 def _keys_of(role: Role, keys: tuple[str, ...]) -> tuple[str, ...]:
-    """Those that mean something of such a topic."""
+    """The keys that apply to a topic of a role."""
     without = set() if role.axes else {"stddev", "covariance"}
     if role is not ROLES["sprockets"]:
         without |= {*SIDES, "use", "geometry"}
@@ -216,7 +216,7 @@ def _sign(where: str, value: Any) -> float:
 
 
 def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], given: set[str]) -> None:
-    """A pose says how sure it is."""
+    """Require a standard deviation or covariance for each axis of a pose."""
     if role is not ROLES["pose"]:
         return
     headed = given & {"yaw", "heading", "qz"}
@@ -230,7 +230,7 @@ def _require_spreads(where: str, role: Role, spreads: Mapping[str, Spread], give
 
 
 def _require_geometry(where: str, columns: Mapping[str, Column], geometry: Geometry | None) -> None:
-    """Speeds over ground need the vehicle's."""
+    """Require the geometry of the vehicle for speeds over ground."""
     grounded = [name for name, column in columns.items() if column.quantity in ("speed", "length")]
     if ROLES["sprockets"].fields.keys() >= columns.keys() and grounded and geometry is None:
         raise InputError(f"{where}.{grounded[0]}: {NEEDS_GEOMETRY}")

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of a GNSS receiver, NMEA and UBX, through the driver's own protocol.
+"""Samples of logs of a GNSS receiver, NMEA and UBX, through the driver's own protocol.
 
 A log has no times of arrival. Stamps are the receiver's UTC: times of day, on the date that RMC, ZDA or
-NAV-PVT states, or that the mapping gives. A sentence without a time (HDT, THS) is of the epoch before it.
+NAV-PVT states, or that the mapping gives. A sentence without a time (HDT, THS) is of the previous epoch.
 """
 
 import codecs
@@ -33,9 +33,9 @@ from trackslip_drivers.protocols.nmea import Rejection, Sentence, read, time_of_
 from trackslip_drivers.protocols.nmea_stream import NO_POSITION, POSITIONS, NmeaStream, Sample
 from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, VelocitySample
 
-_NODE, _NETWORK = "nmea_gnss", "log://"  # bytes that come in no time, as over a network
+_NODE, _NETWORK = "nmea_gnss", "log://"  # as over a network: bytes without transmission time
 _PIECE = 1 << 16  # bytes
-_FEWEST = 2  # sentences of a log that begins in another one
+_FEWEST = 2  # sentences that identify a log with other bytes before them
 _VALID_DATE = 1  # of NAV-PVT
 _DAY_NS = 86_400_000_000_000
 _EPOCH = date(1970, 1, 1)
@@ -46,17 +46,17 @@ class _Timed(NamedTuple):
 
     content: bytes
     time_ns: int | None  # of day
-    day: date | None  # where it states one
+    day: date | None  # that it states
     is_clock: bool = False  # the date is that of the receiver's own clock, which may not be set
 
 
 def read_receiver_logs(
     paths: Sequence[Path], given: GnssSection, local: LocalFrame
 ) -> tuple[list[Samples], list[str]]:
-    """``fix``, ``gnss_pose``, ``fix_velocity`` and ``heading``, and notes on what was refused.
+    """Samples of ``fix``, ``gnss_pose``, ``fix_velocity`` and ``heading``, and notes on refused messages.
 
     Raises:
-        InputError: a log cannot be read, or gives nothing.
+        InputError: a log cannot be read, or gives no sample.
     """
     names = ", ".join(path.name for path in paths)
     defaults = load_parameters(NmeaParameters, _NODE, (f"{_NODE}.yaml",))
@@ -100,7 +100,7 @@ def read_receiver_logs(
 
 
 def _messages(path: Path) -> Iterator[_Timed]:
-    """Whole messages of a file, and its noise, which the stream counts."""
+    """Complete messages of a file, and the bytes between them, which the stream counts."""
     cutter = FrameCutter(0)
     try:
         for piece in _pieces(path):
@@ -113,7 +113,7 @@ def _messages(path: Path) -> Iterator[_Timed]:
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """The bytes of a log; those that stand for its text, where that is in UTF-16."""
+    """The bytes of a log; of a log in UTF-16, its text as latin-1."""
     with path.open("rb") as file:
         is_wide = encoding_of_mark(file.read(2)) == "utf-16"
         file.seek(0)
@@ -125,7 +125,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 
 
 def holds_messages(path: Path) -> bool:
-    """Whether the begin of a file holds messages of a receiver, whatever is before them and between them.
+    """Whether the first part of a file holds messages of a receiver, with any bytes before or between them.
 
     Raises:
         OSError: it cannot be read.
@@ -170,7 +170,7 @@ def _zda_time_ns(sentence: bytes) -> int | None:
 
 
 def _day_of(found: Sentence | Rejection, content: bytes) -> date | None:
-    """That RMC, ZDA or KSXT states."""
+    """The date that RMC, ZDA or KSXT states; None where there is none."""
     if not isinstance(found, Sentence):
         return None
     fields = content.partition(b"*")[0].decode("latin-1").split(",")
@@ -197,7 +197,7 @@ def _date(year: int, month: int, day: int) -> date | None:
 def _on_one_clock(
     messages: Sequence[_Timed], given: GnssSection, names: str, notes: list[str]
 ) -> Iterator[tuple[_Timed, int]]:
-    """Each message, and when its epoch was, ns; a note where nobody states a date."""
+    """Each message with the time of its epoch, ns; a note where neither messages nor mapping state a date."""
     times, days, epochs = _epochs(messages)
     stated = next((k for k, day in enumerate(days) if day is not None), 0)
     if days[stated] is None:
@@ -218,7 +218,7 @@ def _on_one_clock(
 def _epochs(messages: Sequence[_Timed]) -> tuple[list[int], list[date | None], list[int]]:
     """Time of day, ns, and stated date of each epoch; the epoch of each message.
 
-    The date of a valid position counts, else that of the receiver's own clock (ZDA).
+    Dates of valid positions are used; in a log without any, those of the receiver's own clock (ZDA).
     """
     of_positions = any(message.day is not None and not message.is_clock for message in messages)
     times: list[int | None] = [None]

@@ -21,7 +21,7 @@ _ANY = "*"
 
 @dataclass(frozen=True)
 class CanSection:
-    """What a log of a bus is read by."""
+    """Settings to read a log of a CAN bus."""
 
     where: str
     dbc: Path
@@ -33,17 +33,17 @@ class CanSection:
 
 @dataclass(frozen=True)
 class GnssSection:
-    """What a log of a receiver is read by."""
+    """Settings to read a log of a GNSS receiver."""
 
     where: str
-    file: str
+    file: str  # pattern of the files' names
     day: date | None  # None: as the log states it
     offset_ns: int
     heading_stddev: float | None  # rad; None: that of the driver
 
 
 def read_can(mapping: Path, value: Any) -> CanSection:
-    """``can: …`` of a mapping.
+    """The section ``can: …`` of a mapping.
 
     Raises:
         InputError: a key or value is not accepted, or a file is not there.
@@ -62,7 +62,7 @@ def read_can(mapping: Path, value: Any) -> CanSection:
 
 
 def read_gnss(mapping: Path, value: Any) -> GnssSection:
-    """``gnss: …`` of a mapping.
+    """The section ``gnss: …`` of a mapping.
 
     Raises:
         InputError: a key or value is not accepted.
@@ -85,7 +85,7 @@ def _offset_ns(where: str, tree: Mapping[str, Any]) -> int:
 
 
 def _file(mapping: Path, where: str, value: Any) -> Path:
-    """Beside the mapping, or as the drivers find it."""
+    """A file beside the mapping, or where the drivers find it."""
     name = text(where, value)
     beside = mapping.parent / name
     if beside.is_file():

@@ -18,7 +18,7 @@ from trackslip_bags.sources import error_line
 from trackslip_bags.types import check_finite
 from trackslip_common.errors import InputError
 
-decompressors.update(unpacking.of_ros1())  # those of rosbags have no limit
+decompressors.update(unpacking.of_ros1())  # with a limit on the size, unlike those of rosbags
 
 
 class Logged(NamedTuple):
@@ -65,7 +65,7 @@ class Ros2Bag:
 
 
 class Ros1Bags:
-    """Open bags; definitions of types are those that the bags hold."""
+    """Open bags of ROS 1; types are as the bags define them."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.path = paths[0]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a log can give: roles, the fields that columns fill, and the messages of other robots that serve."""
+"""Roles of topics: the fields that columns fill, and the accepted message types of other robots."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -44,11 +44,11 @@ _PLACE = ("latitude", "longitude")
 
 @dataclass(frozen=True)
 class Role:
-    """What a topic of the bag is.
+    """Content of a topic of the bag.
 
-    ``fields`` may be columns of a CSV log: name → quantities, one of which its unit must be of. ``choices``
-    say which go together: of each, the fields that are given must be one group. ``axes``: what a standard
-    deviation or covariance may be stated of, with its quantity. ``messages``: types that a bag may have.
+    ``fields``: possible columns of a CSV log: name → quantities, one of which the unit must measure.
+    ``choices``: groups of fields; in each choice, the given fields must be exactly one group. ``axes``: those
+    with a standard deviation or covariance, and its quantity. ``messages``: accepted types in a bag.
     """
 
     type_name: str
@@ -60,16 +60,16 @@ class Role:
     optional: tuple[str, ...] = ()  # fields, and axes, that a message may lack
 
     def needed(self, given: Iterable[str]) -> list[str]:
-        """Of the fields that are given, those without which there is no message."""
+        """The given fields that a message cannot lack."""
         names = list(given)
         optional = self.optional if self.optional != _POSITIONS or _VELOCITIES[0] in names else ()
         return [name for name in names if name not in optional]
 
     def check(self, where: str, given: set[str]) -> None:
-        """Fields that are given together.
+        """Check that the given fields form one group of each choice.
 
         Raises:
-            InputError: they are no group.
+            InputError: they do not.
         """
         for groups in self.choices:
             own = given.intersection(*[{field for group in groups for field in group}])

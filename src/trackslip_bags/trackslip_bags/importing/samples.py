@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a log gave, as arrays, and the ROS messages that are made of them.
+"""Samples of a log as arrays, and the ROS messages that are made of them.
 
     sprockets    velocity (n, 2), position (n, 2): left, right                      rad/s, rad
     imu, heading rate, acceleration (n, 3), orientation (n, 4), each with a covariance (n, 3, 3)
@@ -12,8 +12,8 @@
     odometry     place (n, 3), turn (n, 4): x, y, z, w; variances (n, 12) of pose and of twist   m, 1
     hydraulics   left_pressure … supply_pressure (n,)                               Pa, 1
 
-What is not known is nan; of an Imu's covariance then the first element is −1 (REP-145), and of a pose's
-heading the variance is UNOBSERVED.
+Unknown values are nan. The covariance of an unknown quantity of an Imu then begins with −1 (REP-145); the
+variance of an unknown heading of a pose is UNOBSERVED.
 """
 
 import math
@@ -39,19 +39,19 @@ UNKNOWN = -1.0  # first element of a covariance whose quantity was not measured
 
 @dataclass
 class Samples:
-    """Of one topic, in the order of the log."""
+    """Samples of one topic, in the order of the log."""
 
     topic: str
     role: str
-    frames: list[str]  # of each, or one for all
+    frames: list[str]  # frame of each sample, or one for all
     stamps_ns: IntArray  # (n,)
     log_times_ns: IntArray  # (n,)
     values: Values
-    left_out: Counter[str] = field(default_factory=Counter)  # reason → how many
-    source: str = ""  # topic or file that it came from
+    left_out: Counter[str] = field(default_factory=Counter)  # reason → count
+    source: str = ""  # topic or file of origin
 
     def message(self, row: int) -> Any:
-        """One of them as a message."""
+        """One sample as a message."""
         frame = self.frames[row if len(self.frames) > 1 else 0]
         stamp_ns = int(self.stamps_ns[row])
         values = {name: array[row] for name, array in self.values.items()}
@@ -65,13 +65,13 @@ class Samples:
 
 
 def track_speeds(speed: FloatArray, yaw_rate: FloatArray, geometry: Geometry) -> FloatArray:
-    """(n, 2) rad/s of the sprockets that would drive so without slip; m/s, rad/s (n,)."""
+    """(n, 2) sprocket speeds, rad/s, without slip, for speeds (n,) in m/s and yaw rates (n,) in rad/s."""
     apart = yaw_rate * geometry.tread / 2.0
     return np.column_stack((speed - apart, speed + apart)) / geometry.rolling_radius
 
 
 def differences(positions: FloatArray, stamps_ns: IntArray) -> FloatArray:
-    """(n, 2) rad/s from (n, 2) rad: each over the time since the one before; the first as the second."""
+    """(n, 2) rad/s from (n, 2) rad: change over the time since the row before; the first as the second."""
     if len(positions) < 2:
         return np.zeros_like(positions)
     steps = np.diff(stamps_ns) * 1e-9
@@ -94,7 +94,7 @@ def level_turns(yaw: FloatArray) -> FloatArray:
 
 
 def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
-    """Poses (n, 3) and covariances (n, 3, 3), those without a heading marked so."""
+    """Poses (n, 3) and covariances (n, 3, 3); unknown headings get the variance UNOBSERVED."""
     missing = ~(np.isfinite(pose[:, 2]) & np.isfinite(covariance[:, 2, 2]))
     pose[missing, 2] = 0.0
     covariance[missing, 2, :] = covariance[missing, :, 2] = 0.0
@@ -103,7 +103,7 @@ def without_heading(pose: FloatArray, covariance: FloatArray) -> Values:
 
 
 def headings(turn: FloatArray, covariance: FloatArray) -> Values:
-    """Of an Imu that has nothing but orientations (n, 4) x, y, z, w; covariances of 0: unknown."""
+    """Values of an Imu with orientations (n, 4) x, y, z, w only; covariances of 0: unknown."""
     nothing, unknown = np.full((len(turn), 3), np.nan), np.zeros((len(turn), 3, 3))
     return {
         "rate": nothing,
@@ -137,7 +137,7 @@ def _imu(values: Mapping[str, FloatArray]) -> dict[str, Any]:
 
 
 def _imu_covariance(vector: FloatArray, covariance: FloatArray) -> list[float]:
-    """Nine numbers; axes that were not measured have the variance UNOBSERVED; if none was, −1 says so."""
+    """Nine numbers; unmeasured axes have the variance UNOBSERVED; if all are unmeasured, the first is −1."""
     missing = np.isnan(vector)
     if missing.all():
         return [UNKNOWN] + [0.0] * 8

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Times of a CSV log, exactly: text → ns."""
+"""Exact times of a CSV log: text → ns."""
 
 import re
 from collections.abc import Sequence
@@ -28,21 +28,21 @@ _ISO = re.compile(
 )
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?=[ T])")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-_OUR_DAYS = range(10**18, 2**31 * 10**9)  # since 2001
+_OUR_DAYS = range(10**18, 2**31 * 10**9)  # ns of plausible dates, from 2001 on
 _LARGEST = Decimal(2) ** 62  # ns: no clock shows more, and int64 holds it
 
 LIMIT_NS = 2**31 * 10**9  # seconds of a ROS stamp are 32 bit, with sign
 
 
 def accepted(cell: str, column: TimeColumn) -> str:
-    """What such a column may hold instead of a cell; where another unit would do, which."""
+    """Text of what a column accepts instead of ``cell``, with another unit if the cell fits it."""
     if column.is_iso:
         return "as 2026-11-20T14:30:00.25+01:00"
     return f"a number of {' + '.join(column.units)}{_other_unit(cell)}"
 
 
 def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
-    """ns since the column's own zero, of ISO times since 1970; a cell for each of its columns.
+    """Time in ns since the column's own zero, of ISO times since 1970; one cell for each of its columns.
 
     Raises:
         ValueError: the cells hold no such time.
@@ -53,7 +53,7 @@ def time_ns(cells: Sequence[str], column: TimeColumn) -> int:
 
 
 def time_text(value_ns: int, column: TimeColumn) -> str:
-    """A time as such a column has it, to the last digit: ``1791000000.25 s``, ``2026-11-20T13:30:00.25Z``."""
+    """A time in the form of a column, to the last digit: ``1791000000.25 s``, ``2026-11-20T13:30:00.25Z``."""
     seconds, nanoseconds = divmod(value_ns, 10**9)
     fraction = f".{nanoseconds:09d}".rstrip("0").rstrip(".")
     if column.is_iso:
@@ -77,7 +77,7 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
         raise ValueError(cell)
     *parts, fraction, zone = found.groups()
     whole = datetime(*(int(part or 0) for part in parts), tzinfo=timezone.utc) - _EPOCH  # type: ignore[arg-type, misc]
-    zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # none of UTC, GMT
+    zone_ns = default_zone_ns if zone is None else zone_offset_ns(zone) or 0  # 0 for UTC, GMT
     nanoseconds = int((fraction or "0").ljust(9, "0"))
     found_ns = (whole.days * 86400 + whole.seconds) * 1_000_000_000 + nanoseconds - zone_ns
     if abs(found_ns) > _LARGEST:
@@ -86,21 +86,21 @@ def _iso_ns(cell: str, default_zone_ns: int) -> int:
 
 
 def _date_of(cell: str) -> re.Match[str] | None:
-    """Parts of a date and time of day; also of 20.11.2026 14:30."""
+    """Parts of a date and time of day, also of the form 20.11.2026 14:30; None of other texts."""
     return _ISO.fullmatch(cell) or _ISO.fullmatch(
         _DAY_FIRST.sub(lambda day: f"{day[3]}-{day[2]:0>2}-{day[1]:0>2}", cell)
     )
 
 
 def too_late(value_ns: int, column: TimeColumn) -> str:
-    """A hint for a time beyond what stamps can hold: the unit that would make it one of our days."""
+    """A hint for a time beyond the range of stamps: the unit that makes it a plausible date."""
     if column.is_iso or len(column.units) > 1:
         return ""
     return _other_unit(str(Decimal(value_ns) / _SCALES[column.units[0]]))
 
 
 def likely_unit(cell: str) -> str:
-    """The unit in which a cell is one of our days; empty where it is none."""
+    """The unit in which a cell is a plausible date; empty where there is none."""
     if _date_of(cell):
         return ISO
     for unit in ("s", "ms", "us", "ns"):
