@@ -28,7 +28,7 @@ def open_asc(text: TextIO, notes: list[str], name: str) -> can.ASCReader:
 
 
 class _Lines:
-    """Lines with each time counted from the begin of its block."""
+    """Lines with each time counted from the start of its block."""
 
     def __init__(self, text: TextIO, notes: list[str], name: str) -> None:
         self._text, self._notes, self._name = text, notes, name

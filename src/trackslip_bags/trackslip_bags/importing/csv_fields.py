@@ -162,6 +162,6 @@ def _odometry(columns: Values) -> Values:
 
 
 def place_of(columns: Values) -> FloatArray:
-    """(n, 3) rad, rad, m; the altitude nan where it is unknown."""
+    """(n, 3) latitude, longitude, altitude: rad, rad, m; nan for an unknown altitude."""
     nothing = np.full(len(columns["latitude"]), np.nan)
     return np.column_stack((columns["latitude"], columns["longitude"], columns.get("altitude", nothing)))

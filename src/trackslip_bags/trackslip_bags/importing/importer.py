@@ -48,7 +48,7 @@ _BEFORE_ZERO = "moved to before 0 s by time_offset"
 
 @dataclass(frozen=True)
 class Lateness:
-    """How long after their stamps a topic's messages were logged, s."""
+    """Delay of the log times of a topic's messages after their stamps, s."""
 
     median: float
     longest: float
@@ -145,7 +145,7 @@ def _parts(
 
 
 def _not_read_by(mapping: LogMapping, kind: LogKind) -> str:
-    """Why no part of the mapping reads a file of a kind, and what is accepted."""
+    """The reason why no part of the mapping reads a file of a kind, and accepted alternatives."""
     section = {LogKind.CAN: mapping.can, LogKind.GNSS: mapping.gnss}.get(kind)
     if section is not None:
         return f"left out by {section.where}.file '{section.file}'; accepted: a pattern of its name"

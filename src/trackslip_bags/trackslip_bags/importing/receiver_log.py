@@ -36,7 +36,7 @@ from trackslip_drivers.records import CovarianceType, FixSample, HeadingSample, 
 _NODE, _NETWORK = "nmea_gnss", "log://"  # as over a network: bytes without transmission time
 _PIECE = 1 << 16  # bytes
 _FEWEST = 2  # sentences that identify a log with other bytes before them
-_VALID_DATE = 1  # of NAV-PVT
+_VALID_DATE = 1  # flag of NAV-PVT
 _DAY_NS = 86_400_000_000_000
 _EPOCH = date(1970, 1, 1)
 

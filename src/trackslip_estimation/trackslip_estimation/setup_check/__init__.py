@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Setup check: tracks, inertial unit and fixes are compared; mistakes that explain them are named."""
+"""Setup check: compares tracks, inertial unit and fixes, and names mistakes that explain differences."""

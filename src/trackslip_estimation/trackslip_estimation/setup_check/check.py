@@ -78,7 +78,7 @@ def _check(log: Log, found: _Found) -> list[str]:
     found.add([_missing_cause(one) for one in missing])
     log, causes = clocks.with_right_times(log)
     found.add(causes)
-    if not causes:  # else the log lacks the sources whose unit differs from that of the tracks
+    if not causes:  # else the log may lack the sources in another unit
         log, causes = with_common_clock(log)
         found.add(causes)
     found.add(clocks.judge_fractions(log))

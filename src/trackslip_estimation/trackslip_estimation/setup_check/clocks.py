@@ -77,7 +77,7 @@ def with_right_times(log: Log) -> tuple[Log, list[Cause]]:
 
 
 def _series(log: Log) -> list[tuple[str, str, FloatArray]]:
-    """Topic, kind and stamps (n,) of each source, s."""
+    """Topic, kind and stamps (n,), s, of each source."""
     series: list[tuple[str, str, FloatArray]] = [(TRACKS, "tracks", log.tracks.t)]
     series += [(g.name, "gyro", g.t) for g in log.gyros]
     return series + [(f.name, "fixes", f.t) for f in log.fixes]

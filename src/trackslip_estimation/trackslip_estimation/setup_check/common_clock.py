@@ -35,7 +35,7 @@ class _Shift(NamedTuple):
 
 
 def with_common_clock(log: Log) -> tuple[Log, list[Cause]]:
-    """The log on the clock of the tracks, and the sources that were on another."""
+    """The log on the clock of the tracks, and a cause for each source on another one."""
     causes = _elsewhere(log)
     elsewhere = {cause.source for cause in causes}
     shifts = {}

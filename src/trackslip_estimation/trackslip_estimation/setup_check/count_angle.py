@@ -40,7 +40,7 @@ def angle_of_count(t: FloatArray, speeds: FloatArray, positions: FloatArray) -> 
 def least_change(changes: FloatArray) -> float:
     """Smallest of the changes (n,) of a position, if other small ones are multiples of it; else 0.
 
-    Constant speeds give whole multiples too; of true counts, the number varies from reading to reading.
+    Constant speeds give whole multiples too, but the number of true counts varies between readings.
     """
     changes = np.abs(changes)
     moves = changes > _NOTHING * changes.max(initial=0.0)

@@ -63,7 +63,7 @@ def delay_of(first: FloatArray, second: FloatArray, cell: float) -> Delay | None
 
 
 def _without_spikes(rates: FloatArray) -> FloatArray:
-    """Clipped rates: unclipped, jumps of poses dominate the correlation."""
+    """Rates, clipped so that jumps of poses do not dominate the correlation."""
     most = 1.5 * float(np.percentile(np.abs(rates), 98))
     return np.clip(rates, -most, most)
 

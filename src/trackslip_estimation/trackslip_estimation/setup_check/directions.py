@@ -20,7 +20,7 @@ from trackslip_estimation.setup_check.turning import LEAST_TURNS, turns_of
 _CLEAR = float(np.log(1e4))  # ln odds at which fewer than three turns suffice
 _LEAST_TURNED = np.radians(25.0)  # in all, for these odds
 _TURNING = np.radians(2.0)  # in a window
-_LEAST_DISTANCE = 2.0  # m, times what the tread is over 1 m
+_LEAST_DISTANCE = 2.0  # m per m of the tread
 MIRRORS = ("position_axes_swapped", "position_sign", "position_sign")
 _TURN = "turn left and right by 90° once each, and drive 10 m straight"
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""A drive with tracks, one gyro, one source of fixes and one of headings, and quantities derived of them."""
+"""A drive with tracks, one gyro, one source of fixes, one of headings, and quantities derived from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ class Drive:
 
     @classmethod
     def of(cls, log: Log, gyro: Gyro | None, fixes: Fixes | None, compass: Compass | None) -> "Drive":
-        """The tracks of a log with these sources."""
+        """A drive of the tracks of a log with these sources."""
         gyros, places = () if gyro is None else (gyro,), () if fixes is None else (fixes,)
         return cls(replace(log, gyros=gyros, fixes=places, compasses=() if compass is None else (compass,)))
 

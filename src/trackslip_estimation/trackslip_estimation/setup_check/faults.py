@@ -15,7 +15,7 @@ from trackslip_estimation.setup_check.log import ComplexArray, Log, Tracks
 _LEAST_READINGS = 10
 _LEAST_MISSING, _LEAST_BEYOND = 5, 3  # jumps to one value, within the range of the others or far beyond it
 _BEYOND = 3.0  # times the largest deviation of the others from their median
-_LEAST_PLACES, _LEAST_HELD = 2, 3  # jumps to one exact place; fixes at it at the begin or end
+_LEAST_PLACES, _LEAST_HELD = 2, 3  # jumps to one exact place; fixes at it at the start or end
 _LEAST_SHARE = 0.002  # of all readings
 _LONGEST_RUN = 3  # readings of the same value in a row
 _RETURN = 0.3  # of a jump, largest difference of the readings before and after it
@@ -148,7 +148,7 @@ def _note(
 
 
 def _missing_fixes(found: list[Missing], source: str, places: FloatArray) -> BoolArray:
-    """(n,) missing fixes: at one exact place far from others that recurs, or is held at the begin or end."""
+    """(n,) missing fixes: at one exact place far from others that recurs, or is held at the start or end."""
     nothing = np.zeros(len(places), np.bool_)
     if len(places) < _LEAST_READINGS:
         return nothing

@@ -85,7 +85,7 @@ class Result:
 
     @property
     def headline(self) -> str:
-        """One sentence for the first line of a command."""
+        """One sentence for the first line of a command's output."""
         if not self.causes:
             return "; ".join(f"{one.what}: {one.needed}" for one in self.open_questions) or "setup plausible"
         return "; ".join(f"{c.cause}: {c.evidence}" for c in self.causes)

@@ -80,7 +80,7 @@ class _Projected(NamedTuple):
 def fit_lever(
     path: Path, fixes: Fixes, length: float, slip_stddev: float, delay_stddev: float
 ) -> Lever | None:
-    """Δl, from segments of ``length`` s; None where too few turn. Stddevs: of b, m/rad, and of τ, s."""
+    """Δl, from segments of ``length`` s; None if too few turn. Standard deviations of b, m/rad, and τ, s."""
     parts = segments(path, fixes, length)
     if len(parts) < _LEAST_SEGMENTS:
         return None

@@ -17,7 +17,7 @@ from trackslip_estimation.setup_check.log import Compass, Fixes
 from trackslip_estimation.setup_check.turning import mixture
 
 _NOISE = 0.05  # rad, of a difference of headings in a window
-_SHARE = 0.1  # of a turn
+_SHARE = 0.1  # standard deviation, share of the turn
 _LEAST_WINDOWS = 3
 _COURSE = 0.3  # rad, standard deviation of γ: sideways motion, noise of fixes
 _LEAST_STEP = 0.3  # m in a window

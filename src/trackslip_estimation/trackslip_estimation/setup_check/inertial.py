@@ -119,7 +119,7 @@ def _agrees_with(drive: Drive, scale: float) -> str:
 
 
 def gravity_of(drive: Drive, gyro: Gyro) -> FloatArray | None:
-    """(3,) unit vector of the specific force at standstill, or of the whole log; None: no gravity."""
+    """(3,) unit vector of the specific force at standstill, or of the whole log; None: unknown."""
     sound = np.isfinite(gyro.accelerations).all(axis=1)
     if sound.sum() < 10:
         return None

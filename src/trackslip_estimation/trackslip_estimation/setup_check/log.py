@@ -109,7 +109,7 @@ class Log:
     fixes: tuple[Fixes, ...] = ()
     compasses: tuple[Compass, ...] = ()
     swing: tuple[FloatArray, FloatArray] | None = None  # (n,) s and (n,) rad
-    left_out: dict[str, int] = field(default_factory=dict)  # topic → readings that are no numbers
+    left_out: dict[str, int] = field(default_factory=dict)  # topic → number of invalid readings
     counts: Counts = Counts()
     per_stamp: dict[str, float] = field(default_factory=dict)  # topic → readings at each of its stamps
 

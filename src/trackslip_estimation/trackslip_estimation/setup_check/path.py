@@ -81,7 +81,7 @@ def thinned(fixes: Fixes, spacing: float) -> Fixes:
 
 
 def with_shown_noise(fixes: Fixes) -> Fixes:
-    """Fixes with the noise shown by those a second apart, where they state more; at least a tenth of that.
+    """Fixes with the noise that those a second apart show, if they state more; at least a tenth of theirs.
 
     The stated value may be a guess, or a time-correlated error, which is equal in turns and on straights.
     """

@@ -3,7 +3,8 @@
 """Quantities of the columns of sprockets and gyro: positions, speeds or increments, whatever is declared.
 
 With the right quantity, the tracks move when the fixes do, and turn when gyro and headings do. Units and
-signs of all sensors are free. n windows with an explained share R² have a ln likelihood of −n/2 ln(1 − R²).
+signs of all sensors are free. n windows with an explained share R² have a weight of −n/2 ln(1 − R²), which is
+their ln likelihood ratio over no relation.
 """
 
 from collections.abc import Callable
@@ -91,7 +92,7 @@ def judge_quantity(drive: Drive) -> tuple[Drive, Cause | None]:
         other = Drive(reading.change(drive.log))
         found = _explained(other)
         gain = found.weight - best[1].weight
-        if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # or a tie
+        if gain > PRIOR or (gain > -PRIOR and _misfit(other) < _misfit(best[0])):  # a tie: by misfit
             best = other, found, reading
     changed, found, reading = best
     pair = int(np.argmax(found.shares - declared.shares))  # that gains most

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The setup check of a running estimator, on its latest measurements.
 
-The last two minutes show a cause. The cause is withdrawn once the newest part of them has enough motion to
-decide and does not show it; older measurements are then dropped. A certain mistake that is one of several is
-reported once two evaluations in a row show one, since single ones are unreliable.
+The check reports the causes that the last two minutes show. A cause is withdrawn once the newest part of them
+has enough motion to decide and does not show it; older measurements are then dropped. A certain mistake that
+is one of several is reported once two evaluations in a row show one: single ones may vanish.
 """
 
 import threading

@@ -68,7 +68,7 @@ def _sides(drive: Drive, unit: float) -> Sides:
     logs = logs - np.sum(bent * logs) / max(float(np.sum(bent**2)), 1e-12) * curve  # less the effect of turns
     least = float(np.log(_LEAST_RATIO))
     shares = [float((logs < -least).mean()), float((logs > least).mean())]
-    less = int(shares[1] > shares[0])  # the side that goes less far
+    less = int(shares[1] > shares[0])  # the side with the shorter distance
     if shares[less] < _USUAL_SHARE:
         return Sides(drive)
     ahead = np.median(distance[:, np.newaxis] / (tracks + _NOTHING), axis=0)

@@ -137,7 +137,7 @@ class Ratios:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of most pieces."""
+        """Robust standard deviation of ρ."""
         return 1.4826 * float(np.median(np.abs(self.values - self.middle)))
 
     @property
@@ -257,7 +257,7 @@ def _gear(ratios: Ratios, factor: float) -> Cause | None:
 
 
 def _two_levels(values: FloatArray) -> tuple[BoolArray, float]:
-    """(n,) smoothed flags of the values, in time order, at the high level; deviation of most from theirs."""
+    """(n,) smoothed flags of values at the high level, in time order; deviation of most from their level."""
     low, high = float(np.percentile(values, 10)), float(np.percentile(values, 90))
     is_high = values > (low + high) / 2.0
     for _ in range(5):
