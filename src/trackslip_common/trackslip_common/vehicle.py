@@ -117,7 +117,7 @@ class Antenna(Parameters):
 
 
 UNDERCARRIAGE, UPPER = MOUNTS = ("undercarriage", "upper")
-_MOUNT = "what it sits on; upper: its place is that in base_link with the cab looking forward"
+_MOUNT = "part that carries the sensor; upper: its position in base_link is that with the cab forward"
 
 
 @dataclass(frozen=True, kw_only=True)

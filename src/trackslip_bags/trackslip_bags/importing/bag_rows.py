@@ -83,7 +83,7 @@ def _joints(message: Any, topic: BagTopic) -> Iterator[Reading]:
             own = [float(values[at[name]]) if known else math.nan for name in side.names]
             found |= all(map(math.isfinite, own))
             row += own
-    lacks = "" if found else "has no position or velocity" if has_joints else NO_JOINTS
+    lacks = "" if found else "has no finite values" if has_joints else NO_JOINTS
     yield Reading(message.header, tuple(row), lacks)
 
 
@@ -94,7 +94,7 @@ def _twist(message: Any, topic: BagTopic) -> Iterator[Reading]:
         twist = twist.twist
     row = (float(twist.linear.x), float(twist.angular.z))
     finite = all(map(math.isfinite, row))
-    yield Reading(getattr(message, "header", None), row, "" if finite else "has no position or velocity")
+    yield Reading(getattr(message, "header", None), row, "" if finite else "has no finite values")
 
 
 def _velocity(message: Any, topic: BagTopic) -> Iterator[Reading]:
@@ -104,7 +104,7 @@ def _velocity(message: Any, topic: BagTopic) -> Iterator[Reading]:
     if hasattr(twist, "covariance"):
         covariance, twist = np.asarray(twist.covariance, np.float64), twist.twist
     row = (float(twist.linear.x), float(twist.linear.y), float(covariance[0]), float(covariance[7]))
-    lacks = "" if all(map(math.isfinite, row)) else "has no position or velocity"
+    lacks = "" if all(map(math.isfinite, row)) else "has no finite values"
     yield Reading(message.header, row, "states that it has no velocity" if row[2] < 0.0 else lacks)
 
 
@@ -156,7 +156,7 @@ def _transform(message: Any, topic: BagTopic) -> Iterator[Reading]:
 def _reading(header: Any, place: Any, turn: Any, covariance: FloatArray) -> Reading:
     yaw = yaw_of(*(np.array([float(getattr(turn, axis))]) for axis in "xyzw"))[0]
     position = (float(place.x), float(place.y))
-    lacks = "" if all(map(math.isfinite, position)) else "has no position or velocity"
+    lacks = "" if all(map(math.isfinite, position)) else "has no finite values"
     return Reading(header, (*position, float(yaw), *covariance.ravel().tolist()), lacks)
 
 
@@ -185,7 +185,7 @@ def _odometry(message: Any, topic: BagTopic) -> Iterator[Reading]:
     ]
     row = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w, *variances[0], *variances[1])
     finite = all(map(math.isfinite, row[:7]))
-    yield Reading(message.header, tuple(map(float, row)), "" if finite else "has no position or velocity")
+    yield Reading(message.header, tuple(map(float, row)), "" if finite else "has no finite values")
 
 
 def _hydraulics(message: Any, topic: BagTopic) -> Iterator[Reading]:
@@ -206,7 +206,7 @@ READERS: Mapping[tuple[str, str], Reader] = {
     ("odometry", ODOMETRY): _odometry,
     ("hydraulics", HYDRAULICS): _hydraulics,
 }
-"""(role, message type) → what reads it."""
+"""(role, message type) → reader."""
 
 
 def refusals(

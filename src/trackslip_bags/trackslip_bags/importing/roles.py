@@ -201,4 +201,4 @@ ROLE_OF_TOPIC: Mapping[str, str] = {
     "swing": "swing",
     "hydraulics": "hydraulics",
 }
-"""Of topics that need not say what they are."""
+"""Default roles of topic names."""

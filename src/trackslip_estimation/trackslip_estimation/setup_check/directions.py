@@ -148,23 +148,23 @@ def _cause(name: str, log: float, drive: Drive, gyro: Gyro | None, mirror: int, 
     also = f"; {third} agrees" if third else ""
     texts = {
         signs.SWAPPED: (
-            f"the machine turns to the other side than its tracks say{also} with the gyro",
+            f"the machine turns opposite to its tracks{also} with the gyro",
             remedies.swap_tracks(),
         ),
         signs.BOTH: (
-            f"the machine drives and turns the other way than its tracks say{also} with the gyro",
+            f"the machine drives and turns opposite to its tracks{also} with the gyro",
             remedies.track_sign("left", "right"),
         ),
         signs.LEFT: (
-            "the machine drives and turns as with the left track counting the other way",
+            "the machine drives and turns as if the left track had the opposite sign",
             remedies.track_sign("left"),
         ),
         signs.RIGHT: (
-            "the machine drives and turns as with the right track counting the other way",
+            "the machine drives and turns as if the right track had the opposite sign",
             remedies.track_sign("right"),
         ),
         signs.GYRO: (
-            f"the gyro turns to the other side than the tracks{also} with the tracks",
+            f"the gyro turns opposite to the tracks{also} with the tracks",
             remedies.gyro_sign(gyro) if gyro else "",
         ),
     }

@@ -38,7 +38,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
         return [], []
     if repeated > max(_REPEATED * distance, _LEAST_DISTANCE):
         what = (
-            f"{name} repeats its places while the tracks go {repeated:.0f} m: a receiver that is frozen, or "
+            f"{name} repeats its positions while the tracks drive {repeated:.0f} m: a receiver that is frozen, or "
             "another column"
         )
         needed = "look at the places as they come, while the machine drives"
@@ -53,7 +53,7 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     if extent > min(_QUIETEST, _STILL * distance):
         return [], []
     evidence = (
-        f"its places differ by {extent:.2g} m while the tracks go {distance:.0f} m: no receiver is so quiet, "
+        f"its positions differ by {extent:.2g} m while the tracks go {distance:.0f} m: every receiver has more noise, "
         "so they are in another unit"
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"

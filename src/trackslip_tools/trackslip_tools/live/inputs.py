@@ -44,7 +44,7 @@ RECORDS: dict[str, RecordClass] = {
     ATTITUDE: AttitudeFields,
     SWING: SwingFields,
 }
-"""What is read of each topic; of any other, that of a pose, or the text or the lines that it carries."""
+"""Record class of each topic; other topics are poses, texts or DiagnosticArrays."""
 
 POSE_TYPE = TOPICS[BOX_POSE].type_name
 TYPES = {

@@ -29,7 +29,7 @@ LINE = np.dtype(
 """One line of the journal; ``source`` is a number."""
 
 OUT_OF_ORDER = -1
-"""In the place of a count of missing lines: the number of a line goes back although no run begins."""
+"""Marker instead of a count of missing lines: the line number goes back without a start of a run."""
 
 _NEVER_USED = (Outcome.DUPLICATE, Outcome.INVALID, Outcome.FROZEN)
 _USED_OF_SPROCKETS_ALONE = (Outcome.TOO_LATE, Outcome.WAITING, Outcome.AHEAD)  # sprockets are the clock
