@@ -489,7 +489,7 @@ QUESTIONS = {  # the mistake, the sensors, words of the question
         {"programme": ON_THE_SPOT, "has_heading": False, "fix_stddev": 0.3, "fix_rate": 1.0, "wander": 2.0},
         "without a direction",
     ),
-    "frozen fixes": (frozen_fixes, {}, "repeats its places"),
+    "frozen fixes": (frozen_fixes, {}, "repeats its positions"),
     "frozen headings": (change_headings(lambda h: 0.0 * h), {}, "headings of"),
     "rates as headings": (change_headings(np.gradient), {}, "headings of"),
     "accelerations of the gyro": (change_rates(accelerations), {}, "turns of"),

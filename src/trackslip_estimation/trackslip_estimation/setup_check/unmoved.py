@@ -37,15 +37,13 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     if distance < _LEAST_DISTANCE:
         return [], []
     if repeated > max(_REPEATED * distance, _LEAST_DISTANCE):
-        what = (
-            f"{name} repeats its positions while the tracks drive {repeated:.0f} m: a receiver that is frozen, or "
-            "another column"
-        )
-        needed = "look at the places as they come, while the machine drives"
+        what = f"{name} repeats its positions while the tracks drive {repeated:.0f} m: "
+        what += "a receiver that is frozen, or another column"
+        needed = "watch the live positions while the machine drives"
         return [], [Undetermined(what, needed, is_wrong=True)]
     if (ratio := _followed(drive, distance)) > 0.0:
         evidence = (
-            f"its places move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
+            f"its positions move as the tracks do, but {ratio:.2g} times as far: no machine slips so evenly"
         )
         remedy = "State the unit of the positions in the mapping: x and y: unit (km), or their frame"
         return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
@@ -53,8 +51,8 @@ def judge_fixes(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     if extent > min(_QUIETEST, _STILL * distance):
         return [], []
     evidence = (
-        f"its positions differ by {extent:.2g} m while the tracks go {distance:.0f} m: every receiver has more noise, "
-        "so they are in another unit"
+        f"its positions differ by {extent:.2g} m while the tracks drive {distance:.0f} m: every receiver has "
+        "more noise, so they are in another unit"
     )
     remedy = "Call the columns latitude and longitude in the mapping, or state the unit of x and y"
     return [Cause("frame", name, evidence, odds_of(20.0), remedy)], []
