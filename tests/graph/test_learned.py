@@ -101,7 +101,7 @@ def test_restart_keeps_learned_states(programs, observer, capsys):
     machine = drive(Machine(gyro_scale=0.97, duration=20.0)).measurements
     graph.begin("first")
     entry, _ = graph.status("slip_estimator: state file")
-    assert "nothing learned before" in entry.message
+    assert "no learned values" in entry.message
     assert graph.status("slip_estimator")[1]["gyro scale"] == "not observed yet"
     graph.feed(machine)
     first = graph.end("first")
