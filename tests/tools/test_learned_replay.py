@@ -114,7 +114,7 @@ def test_unusable_learned_states_are_reported_and_not_used(
 ) -> None:
     summary(second_run(learned) if learned else second_run(), *options)
     shown = printed()
-    assert "what was learned before" in shown
+    assert "learned values from before" in shown
     assert reason in shown
 
 

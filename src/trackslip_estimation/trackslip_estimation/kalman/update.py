@@ -26,7 +26,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.linear_algebra import root, solve_in_place, used_size, weighted_square
 
-_NOTHING = 1e-12  # rounding error as a share of a variance
+_ROUNDING = 1e-12  # rounding error as a share of a variance
 
 
 class Observation(NamedTuple):
@@ -50,7 +50,7 @@ def independent_observation(innovation: FloatArray, H: FloatArray, R: FloatArray
 def predicted_covariance(P: FloatArray, H: FloatArray) -> FloatArray:
     """(m, m) H P Hᵀ."""
     m, n = H.shape
-    HP, S = _shown_by(P, H, n), np.zeros((m, m))
+    HP, S = _times_covariance(P, H, n), np.zeros((m, m))
     for i in range(m):
         for k in range(n):
             h = H[i, k]
@@ -74,7 +74,7 @@ def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
     m, n, shares = o.innovation.size, o.jacobian.shape[1], o.shared.shape[0] > 0
     if not shares:
         n = used_size(P, n)
-    B = _shown_by(P, o.jacobian, n)
+    B = _times_covariance(P, o.jacobian, n)
     K = B.copy()
     if shares:
         K += o.shared
@@ -92,7 +92,7 @@ def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
 def _to_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """K (m, n), which is H P + C, becomes the gain, transposed."""
     H, shares, S = o.jacobian, o.shared.shape[0] > 0, o.noise.copy()
-    _take_as_known(P, K, o.known)
+    _condition_on_known(P, K, o.known)
     for i in range(S.shape[0]):
         for k in range(K.shape[1]):
             h = H[i, k]
@@ -110,7 +110,7 @@ def _to_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
 
 
 @inlined
-def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
+def _condition_on_known(P: FloatArray, B: FloatArray, known: int) -> None:
     """B (m, n), which is H P, becomes H P given that some states are known."""
     n, used, most = B.shape[1], 0, 0
     for a in range(n):
@@ -126,7 +126,7 @@ def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
             share = row[pivots[j]] / rows[j, pivots[j]]
             for k in range(n):
                 row[k] -= rows[j, k] * share
-        is_nonzero = row[a] > _NOTHING * P[a, a]
+        is_nonzero = row[a] > _ROUNDING * P[a, a]
         for i in range(B.shape[0]):
             share = B[i, a] / row[a] if is_nonzero else 0.0
             for k in range(n):
@@ -141,9 +141,9 @@ def _take_as_known(P: FloatArray, B: FloatArray, known: int) -> None:
 def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """P, which is ((I − K H) P)ᵀ, becomes the covariance after the update."""
     m, n = K.shape
-    rest, D, shares = _shown_by(P, o.jacobian, n), o.shared, o.shared.shape[0] > 0
+    rest, D, shares = _times_covariance(P, o.jacobian, n), o.shared, o.shared.shape[0] > 0
     if shares:
-        D = _kept_of(K, o)
+        D = _remaining_cross_covariance(K, o)
     for i in range(m):
         for k in range(n):
             total = -rest[i, k]
@@ -159,7 +159,7 @@ def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
 
 
 @compiled
-def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
+def _remaining_cross_covariance(K: FloatArray, o: Observation) -> FloatArray:
     """(m, n) the rest of C after (I − K H)."""
     kept, H = o.shared.copy(), o.jacobian
     for i in range(K.shape[0]):
@@ -173,7 +173,7 @@ def _kept_of(K: FloatArray, o: Observation) -> FloatArray:
 
 
 @compiled
-def _shown_by(P: FloatArray, H: FloatArray, n: int) -> FloatArray:
+def _times_covariance(P: FloatArray, H: FloatArray, n: int) -> FloatArray:
     """(m, n) H P of the first n states; zeros of H are skipped."""
     m = H.shape[0]
     product = np.zeros((m, n))

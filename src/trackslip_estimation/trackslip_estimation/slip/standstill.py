@@ -48,10 +48,10 @@ def standstill_inflation(count: int, share: float) -> float:
 
 
 @compiled
-def inflate_repeated_fix(state: State, source: int, alone: bool, R: FloatArray, c: Config) -> None:
-    """Inflate R of an accepted fix, the first of its standstill (``alone``) or one more; in place."""
+def inflate_repeated_fix(state: State, source: int, is_independent: bool, R: FloatArray, c: Config) -> None:
+    """Inflate R of an accepted fix, if it is not the first of its standstill; in place."""
     standstill = state.standstills[source]
-    if alone:
+    if is_independent:
         standstill.count, standstill.swing = 0, state.mean[SWING]
     standstill.count += 1
     again = np.sqrt(standstill_inflation(standstill.count, c.standing_share[source]))

@@ -107,7 +107,7 @@ def weigh_and_update(
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
-    outside = density_of_outlier(measurement, o, predicted, c)
+    log_outlier = density_of_outlier(measurement, o, predicted, c)
     if fault in (IS_REPEATING, IS_STAYING):
         weigh_repeat(m, fault == IS_STAYING, c, update)
         return
@@ -117,11 +117,12 @@ def weigh_and_update(
         if m > YAW:
             _use_heading_alone(state, o, predicted, c, update)
         return
-    known = correlated_inflation(measurement.stamp_ns - state.consistent_ns[source], c.repeat_times[source])
-    R, used, alone = _weigh(state, measurement, o, predicted, outside, c, update)
+    since_ns = measurement.stamp_ns - state.consistent_ns[source]
+    inflation = correlated_inflation(since_ns, c.repeat_times[source])
+    R, used, is_independent = _weigh(state, measurement, o, predicted, log_outlier, c, update)
     if kind in (HEADING, ON_SWING):
         uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
-        update.evidence -= uncounted * max(_log_density(update) - outside, 0.0)
+        update.evidence -= uncounted * max(_log_density(update) - log_outlier, 0.0)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
         _whiten(state, o.innovation, predicted + R, update)
     if not used:
@@ -134,8 +135,8 @@ def weigh_and_update(
         predicted = predicted_covariance(P, o.jacobian)
     inflate_noise_to_gate(R, o.innovation, predicted, c.gate_limits[m])
     if kind == POSE:
-        R *= min(known, largest_correlated_inflation(predicted, R))
-        inflate_repeated_fix(state, source, alone, R, c)
+        R *= min(inflation, largest_correlated_inflation(predicted, R))
+        inflate_repeated_fix(state, source, is_independent, R, c)
     _correct(state, measurement, Observation(o.innovation, o.jacobian, R, o.considered, 0, o.shared), c)
     if fault == IS_OFFSET or (is_heading_off(fault) and kind != POSE):
         update.outcome = _GATED
@@ -237,14 +238,14 @@ def _weigh(
     measurement: MeasurementRecord,
     o: Observation,
     predicted: FloatArray,
-    outside: float,
+    log_outlier: float,
     c: Config,
     update: Update,
 ) -> tuple[FloatArray, bool, bool]:
     """Fill ``update``; return R (m, m), whether the measurement is used, and whether it is independent.
 
     It is not where it repeats a fix of the same standstill within its gate. ``predicted``: H P Hᵀ (m, m);
-    ``outside``: ln of the density of an outlier.
+    ``log_outlier``: ln of the density of an outlier.
     """
     source, m, a = measurement.source, o.innovation.size, state.adaptation
     limit, share, fault = c.gate_limits[m], state.outlier_share[source], state.fault[source]
@@ -253,27 +254,28 @@ def _weigh(
     L = root(predicted + R)
     update.dof, update.gate = m, limit
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
-    alone = not is_at_same_standstill(state, source, c) or update.nis > limit
+    is_independent = not is_at_same_standstill(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
         update.evidence, update.outcome = density_of_scatter(measurement, o, predicted, c), _GATED
-        return R, False, alone
+        return R, False, is_independent
     density = log_density(L, o.innovation)
     if not coarse:
         density = log_density_over_factors(a, source, o.innovation, predicted, o.noise, c)
-    evidence, outlier = math.log(1.0 - share) + density, math.log(share) + outside
+    evidence, outlier = math.log(1.0 - share) + density, math.log(share) + log_outlier
     is_outlier = fault == IS_IGNORED or (outlier > evidence and not np.isinf(limit))
-    shown = c.bank.outlier_share if is_outlier else c.bank.healthy_share
-    state.outlier_share[source] += c.bank.share_memory * (shown - share)
+    contribution = c.bank.outlier_share if is_outlier else c.bank.healthy_share
+    state.outlier_share[source] += c.bank.share_memory * (contribution - share)
     if is_outlier:
         update.evidence, update.outcome = outlier, _GATED
-        return R, False, alone
-    if not coarse and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit and alone:
+        return R, False, is_independent
+    is_learned = is_independent and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit
+    if is_learned and not coarse:
         learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
         number = number_of(source, c)
-        errs_aside = number >= 0 and (
+        has_correlated = number >= 0 and (
             state.offsets[number].variance > 0.0 or has_correlated_errors(state, source, update.stated, c)
         )
-        if errs_aside or c.repeat_times[source] > 0.0:  # small innovations do not imply small errors
+        if has_correlated or c.repeat_times[source] > 0.0:  # small innovations do not imply small errors
             a.fix_factors[source] = max(a.fix_factors[source], 1.0)
         R = a.fix_factors[source] * o.noise
     update.evidence = evidence
@@ -281,7 +283,7 @@ def _weigh(
         state.consistent_ns[source] = measurement.stamp_ns
         if measurement.kind == POSE:
             state.sole_fix_source, state.sole_fix_heading = -1, False
-    return R, True, alone
+    return R, True, is_independent
 
 
 @compiled

@@ -166,7 +166,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     if measurement.kind == POSE and slip_range_penalty(before, c) > 0.0:
         return True
     if measurement.kind in (POSE, VELOCITY) and is_trusted(fault, measurement.kind):
-        repeats = is_repeated(update, c) and _moves(before, measurement.source, c)
+        repeats = is_repeated(update, c) and _is_sensor_moving(before, measurement.source, c)
         return bool(repeats or branch.cusum.max() > c.bank.cusum_limit)
     return False
 
@@ -179,7 +179,7 @@ def _late_log_odds(m: MeasurementRecord, before: State, c: Config) -> float:
 
 
 @compiled
-def _moves(before: State, source: int, c: Config) -> bool:
+def _is_sensor_moving(before: State, source: int, c: Config) -> bool:
     """Whether the sensor of a source moves, so that its fixes cannot be identical."""
     return bool(before.motion.motion != _STANDING or is_moved_by_swing(before, source, c))
 
@@ -265,17 +265,17 @@ def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
     """Add children with an event just before a fix."""
     before, update = window.states[p, k - 1], update_of(window, p, k)
     source = window.measurements[k].source
-    if is_trusted(before.fault[source], POSE) and _moves(before, source, c):
+    if is_trusted(before.fault[source], POSE) and _is_sensor_moving(before, source, c):
         if is_repeated(update, c):
             add_child_before(window, p, k, REPEATS, source, 0.0, c)
         if contradicts and may_repeat(update, c) and are_track_speeds_measured(before):
             add_child_before(window, p, k, STAYS, source, 0.0, c)
     if contradicts:
-        _jump(window, p, k, c)
+        _make_jump_children(window, p, k, c)
 
 
 @compiled
-def _jump(window: Window, p: int, k: int, c: Config) -> None:
+def _make_jump_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add children with a jump of source or machine just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
     source, size = m.source, _log_any_size(m, before, c)
