@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``trackslip replay`` and ``info`` on a small bag: complete and repeatable results."""
 
+import re
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.types import typestore
 from trackslip_common.errors import ExitCode
 from trackslip_common.topics import TOPICS
+from trackslip_sim.demo.command import run_commands
 from trackslip_tools.cli.main import main
 
 Summary = Callable[..., dict[str, Any]]
@@ -60,6 +62,13 @@ def test_command_in_a_running_process_counts_its_own_time(bag: Path, summary: Su
     begin_s = time.monotonic()
     factor = summary(bag)["real_time_factor"]
     assert 10.0 / factor <= time.monotonic() - begin_s
+
+
+def test_command_of_the_demo_counts_its_own_time(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    begin_s = time.monotonic()
+    assert run_commands([["replay", str(bag)]]) == ExitCode.DONE
+    elapsed_s = float(re.findall(r"replayed in ([\d.]+) s", capsys.readouterr().out)[0])
+    assert elapsed_s <= time.monotonic() - begin_s + 0.05  # rounded
 
 
 def test_the_same_replay_twice_is_the_same(bag: Path, summary: Summary) -> None:

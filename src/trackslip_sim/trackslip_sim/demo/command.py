@@ -13,6 +13,7 @@ from trackslip_common.soils import soil
 from trackslip_common.vehicle_files import load_vehicle
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_tools.cli import main
+from trackslip_tools.cli.elapsed import begin_command
 from trackslip_tools.cli.outputs import make_folder
 
 EXAMPLE = "trackslip demo --vehicle excavator_20t --soil sandy_loam"
@@ -56,6 +57,7 @@ def run_commands(lines: Iterable[Sequence[str]]) -> int:
     """
     for line in lines:
         show(f"$ trackslip {shlex.join(line)}")
+        begin_command()
         args = main.parse(line)
         if (code := int(args.run(args))) != ExitCode.DONE:
             return code
