@@ -131,6 +131,18 @@ def test_a_blf_cut_short_is_named(tmp_path: Path) -> None:
     assert any("drive.blf: cut short" in note for note in found.notes)
 
 
+def test_unreadable_lines_of_a_log_are_counted_and_not_printed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    log = write_bus(tmp_path / "drive.trc")
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(b"".join([*lines[:60], b"    7  70.0 DT 1 0CFF10\x1d \x1b[31m\n", *lines[60:]]))
+    found, messages = imported(tmp_path, [log], can={})
+    assert len(messages["sprockets"]) > 90
+    assert "drive.trc: 1 line cannot be read" in found.notes
+    assert "\x1b" not in "".join(capfd.readouterr()) + caplog.text
+
+
 def test_an_mf4_without_its_library_names_the_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("can.io.mf4.asammdf", None)
     (tmp_path / "drive.mf4").write_bytes(b"MDF     4.10    " + bytes(200))

@@ -55,12 +55,15 @@ def read_can_logs(
     count = 0
     channels: set[str] = set()
     logs = [_frames(path, given, notes, channels) for path in paths]
-    for arbitration_id, data, stamp_ns, channel in heapq.merge(*logs, key=itemgetter(2)):
-        count += 1
-        if (codec := frames.find(arbitration_id)) is not None:
-            carriers.setdefault(codec.name, set()).add(channel)
-        samples += bus.receive(arbitration_id, data, stamp_ns)
+    with _UnreadLines() as unread:
+        for arbitration_id, data, stamp_ns, channel in heapq.merge(*logs, key=itemgetter(2)):
+            count += 1
+            if (codec := frames.find(arbitration_id)) is not None:
+                carriers.setdefault(codec.name, set()).add(channel)
+            samples += bus.receive(arbitration_id, data, stamp_ns)
     names = ", ".join(path.name for path in paths)
+    if unread.count:
+        notes.append(f"{names}: {unread.count} line{'s' * (unread.count > 1)} cannot be read")
     for frame, of_frame in carriers.items():
         if len(of_frame) > 1:
             several = f"frame '{frame}' comes on channels {listed(sorted(of_frame))}"
@@ -80,6 +83,28 @@ def read_can_logs(
     notes += refused
     found = [[one for one in samples if type(one) is kind] for kind in _TOPICS]
     return [_samples(topic, names) for topic in found if topic], notes
+
+
+class _UnreadLines(logging.Handler):
+    """Counts warnings of python-can's readers; printed, they would repeat the raw bytes of a line."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.count = 0
+        self._logger = logging.getLogger("can.io")
+
+    def __enter__(self) -> "_UnreadLines":
+        self._logger.addHandler(self)
+        self._logger.propagate = False
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._logger.removeHandler(self)
+        self._logger.propagate = True
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Count a warning."""
+        self.count += 1
 
 
 def _frames(
