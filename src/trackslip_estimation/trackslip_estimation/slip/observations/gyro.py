@@ -3,7 +3,7 @@
 """Update with the yaw rate of a gyro; compiled.
 
     z     measured yaw rate, of the upper structure if the gyro is mounted there  rad/s
-    h     (1 + s_g) (ω + σ̇) + b_g; b_g of a further gyro is a state of its own
+    h     s_g (ω + σ̇) + b_g, with the state s_g − 1; b_g of a further gyro is a state of its own
     R     variance stated by the gyro                                             (rad/s)²
     d²    ν²/S; least_nis: the same with the largest possible noise
 
