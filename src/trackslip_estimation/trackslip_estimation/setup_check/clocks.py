@@ -96,7 +96,7 @@ def judge_fractions(log: Log) -> list[Cause]:
         )
         remedy = (
             "Record the fractions too (mapping: time: {column: [secs, nsecs], unit: [s, ns]}), or stamp "
-            "readings as they come (stamp: log, or received)"
+            "readings on arrival (stamp: log, or received)"
         )
         causes.append(Cause("time_unit", name, evidence, odds_of(float(len(t))), remedy))
     return causes
@@ -157,7 +157,7 @@ def judge_drift(drive: Drive) -> tuple[list[Cause], list[Undetermined]]:
     (first, second), value = next(iter(off.items()))
     apart = f"by {abs(value) * 1e3:.1f} ms in each second, evenly"
     remedy = (
-        "stamp its readings as they come (mapping: stamp: log, or received), or set its clock by NTP or PTP"
+        "stamp its readings on arrival (mapping: stamp: log, or received), or set its clock by NTP or PTP"
     )
     if len(suspects) != 1:
         return [], [

@@ -110,10 +110,10 @@ def _missing_sensor(evidence: Evidence) -> str:
     if not evidence.has_map:
         return (
             "record fixes while you drive 10 m and turn left and right by "
-            "90°: they say which of the two is wrong"
+            "90°: they show which of the two is wrong"
         )
     if not evidence.has_gyro:
-        return "record a gyro while you turn left and right by 90°: it says which of the two is wrong"
+        return "record a gyro while you turn left and right by 90°: it shows which of the two is wrong"
     return "drive 20 m forward, hardly in reverse, with turns of 90° to both sides"
 
 
