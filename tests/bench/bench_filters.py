@@ -19,7 +19,7 @@ from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.kalman.update import correct, independent_observation
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.log import make_log, run_log, run_whole
+from trackslip_estimation.slip.log import make_log, run_in_one_block, run_log
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.models.dispatch import COUPLED, linearize
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
@@ -133,7 +133,7 @@ def _filterpy(kalman: Any, drive: list[Measurement]) -> float:
     estimator = SlipEstimator(p)
     log = make_log(to_records(drive, estimator.sources), p)
     estimator.process_records(log.begin)
-    window = run_whole(log.rest, estimator.window, estimator.config)
+    window = run_in_one_block(log.rest, estimator.window, estimator.config)
     states = window.best[1 : window.count]  # sprocket states
     c, start = estimator.config[0], estimator.window.best[0]
     size = int(c["size"])

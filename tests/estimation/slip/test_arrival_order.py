@@ -16,7 +16,7 @@ from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
-from trackslip_estimation.slip.window import trim
+from trackslip_estimation.slip.window import remove_settled_entries
 
 MS = 1_000_000
 WINDOW_MS = 1000
@@ -317,7 +317,7 @@ def test_states_older_than_the_window_are_trimmed_except_the_last(drive: Callabl
     for _ in range(4):  # four drives one after the other
         processed(estimator, found)
         found = [replace(m, stamp_ns=m.stamp_ns + 3_100 * MS) for m in found]
-    trim(estimator.window, estimator.config[0])
+    remove_settled_entries(estimator.window, estimator.config[0])
     stamps = estimator.window.measurements["stamp_ns"][: estimator.window.count]
     horizon = (estimator.newest_ns or 0) - WINDOW_MS * MS
     assert len(estimator.window.best) <= 4 * capacity

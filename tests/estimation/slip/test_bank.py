@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
-from trackslip_estimation.slip.log import make_log, run_log, script_of
+from trackslip_estimation.slip.log import best_branch_script, make_log, run_log
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -492,7 +492,7 @@ def test_run_by_its_own_script_ends_in_the_best_branch(seed: int) -> None:
     """The final states are equal except for receiver errors, which follow the best branch of their time."""
     p = parameters(**GNSS, **{"receivers.white_odds": 1e3})
     log = make_log(to_records(faulty(seed), SlipEstimator(p).sources), p)
-    script = script_of(log, p)
+    script = best_branch_script(log, p)
     *_, free = (block.states[-1:].copy() for block in run_log(log, p))
     *_, scripted = (block.states[-1:].copy() for block in run_log(log, p, script))
     np.testing.assert_array_equal(free["mean"], scripted["mean"])

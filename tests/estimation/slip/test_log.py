@@ -15,7 +15,7 @@ from trackslip_common.errors import InputError
 from trackslip_estimation.slip import log as logs
 from trackslip_estimation.slip import process as live
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.log import Log, make_log, run_log, run_whole, script_of
+from trackslip_estimation.slip.log import Log, best_branch_script, make_log, run_in_one_block, run_log
 from trackslip_estimation.slip.measurements import SET_POSE, Measurement, Outcome, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import POSE, SPROCKETS, to_records
@@ -150,7 +150,7 @@ def test_block_size_does_not_change_the_bits(
     log = log_of(with_faults(measurements(drive)), p)
     estimator = SlipEstimator(p)
     estimator.process_records(log.begin)
-    whole = run_whole(log.rest, estimator.window, estimator.config)
+    whole = run_in_one_block(log.rest, estimator.window, estimator.config)
     monkeypatch.setattr(logs, "_BLOCK", size)
     run = run_of(log, p)
     assert len(list(run_log(log, p))) >= len(log.rest) / size
@@ -162,7 +162,7 @@ def test_block_size_does_not_change_the_bits(
 def test_a_sprocket_sample_only_propagates(drive: Callable[..., Any]) -> None:
     p = parameters()
     log = log_of(measurements(drive), p)
-    run = run_of(log, p, script_of(log, p))
+    run = run_of(log, p, best_branch_script(log, p))
     samples = run.measurements["kind"] == SPROCKETS
     for name in ("mean", "covariance"):
         np.testing.assert_array_equal(run.states[name][samples], run.priors[name][samples])
@@ -177,7 +177,7 @@ def test_rejected_measurement_keeps_mean_and_covariance(drive: Callable[..., Any
     for filter_ in ("ekf", "daf"):
         p = parameters(filter=filter_, **{"sources.box_pose.lever_arm_x": 0.4})
         log = log_of(with_faults(measurements(drive)), p)
-        run = run_of(log, p, script_of(log, p))
+        run = run_of(log, p, best_branch_script(log, p))
         gated = (run.updates["outcome"] == Outcome.GATED) & (run.states["fault"][:, 0] != SourceFault.OFFSET)
         assert set(run.measurements["kind"][gated]) >= {POSE}
         assert np.count_nonzero(gated) > 10
@@ -225,7 +225,7 @@ def test_infinite_gates_accept_every_measurement(drive: Callable[..., Any]) -> N
     estimator = SlipEstimator(p)
     estimator.process_records(log.begin)
     estimator.config["gate_limits"] = np.inf
-    whole = run_whole(log.rest, estimator.window, estimator.config)
+    whole = run_in_one_block(log.rest, estimator.window, estimator.config)
     assert (whole.updates["outcome"][1:] == Outcome.ACCEPTED).all()
     assert np.isfinite(whole.best["mean"][: whole.count]).all()
 

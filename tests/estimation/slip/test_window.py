@@ -12,7 +12,7 @@ from trackslip_estimation.slip.measurements import Sprockets
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, YAW_RATE, to_records
 from trackslip_estimation.slip.sprockets import set_speeds, store_sample
-from trackslip_estimation.slip.window import Records, insert, insertion_index, is_at, make_window
+from trackslip_estimation.slip.window import Records, insert, insertion_index, is_duplicate, make_window
 
 MS = 1_000_000
 COUNT = load_slip_parameters().encoder_resolution  # rad
@@ -28,7 +28,7 @@ def test_window_sorts_measurements_by_stamp(given_: list[tuple[int, int]]) -> No
         arrival = window.measurements[-1:]
         arrival["stamp_ns"], arrival["source"], arrival["kind"] = stamp, source, YAW_RATE
         k = insertion_index(window.measurements, window.count, arrival[0])
-        known = is_at(window.measurements, window.count, k, arrival[0])
+        known = is_duplicate(window.measurements, window.count, k, arrival[0])
         assert known == ((stamp, source) in kept)
         if not known:
             insert(window, k)

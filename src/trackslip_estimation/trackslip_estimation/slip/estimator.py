@@ -35,7 +35,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.process import clear, fill_last_estimate, process
 from trackslip_estimation.slip.records import ESTIMATE, GYROS, RESULT, TRACKS, to_records
-from trackslip_estimation.slip.window import Records, Window, enlarged, make_window
+from trackslip_estimation.slip.window import Records, Window, enlarged_copy, make_window
 
 Step = tuple[Report, "Estimate | None"]
 TiltFields = tuple[int, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]  # of ``TILT``
@@ -213,7 +213,7 @@ class SlipEstimator:
             done += process(self.window, arrivals[done:], results[done:], self.config)
             if done == len(arrivals):
                 return results
-            self.window = enlarged(self.window)
+            self.window = enlarged_copy(self.window)
 
     def process(self, given: Input) -> Step:
         """Process one measurement in the order of stamps, or apply a command.

@@ -23,15 +23,15 @@ from trackslip_estimation.slip.window import (
     SPARE,
     Records,
     Window,
-    copy_first,
-    enlarged,
-    keep_tail,
+    copy_first_entry,
+    enlarged_copy,
     make_like,
+    remove_unneeded_entries,
 )
 
 _BLOCK = 512  # entries: fewer cost more copies between blocks, more exceed the processor's cache
 _NO_ARRIVALS, _NO_RESULTS = np.empty(0, MEASUREMENT), np.empty(0, RESULT)
-_USED = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
+_USED_OUTCOMES = (Outcome.ACCEPTED, Outcome.GATED, Outcome.JUMPED, Outcome.BEGUN)
 
 
 class Log(NamedTuple):
@@ -85,7 +85,7 @@ def make_log(arrivals: Records, p: SlipEstimatorParameters) -> Log:
     begins = np.flatnonzero(outcomes == Outcome.ACCEPTED)
     if not begins.size:
         raise InputError(f"measurements: none of {len(arrivals)} to start from (start: {p.start})")
-    used = np.isin(outcomes, _USED)
+    used = np.isin(outcomes, _USED_OUTCOMES)
     used[: begins[0]] = (outcomes[: begins[0]] == Outcome.WAITING) & (
         arrivals["kind"][: begins[0]] == SPROCKETS
     )
@@ -106,11 +106,11 @@ def run_log(log: Log, p: SlipEstimatorParameters, script: Records | None = None)
     The parameters may differ from those of ``make_log``, except in which measurements they use.
     ``script``: (n,) of ``EVENT``, the only events of the run.
     """
-    start, config = begin_log(log, p, script)
+    start, config = start_of_log(log, p, script)
     return run_blocks(log.rest, start, config)
 
 
-def begin_log(
+def start_of_log(
     log: Log, p: SlipEstimatorParameters, script: Records | None = None
 ) -> tuple[Window, ConfigRecord]:
     """Window at the start of a log, and its (1,) of ``CONFIG``; ``script`` as in ``run_log``."""
@@ -121,27 +121,27 @@ def begin_log(
 
 def run_blocks(rest: Records, start: Window, config: ConfigRecord) -> Iterator[Block]:
     """Run over measurements in the order of their stamps, from the first entry of ``start``."""
-    window = _begin(start, 3 * _BLOCK)  # including older entries that snapshots refer to
+    window = _window_from_start(start, 3 * _BLOCK)  # including older entries that snapshots refer to
     first = 0
     while first < len(rest):
         last = _end_of_block(rest, first)
         begin, count = window.count, window.count + last - first
         while len(window.measurements) < count + SPARE:
-            window = enlarged(window)
-        _extend(window, rest[first:last], config)
+            window = enlarged_copy(window)
+        _add_measurements(window, rest[first:last], config)
         yield Block(first, begin, window)
-        keep_tail(window)
+        remove_unneeded_entries(window)
         first = last
 
 
-def run_whole(rest: Records, start: Window, config: ConfigRecord) -> Window:
+def run_in_one_block(rest: Records, start: Window, config: ConfigRecord) -> Window:
     """Run over measurements in one block, for short logs: the window holds all states."""
-    window = _begin(start, len(rest))
-    _extend(window, rest, config)
+    window = _window_from_start(start, len(rest))
+    _add_measurements(window, rest, config)
     return window
 
 
-def script_of(log: Log, p: SlipEstimatorParameters) -> Records:
+def best_branch_script(log: Log, p: SlipEstimatorParameters) -> Records:
     """(n,) of ``EVENT``: events of the branch that is most probable at the end of a log.
 
     A run with this script has the states of that branch.
@@ -164,16 +164,16 @@ def script_of(log: Log, p: SlipEstimatorParameters) -> Records:
     return script[np.lexsort(order[::-1])]
 
 
-def _begin(start: Window, entries: int) -> Window:
+def _window_from_start(start: Window, entries: int) -> Window:
     """Make a window of the first entry of ``start``, with room for ``entries`` more."""
     window = make_like(start, entries + 1 + SPARE)
     window.status["played"] = window.status["begun"] = start.status["played"]
-    copy_first(window, start)
+    copy_first_entry(window, start)
     window.status["started"], window.status["count"], window.status["known"] = True, 1, 1
     return window
 
 
-def _extend(window: Window, measurements: Records, config: ConfigRecord) -> None:
+def _add_measurements(window: Window, measurements: Records, config: ConfigRecord) -> None:
     """Add (m,) measurements to a window, and compute their states.
 
     Raises:

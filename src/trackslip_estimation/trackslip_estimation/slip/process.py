@@ -22,7 +22,7 @@ from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.outputs import fill_estimate, fill_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
-from trackslip_estimation.slip.start import begin
+from trackslip_estimation.slip.start import begin_estimate
 from trackslip_estimation.slip.validity import fault_of
 from trackslip_estimation.slip.window import (
     Records,
@@ -30,11 +30,11 @@ from trackslip_estimation.slip.window import (
     horizon_ns,
     insert,
     insertion_index,
-    is_at,
+    is_duplicate,
     is_full,
     is_same,
     last_sample,
-    trim,
+    remove_settled_entries,
 )
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def process(window: Window, arrivals: Records, results: Records, config: Records
             outcome, entry = _DIVERGED, 0
         if taken > 0:
             _fill_result(window, arrival, (outcome, entry), was_head_ns, results[taken - 1], c)
-        if taken == arrivals.size or (is_full(window) and not trim(window, c)):
+        if taken == arrivals.size or (is_full(window) and not remove_settled_entries(window, c)):
             return taken
         was_head_ns = status.clock.head_ns if status.clock.running else NEVER_NS
         measurements[measurements.size - 1] = arrivals[taken]
@@ -84,8 +84,8 @@ def _accept(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[
     if outcome not in (_ACCEPTED, _RESTARTED):
         return outcome, 0
     if window.status[0].started:
-        return _add(window, measurement, c)
-    began = begin(window, measurement, c)
+        return _insert_measurement(window, measurement, c)
+    began = begin_estimate(window, measurement, c)
     return _RESTARTED if outcome == _RESTARTED else began, 0
 
 
@@ -128,7 +128,7 @@ def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     if measurement.kind != SPROCKETS:
         ahead = check_other(status.clock, c.clock, measurement.stamp_ns) == _STAMP_AHEAD
         return _AHEAD if ahead else _ACCEPTED
-    contradicts = _contradicts(window, measurement, c)
+    contradicts = _is_out_of_reach(window, measurement, c)
     found = check_sample(status.clock, c.clock, measurement.stamp_ns, horizon_ns(window, c), contradicts)
     if found == _STAMP_AHEAD:
         return _AHEAD
@@ -151,7 +151,7 @@ def clear(window: Window) -> None:
 
 
 @compiled
-def _contradicts(window: Window, sample: MeasurementRecord, c: Config) -> bool:
+def _is_out_of_reach(window: Window, sample: MeasurementRecord, c: Config) -> bool:
     """Whether angles of a late sample are out of reach from the previous sample at the maximum speed."""
     status, measurements = window.status[0], window.measurements
     if not status.clock.running or sample.stamp_ns > status.clock.head_ns or math.isnan(sample.left_angle):
@@ -169,13 +169,13 @@ def _contradicts(window: Window, sample: MeasurementRecord, c: Config) -> bool:
 
 
 @inlined
-def _add(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
+def _insert_measurement(window: Window, measurement: MeasurementRecord, c: Config) -> tuple[int, int]:
     """Insert a measurement; mark the states after it as unknown; return outcome and entry."""
     status, measurements = window.status[0], window.measurements
     if measurement.stamp_ns < horizon_ns(window, c):
         return _TOO_LATE, 0
     entry = max(insertion_index(measurements, status.count, measurement), 1)  # entry 0 is the start
-    if is_at(measurements, status.count, entry, measurement) or is_same(measurement, measurements[0]):
+    if is_duplicate(measurements, status.count, entry, measurement) or is_same(measurement, measurements[0]):
         return _DUPLICATE, 0
     insert(window, entry)
     if measurement.kind == SPROCKETS:  # also states extrapolated from the previous sample

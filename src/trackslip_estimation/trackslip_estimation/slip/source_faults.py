@@ -14,14 +14,14 @@ from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.model import YAW, X, Y
 from trackslip_estimation.slip.records import POSE, VELOCITY
-from trackslip_estimation.slip.source_offsets import number_of
+from trackslip_estimation.slip.source_offsets import pose_source_number
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State, Update
 
 _GATED = int(Outcome.GATED)
-_LOG_TURN = math.log(2.0 * math.pi)
+_LOG_TWO_PI = math.log(2.0 * math.pi)
 _AREA = 1e4  # m², of an unknown position
 
 
@@ -81,10 +81,10 @@ def has_failed_unit(state: State) -> bool:
 
 
 @compiled
-def wanders(state: State, source: int, c: Config) -> bool:
+def has_wandering_offset(state: State, source: int, c: Config) -> bool:
     """Whether the offset of a source walks, so that no measurement contradicts it when the fault ends."""
     fault = state.fault[source]
-    is_velocity = number_of(source, c) < 0
+    is_velocity = pose_source_number(source, c) < 0
     return bool(fault in (IS_WANDERING, IS_HEADING_WANDERING) or (fault == IS_OFFSET and is_velocity))
 
 
@@ -94,15 +94,15 @@ def propagate_faults(state: State, dt: float, c: Config) -> None:
     P = state.covariance
     for source in range(state.fault.size):
         if state.fault[source] == IS_HEADING_WANDERING:
-            own = c.yaw_offsets[source]
-            P[own, own] += c.events.heading_walk**2 * dt
-        elif state.fault[source] == IS_OFFSET and number_of(source, c) < 0:
-            for own in (c.offsets[source], c.offsets[source] + 1):
-                P[own, own] += c.events.velocity_walk**2 * dt
+            index = c.yaw_offsets[source]
+            P[index, index] += c.events.heading_walk**2 * dt
+        elif state.fault[source] == IS_OFFSET and pose_source_number(source, c) < 0:
+            for index in (c.offsets[source], c.offsets[source] + 1):
+                P[index, index] += c.events.velocity_walk**2 * dt
 
 
 @compiled
-def reach(squared: float) -> float:
+def unknown_position_stddev(squared: float) -> float:
     """Standard deviation, m, of an unknown position that is ``squared`` m² away, or within ``_AREA``."""
     return math.sqrt(max(_AREA / (2.0 * math.pi), squared))
 
@@ -114,21 +114,21 @@ def log_density_of_any_size(squared: float, c: Config) -> float:
 
 
 @compiled
-def density_of_outlier(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
+def log_density_of_outlier(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
     """ln of the density of an outlier: any angle; a position or velocity error of at least the usual size."""
     if m.kind not in (POSE, VELOCITY):
-        return -_LOG_TURN
+        return -_LOG_TWO_PI
     squared, expected = 0.0, 0.0
     for axis in range(min(o.innovation.size, YAW)):
         squared += o.innovation[axis] ** 2
         expected += predicted[axis, axis] + o.noise[axis, axis]
     if o.innovation.size == 1:
         return -math.log(2.0 * c.bank.outlier_sizes * math.sqrt(max(squared, expected)))
-    return log_density_of_any_size(max(squared, expected), c) + _density_of_heading(m, o, predicted, c)
+    return log_density_of_any_size(max(squared, expected), c) + _log_density_of_heading(m, o, predicted, c)
 
 
 @compiled
-def _density_of_heading(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
+def _log_density_of_heading(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
     """ln of the density of the heading of a fix with a wrong position; 0 of a fix without heading.
 
     The heading is uniform. A heading of two antennas, independent of the position, is as likely correct.
@@ -136,14 +136,14 @@ def _density_of_heading(m: MeasurementRecord, o: Observation, predicted: FloatAr
     if o.innovation.size <= YAW:
         return 0.0
     if c.yaw_offsets[m.source] < 0:
-        return -_LOG_TURN
+        return -_LOG_TWO_PI
     S = predicted[YAW, YAW] + o.noise[YAW, YAW]
     right = math.exp(-(o.innovation[YAW] ** 2) / (2.0 * S)) / math.sqrt(2.0 * math.pi * S)
     return math.log((right + 1.0 / (2.0 * math.pi)) / 2.0)
 
 
 @compiled
-def density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
+def log_density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArray, c: Config) -> float:
     """ln of the density of a measurement of a source that scatters: any position, angle or speed.
 
     Positions are uniform within ``_AREA``, and of any size of error beyond it.
@@ -151,10 +151,10 @@ def density_of_scatter(m: MeasurementRecord, o: Observation, predicted: FloatArr
     if m.kind == VELOCITY:
         return -math.log(math.pi * c.unknown_speed**2 if o.innovation.size > 1 else 2.0 * c.unknown_speed)
     if m.kind != POSE:
-        return -_LOG_TURN
+        return -_LOG_TWO_PI
     squared = o.innovation[X] ** 2 + o.innovation[Y] ** 2
     place = log_density_of_any_size(squared, c) if squared > _AREA else -math.log(_AREA)
-    return place + _density_of_heading(m, o, predicted, c)
+    return place + _log_density_of_heading(m, o, predicted, c)
 
 
 @compiled
@@ -164,7 +164,7 @@ def is_repeated(update: Update, c: Config) -> bool:
 
 
 @compiled
-def may_repeat(update: Update, c: Config) -> bool:
+def can_be_repetition(update: Update, c: Config) -> bool:
     """Whether a fix differs from the previous one by no more than the stated noise of both."""
     return bool(update.squared_repeat_distance <= 2.0 * c.gate_limits[YAW] * update.stated**2)
 
@@ -178,9 +178,9 @@ def weigh_repeat(m: int, stays: bool, c: Config, update: Update) -> None:
     """
     limit, stddev = c.gate_limits[YAW], c.bank.repeat_stddev
     if stays:
-        update.tied, stddev = int(may_repeat(update, c)), math.sqrt(2.0) * update.stated
+        update.tied, stddev = int(can_be_repetition(update, c)), math.sqrt(2.0) * update.stated
     update.dof, update.gate, update.nis = YAW, limit, update.squared_repeat_distance / stddev**2
     squared = update.nis if update.nis <= limit else 2.0 * math.sqrt(limit * update.nis) - limit
-    heading = _LOG_TURN if m > YAW else 0.0
-    update.evidence = -(squared + 4.0 * math.log(stddev)) / 2.0 - _LOG_TURN - heading
+    heading = _LOG_TWO_PI if m > YAW else 0.0
+    update.evidence = -(squared + 4.0 * math.log(stddev)) / 2.0 - _LOG_TWO_PI - heading
     update.outcome = _GATED

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def number_of(source: int, c: Config) -> int:
+def pose_source_number(source: int, c: Config) -> int:
     """Number of a source among the pose sources, whose offsets come first; −1: no pose source."""
     number = (c.offsets[source] - SENSOR_ERRORS) // 2
     return number if 0 <= number < c.poses else -1
@@ -47,41 +47,43 @@ def latest_pose_source(state: State, c: Config) -> int:
     """Number of the pose source that was consistent most recently; 0 without pose sources."""
     latest = -1
     for k in range(c.offsets.size):
-        if number_of(k, c) >= 0 and (latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]):
+        if pose_source_number(k, c) >= 0 and (
+            latest < 0 or state.consistent_ns[k] > state.consistent_ns[latest]
+        ):
             latest = k
     return max(latest, 0)
 
 
 @compiled
-def errors_of(offset: Offset, c: Config) -> FixErrors:
+def error_model(offset: Offset, c: Config) -> FixErrors:
     """Error model of the quality of the latest fix."""
     return offset.errors[quality_of(offset.stddev, c)]
 
 
 @compiled
-def errs_by_position(source: int, c: Config) -> bool:
+def has_position_dependent_errors(source: int, c: Config) -> bool:
     """Whether errors of a source depend on its position, as those of a laser, and not on time."""
     return bool(c.standing_share[source] > 0.0)
 
 
 @compiled
-def is_correlated(state: State, source: int, c: Config) -> bool:
+def has_mostly_correlated_errors(state: State, source: int, c: Config) -> bool:
     """Whether the correlated errors of a source exceed its white errors."""
-    number = number_of(source, c)
+    number = pose_source_number(source, c)
     if number < 0:
         return False
     offset = state.offsets[number]
-    found, is_precise = errors_of(offset, c), quality_of(offset.stddev, c) == PRECISE
+    found, is_precise = error_model(offset, c), quality_of(offset.stddev, c) == PRECISE
     return bool(offset.variance > 0.0 and not is_precise and found.g > found.f)
 
 
 @compiled
 def time_correlated_share(state: State, source: int, c: Config) -> float:
     """Share of the variance of a source that is time-correlated, or may be until it was observed."""
-    number = number_of(source, c)
-    if number < 0 or errs_by_position(source, c):
+    number = pose_source_number(source, c)
+    if number < 0 or has_position_dependent_errors(source, c):
         return 0.0
-    found = errors_of(state.offsets[number], c)
+    found = error_model(state.offsets[number], c)
     if found.g > 0.0:
         return float(found.g / (found.g + found.f))
     least = 1.0 - found.f if _are_observed(found, c) else 1.0  # stated variance less the white errors
@@ -97,14 +99,14 @@ def _are_observed(found: FixErrors, c: Config) -> bool:
 @compiled
 def is_unobserved_receiver(state: State, source: int, c: Config) -> bool:
     """Whether a source with correlated errors was not observed for several correlation times."""
-    offset = state.offsets[number_of(source, c)]
-    return is_correlated(state, source, c) and not _are_observed(errors_of(offset, c), c)
+    offset = state.offsets[pose_source_number(source, c)]
+    return has_mostly_correlated_errors(state, source, c) and not _are_observed(error_model(offset, c), c)
 
 
 @compiled
 def has_correlated_errors(state: State, source: int, stddev: float, c: Config) -> bool:
     """Whether fixes of a source with this stated standard deviation, m, have correlated errors."""
-    number = number_of(source, c)
+    number = pose_source_number(source, c)
     return bool(number >= 0 and state.offsets[number].errors[quality_of(stddev, c)].g > 0.0)
 
 
@@ -117,7 +119,11 @@ def prepare_offset(
     A change of quality (ambiguities fixed, floating, code only) resets the offset. Else the prior variance
     becomes that of the point masses; white errors have none. An offset that an event opened stays.
     """
-    offset, first, stddev = state.offsets[number_of(source, c)], c.offsets[source], position_stddev(R)
+    offset, first, stddev = (
+        state.offsets[pose_source_number(source, c)],
+        c.offsets[source],
+        position_stddev(R),
+    )
     if is_open:
         offset.stddev = stddev
         return
@@ -153,7 +159,7 @@ def _reset_offset(x: FloatArray, P: FloatArray, first: int, variance: float) -> 
 def offset_persistence(state: State, number: int, dt: float, c: Config) -> float:
     """Persistence of an offset over dt, e^(−dt/τ)."""
     offset = state.offsets[number]
-    return math.exp(-dt / errors_of(offset, c).time) if offset.variance > 0.0 else 1.0
+    return math.exp(-dt / error_model(offset, c).time) if offset.variance > 0.0 else 1.0
 
 
 @compiled
@@ -189,7 +195,7 @@ def inflate_offset(state: State, P: FloatArray, source: int, more: FloatArray, c
     """Inflate the offset of a source in P by ``more`` (2,), m², up to ``largest_inflation``."""
     first, most = (
         c.offsets[source],
-        c.receivers.largest_inflation * state.offsets[number_of(source, c)].variance,
+        c.receivers.largest_inflation * state.offsets[pose_source_number(source, c)].variance,
     )
     for axis in (X, Y):
         k = first + axis
@@ -208,14 +214,14 @@ def to_sensor_heading(x: FloatArray, P: FloatArray, source: int, sign: float, c:
 @compiled
 def prior_offset_variance(state: State, source: int, c: Config) -> float:
     """Prior variance of an offset after its event ends: that of the receiver."""
-    offset = state.offsets[number_of(source, c)]
-    return float(errors_of(offset, c).g * offset.stddev**2)
+    offset = state.offsets[pose_source_number(source, c)]
+    return float(error_model(offset, c).g * offset.stddev**2)
 
 
 @compiled
 def begin_offset(state: State, source: int, c: Config) -> None:
     """Correlate initial position and offset by the time-correlated error of the first fix."""
-    x, P, offset = state.mean, state.covariance, state.offsets[number_of(source, c)]
+    x, P, offset = state.mean, state.covariance, state.offsets[pose_source_number(source, c)]
     R = P[: Y + 1, : Y + 1].copy()
     stddev = position_stddev(R)
     found = offset.errors[quality_of(stddev, c)]

@@ -20,7 +20,7 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.slip.models.model import SWING, YAW
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.source_offsets import errs_by_position
+from trackslip_estimation.slip.source_offsets import has_position_dependent_errors
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -34,7 +34,7 @@ _SWUNG = 0.1  # rad of swing, beyond which a sensor on the upper structure sees 
 @compiled
 def is_at_same_standstill(state: State, source: int, c: Config) -> bool:
     """Whether a source with position-dependent errors has not moved since its latest fix."""
-    standstill, shares = state.standstills[source], errs_by_position(source, c)
+    standstill, shares = state.standstills[source], has_position_dependent_errors(source, c)
     turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _SWUNG
     is_standing = shares and state.motion.motion == _STANDING and not state.coasting
     return bool(is_standing and standstill.count > 0 and not turned)

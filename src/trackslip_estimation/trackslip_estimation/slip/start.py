@@ -12,7 +12,7 @@ from trackslip_estimation.attitude.start import reset_attitude
 from trackslip_estimation.slip.adaptation import begin_adaptation, resume_adaptation
 from trackslip_estimation.slip.bank.receivers import add_first_fix
 from trackslip_estimation.slip.bank.rows import begin_row, is_moving_without_heading, split_unknown_heading
-from trackslip_estimation.slip.bank.script import play_script
+from trackslip_estimation.slip.bank.script import apply_scripted_events
 from trackslip_estimation.slip.late_stamps import reset_delay
 from trackslip_estimation.slip.levers import to_sensor
 from trackslip_estimation.slip.measurements import Outcome
@@ -25,26 +25,26 @@ from trackslip_estimation.slip.source_faults import IS_HEALTHY
 from trackslip_estimation.slip.source_offsets import begin_offset, to_sensor_heading
 from trackslip_estimation.slip.sprockets import set_zero_speeds, store_sample
 from trackslip_estimation.slip.validity import has_heading
-from trackslip_estimation.slip.window import Window, drop, insert, insertion_index, is_at
+from trackslip_estimation.slip.window import Window, insert, insertion_index, is_duplicate, remove_entries
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-_LEAN = 0.2  # rad, standard deviation of an unknown tilt
+_UNKNOWN_TILT = 0.2  # rad, standard deviation of an unknown tilt
 
 _ACCEPTED, _DUPLICATE, _WAITING = int(Outcome.ACCEPTED), int(Outcome.DUPLICATE), int(Outcome.WAITING)
 
 
 @inlined
-def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
+def begin_estimate(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     """Begin with a fix, a manual pose, or the initial pose at the first sprocket sample; else wait."""
     status, measurements = window.status[0], window.measurements
     entry = insertion_index(measurements, status.count, measurement)
     begins = measurement.kind == POSE and (c.starts_with_fix or measurement.source == MANUAL)
     if measurement.kind == SPROCKETS:
         begins = not c.starts_with_fix
-        if is_at(measurements, status.count, entry, measurement):
+        if is_duplicate(measurements, status.count, entry, measurement):
             return _DUPLICATE
     if not begins:
         if measurement.kind == SPROCKETS:
@@ -58,13 +58,13 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
         if measurements[k].kind == SPROCKETS:
             store_sample(state, measurements[k], c)
     status.known = 0
-    drop(window, entry, entry)
+    remove_entries(window, entry, entry)
     begin_row(window, 0, c)
-    _set_start(window.states[0, 0], measurements[0], c)
+    _set_initial_state(window.states[0, 0], measurements[0], c)
     add_first_fix(window, c)
     window.updates[0].outcome, window.updates[0].follows = _ACCEPTED, False
     if status.scripted:
-        play_script(window, 0, 1, c)
+        apply_scripted_events(window, 0, 1, c)
     elif is_moving_without_heading(window.states[0, 0]):
         split_unknown_heading(window, 0, c)
     status.started, status.known = True, 1
@@ -72,7 +72,7 @@ def begin(window: Window, measurement: MeasurementRecord, c: Config) -> int:
 
 
 @inlined
-def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
+def _set_initial_state(state: State, measurement: MeasurementRecord, c: Config) -> None:
     """Set the initial state; a fix without heading starts with that of the parameters."""
     x, P, stamp_ns = state.mean[:], state.covariance[:], measurement.stamp_ns
     reset_attitude(state.attitude)
@@ -99,7 +99,7 @@ def _set_start(state: State, measurement: MeasurementRecord, c: Config) -> None:
             to_sensor(x[: c.size], P, state.attitude.level, source, -1.0, c)
             if c.tilt_source >= 0:  # the tilt is not known yet
                 for i in range(YAW):
-                    P[i, i] += (c.levers[source, 2] * _LEAN) ** 2
+                    P[i, i] += (c.levers[source, 2] * _UNKNOWN_TILT) ** 2
     set_zero_speeds(state.speeds)
     reset_motion(state.motion)
     state.shear[:] = 0.0

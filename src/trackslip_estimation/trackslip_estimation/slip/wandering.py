@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import Update
 
 _GATED = int(Outcome.GATED)
-_LOG_TURN = math.log(2.0 * math.pi)
+_LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 class Wander(Record):
@@ -78,7 +78,9 @@ def weigh_wander(
     wander.variance *= 1.0 - gain
     update.dof, update.gate, update.outcome = YAW, c.gate_limits[YAW], _GATED
     update.nis, update.log_determinant = (east * east + north * north) / S, 2.0 * math.log(S)
-    update.evidence = -(update.nis + update.log_determinant) / 2.0 - _LOG_TURN - _too_fast(wander, c)
+    update.evidence = (
+        -(update.nis + update.log_determinant) / 2.0 - _LOG_TWO_PI - _log_speed_penalty(wander, c)
+    )
 
 
 @compiled
@@ -93,7 +95,7 @@ def _propagate(wander: Wander, dt: float, c: Config) -> None:
 
 
 @compiled
-def _too_fast(wander: Wander, c: Config) -> float:
+def _log_speed_penalty(wander: Wander, c: Config) -> float:
     """Reduction of ln of the likelihood for an offset faster than ``events.wander_speed``."""
     excess = max(math.hypot(wander.east_speed, wander.north_speed) - c.events.wander_speed, 0.0)
     return excess * excess / (2.0 * wander.speed_variance)

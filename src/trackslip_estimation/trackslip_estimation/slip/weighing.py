@@ -60,18 +60,18 @@ from trackslip_estimation.slip.source_faults import (
     IS_SCATTERING,
     IS_STAYING,
     IS_WANDERING,
-    density_of_outlier,
-    density_of_scatter,
     is_heading_off,
     is_trusted,
+    log_density_of_outlier,
+    log_density_of_scatter,
     weigh_repeat,
 )
 from trackslip_estimation.slip.source_offsets import (
     has_correlated_errors,
+    has_mostly_correlated_errors,
     inflate_offset,
-    is_correlated,
     latest_pose_source,
-    number_of,
+    pose_source_number,
     position_stddev,
     prepare_offset,
 )
@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 
 
 _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
-_LOG_TURN = math.log(2.0 * math.pi)
+_LOG_TWO_PI = math.log(2.0 * math.pi)
 _ANGLE_ERROR_TIME = 1.0  # correlation time of errors of a compass or an encoder, s
 
 
@@ -100,22 +100,22 @@ def weigh_and_update(
         prepare_offset(state, update, prior, source, stated, fault == IS_OFFSET, c)
         update.stated = position_stddev(stated)
         update.coarse = 0 if quality_of(update.stated, c) == PRECISE else 1
-        _compare_with_last(state, measurement, update)
+        _set_repeat_distance(state, measurement, update)
     o = observe_weighed(state, measurement, c)
     if kind == POSE:
         _set_measured_position(state, source, o, update, c)
     state.last_ns[source] = measurement.stamp_ns
     m, P = o.innovation.size, state.covariance[:]
     predicted = predicted_covariance(P, o.jacobian)
-    log_outlier = density_of_outlier(measurement, o, predicted, c)
+    log_outlier = log_density_of_outlier(measurement, o, predicted, c)
     if fault in (IS_REPEATING, IS_STAYING):
         weigh_repeat(m, fault == IS_STAYING, c, update)
         return
     if fault == IS_WANDERING:
-        wander = state.offsets[number_of(source, c)].wander
+        wander = state.offsets[pose_source_number(source, c)].wander
         weigh_wander(wander, o, predicted, elapsed, c, update)
         if m > YAW:
-            _use_heading_alone(state, o, predicted, c, update)
+            _update_heading_only(state, o, predicted, c, update)
         return
     since_ns = measurement.stamp_ns - state.consistent_ns[source]
     inflation = correlated_inflation(since_ns, c.repeat_times[source])
@@ -124,12 +124,12 @@ def weigh_and_update(
         uncounted = 1.0 - min(elapsed / _ANGLE_ERROR_TIME, 1.0)
         update.evidence -= uncounted * max(_log_density(update) - log_outlier, 0.0)
     if kind == POSE or (kind == VELOCITY and c.body_axes[source] == 0):
-        _whiten(state, o.innovation, predicted + R, update)
+        _set_whitened_innovation(state, o.innovation, predicted + R, update)
     if not used:
         return
     if kind == POSE and is_trusted(fault, POSE) and update.nis <= update.gate:
         _learn_track_error(state, o.innovation, predicted + R, elapsed, c)
-    if update.coarse == 1 and is_correlated(state, source, c):
+    if update.coarse == 1 and has_mostly_correlated_errors(state, source, c):
         share = student_inflation(update.nis, m)
         inflate_offset(state, P, source, share * np.diag(predicted + R), c)
         predicted = predicted_covariance(P, o.jacobian)
@@ -143,16 +143,16 @@ def weigh_and_update(
 
 
 @compiled
-def _use_heading_alone(
+def _update_heading_only(
     state: State, o: Observation, predicted: FloatArray, c: Config, update: Update
 ) -> None:
     """Update the heading with a fix whose position wanders; two antennas measure it independently."""
     S = predicted[YAW, YAW] + o.noise[YAW, YAW]
     nis = o.innovation[YAW] ** 2 / S
     if nis > c.gate_limits[1]:
-        update.evidence -= _LOG_TURN
+        update.evidence -= _LOG_TWO_PI
         return
-    update.evidence -= (nis + math.log(S) + _LOG_TURN) / 2.0
+    update.evidence -= (nis + math.log(S) + _LOG_TWO_PI) / 2.0
     R, x = o.noise[YAW:, YAW:].copy(), state.mean[: c.size]
     heading = Observation(o.innovation[YAW:].copy(), o.jacobian[YAW:].copy(), R, o.considered, 0, o.shared)
     correct(x, state.covariance[:], heading)
@@ -162,7 +162,7 @@ def _use_heading_alone(
 @compiled
 def _log_density(update: Update) -> float:
     """ln of the normal density of an innovation."""
-    return float(-(update.nis + update.log_determinant + update.dof * _LOG_TURN) / 2.0)
+    return float(-(update.nis + update.log_determinant + update.dof * _LOG_TWO_PI) / 2.0)
 
 
 @compiled
@@ -179,9 +179,9 @@ def observe_weighed(state: State, measurement: MeasurementRecord, c: Config) -> 
 
 @compiled
 def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Config) -> None:
-    """Update the state; a correction of its heading keeps the position of the sensor ``_turns_about``."""
+    """Update the state; a correction of its heading keeps the position of the sensor ``_pivot_source``."""
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
-    about = _turns_about(state, measurement, c)
+    about = _pivot_source(state, measurement, c)
     if about < 0:
         correct(x, P, o)
     else:
@@ -192,7 +192,7 @@ def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Co
 
 
 @compiled
-def _turns_about(state: State, measurement: MeasurementRecord, c: Config) -> int:
+def _pivot_source(state: State, measurement: MeasurementRecord, c: Config) -> int:
     """Pose source whose sensor keeps its position while heading or swing is corrected; −1: none."""
     if measurement.kind == POSE:
         return int(measurement.source)
@@ -256,7 +256,7 @@ def _weigh(
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
     is_independent = not is_at_same_standstill(state, source, c) or update.nis > limit
     if fault == IS_SCATTERING:
-        update.evidence, update.outcome = density_of_scatter(measurement, o, predicted, c), _GATED
+        update.evidence, update.outcome = log_density_of_scatter(measurement, o, predicted, c), _GATED
         return R, False, is_independent
     density = log_density(L, o.innovation)
     if not coarse:
@@ -271,7 +271,7 @@ def _weigh(
     is_learned = is_independent and has_velocity_errors(c) and update.nis <= c.adaptation.soft_gate * limit
     if is_learned and not coarse:
         learn_from_fix(a, source, o.innovation, predicted, o.noise, c)
-        number = number_of(source, c)
+        number = pose_source_number(source, c)
         has_correlated = number >= 0 and (
             state.offsets[number].variance > 0.0 or has_correlated_errors(state, source, update.stated, c)
         )
@@ -287,7 +287,7 @@ def _weigh(
 
 
 @compiled
-def _compare_with_last(state: State, measurement: MeasurementRecord, update: Update) -> None:
+def _set_repeat_distance(state: State, measurement: MeasurementRecord, update: Update) -> None:
     """Set the squared distance of a fix from the source's previous one, and store the fix as the last one."""
     last, z = state.last_fix[measurement.source], measurement.value
     update.squared_repeat_distance = (z[X] - last[X]) ** 2 + (z[Y] - last[Y]) ** 2
@@ -295,7 +295,7 @@ def _compare_with_last(state: State, measurement: MeasurementRecord, update: Upd
 
 
 @compiled
-def _whiten(state: State, innovation: FloatArray, S: FloatArray, update: Update) -> None:
+def _set_whitened_innovation(state: State, innovation: FloatArray, S: FloatArray, update: Update) -> None:
     """Set the whitened innovation of a position or velocity along and across the heading, for the CUSUM."""
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
     along = cos * cos * S[X, X] + 2.0 * cos * sin * S[X, Y] + sin * sin * S[Y, Y]

@@ -138,7 +138,7 @@ def make_like(window: Window, capacity: int) -> Window:
     return make_window(capacity, window.receivers.shape[1], script)
 
 
-def enlarged(window: Window) -> Window:
+def enlarged_copy(window: Window) -> Window:
     """Copy a window to one of twice the capacity."""
     larger, count = make_like(window, 2 * len(window.measurements)), window.count
     larger.status[:] = window.status
@@ -156,7 +156,7 @@ def enlarged(window: Window) -> Window:
     return larger
 
 
-def copy_first(window: Window, other: Window) -> None:
+def copy_first_entry(window: Window, other: Window) -> None:
     """Copy the first entry of ``other`` to a window, with all input of the next row."""
     window.measurements[0], window.counts[0] = other.measurements[0], other.counts[0]
     rows = int(other.counts[0])  # further rows are unused memory
@@ -232,7 +232,7 @@ def insertion_index(measurements: Records, count: int, measurement: MeasurementR
 
 
 @compiled
-def is_at(measurements: Records, count: int, k: int, measurement: MeasurementRecord) -> bool:
+def is_duplicate(measurements: Records, count: int, k: int, measurement: MeasurementRecord) -> bool:
     """Whether entry k, the insertion index of a measurement, already holds the same measurement."""
     return k < count and not precedes(measurement, measurements[k])
 
@@ -249,7 +249,7 @@ def insert(window: Window, k: int) -> None:
 
 
 @compiled
-def drop(window: Window, entries: int, whole: int) -> None:
+def remove_entries(window: Window, entries: int, whole: int) -> None:
     """Remove the first entries; of rows before ``whole`` keep only branches that snapshots refer to."""
     status, measurements, counts = window.status[0], window.measurements, window.counts
     receivers, masses = window.receivers, window.masses
@@ -259,7 +259,7 @@ def drop(window: Window, entries: int, whole: int) -> None:
     for i in range(known):
         counts[i] = counts[i + entries]
         copy_receivers(receivers, masses, i, i + entries, i + entries >= whole)
-    _move_snapshots(window, entries, whole)
+    _move_snapshot_branches(window, entries, whole)
     for i in range(whole - entries, known):
         window.updates[i] = window.updates[i + entries]
         if status.scripted:
@@ -270,7 +270,7 @@ def drop(window: Window, entries: int, whole: int) -> None:
 
 
 @compiled
-def _move_snapshots(window: Window, entries: int, whole: int) -> None:
+def _move_snapshot_branches(window: Window, entries: int, whole: int) -> None:
     """Move the branches that snapshots of row ``whole`` refer to by ``entries`` rows, oldest first."""
     moved = entries - 1
     while True:
@@ -300,7 +300,7 @@ def _move_branch(window: Window, s: int, k: int, entries: int) -> None:
 
 
 @compiled
-def oldest_needed(window: Window, k: int) -> int:
+def oldest_needed_entry(window: Window, k: int) -> int:
     """Oldest entry from which rows after k are computed."""
     oldest = k
     for s in range(window.counts[k]):
@@ -309,11 +309,11 @@ def oldest_needed(window: Window, k: int) -> int:
 
 
 @compiled
-def keep_tail(window: Window) -> None:
+def remove_unneeded_entries(window: Window) -> None:
     """Remove the entries that no further row needs."""
     status = window.status[0]
     last, status.begun = status.count - 1, status.played
-    drop(window, last if status.scripted else oldest_needed(window, last), last)
+    remove_entries(window, last if status.scripted else oldest_needed_entry(window, last), last)
 
 
 @compiled
@@ -333,14 +333,14 @@ def is_full(window: Window) -> bool:
 
 
 @compiled
-def trim(window: Window, c: Config) -> bool:
+def remove_settled_entries(window: Window, c: Config) -> bool:
     """Remove settled entries that no row needs; return whether there is room again."""
     status = window.status[0]
     settled, kept_samples = 0, 0 if status.started else 2
     oldest_ns = status.clock.head_ns - c.window_ns
     while settled + 1 + kept_samples < status.count and window.measurements[settled + 1].stamp_ns < oldest_ns:
         settled += 1
-    oldest = oldest_needed(window, settled) if status.started else settled
+    oldest = oldest_needed_entry(window, settled) if status.started else settled
     if oldest > 0:
-        drop(window, oldest, settled)
+        remove_entries(window, oldest, settled)
     return not is_full(window)

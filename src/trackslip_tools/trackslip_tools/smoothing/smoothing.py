@@ -21,14 +21,14 @@ import numpy as np
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.smoother import step_back
-from trackslip_estimation.slip.log import Block, Log, begin_log, run_blocks, script_of
+from trackslip_estimation.slip.log import Block, Log, best_branch_script, run_blocks, start_of_log
 from trackslip_estimation.slip.models.dispatch import linearize
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.outputs import fill_estimate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import ESTIMATE, SPROCKETS
 from trackslip_estimation.slip.source_offsets import set_offset_transition
-from trackslip_estimation.slip.window import Records, Window, copy_first, make_like, prior_of
+from trackslip_estimation.slip.window import Records, Window, copy_first_entry, make_like, prior_of
 
 
 class Smoothed(NamedTuple):
@@ -52,7 +52,7 @@ def smooth(log: Log, p: SlipEstimatorParameters) -> Iterator[Smoothed]:
     Commands at run time (restart, hold still, new parameters) are left out.
     """
     p = replace(p, filter="ekf")
-    start, config = begin_log(log, p, script_of(log, p))
+    start, config = start_of_log(log, p, best_branch_script(log, p))
     begins = [
         _Begin(b.first, b.first + len(b.states), _first_row(b.window))
         for b in run_blocks(log.rest, start, config)
@@ -75,7 +75,7 @@ def _first_row(window: Window) -> Window:
     """A window of the first entry only."""
     first = make_like(window, 2)
     first.status["played"] = window.status["begun"]
-    copy_first(first, window)
+    copy_first_entry(first, window)
     return first
 
 

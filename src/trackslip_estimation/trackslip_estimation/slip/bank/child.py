@@ -18,8 +18,8 @@ from trackslip_estimation.slip.bank.script import record_event
 from trackslip_estimation.slip.events import BIASED, MOVED, OFFSET, SKIDDED, SLIPPED
 from trackslip_estimation.slip.models.model import X, Y
 from trackslip_estimation.slip.records import HISTORY, OLDER, POSE
-from trackslip_estimation.slip.source_faults import reach
-from trackslip_estimation.slip.source_offsets import number_of
+from trackslip_estimation.slip.source_faults import unknown_position_stddev
+from trackslip_estimation.slip.source_offsets import pose_source_number
 from trackslip_estimation.slip.window import POOL, Window
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def log_time(window: Window, p: int, k: int, c: Config) -> float:
+def log_measurement_interval(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the source's previous measurement, s."""
     m = window.measurements[k]
     elapsed_ns = m.stamp_ns - window.states[p, k - 1].last_ns[m.source]
@@ -36,7 +36,7 @@ def log_time(window: Window, p: int, k: int, c: Config) -> float:
 
 
 @compiled
-def log_time_since(window: Window, p: int, k: int, c: Config) -> float:
+def log_time_since_snapshot(window: Window, p: int, k: int, c: Config) -> float:
     """ln of the time since the snapshot of branch p, s."""
     snapshot = window.branches[p, k].snapshots[OLDER]
     elapsed_ns = window.measurements[k].stamp_ns - window.states[snapshot.slot, snapshot.entry].stamp_ns
@@ -44,7 +44,7 @@ def log_time_since(window: Window, p: int, k: int, c: Config) -> float:
 
 
 @compiled
-def distance_since(window: Window, p: int, k: int) -> float:
+def distance_since_snapshot(window: Window, p: int, k: int) -> float:
     """Track distance since the snapshot of branch p of row k − 1, m."""
     snapshot = window.branches[p, k - 1].snapshots[OLDER]
     then = window.states[snapshot.slot, snapshot.entry]
@@ -58,20 +58,20 @@ def squared_jump(m: MeasurementRecord, before: State) -> float:
 
 
 @compiled
-def add_child_before(
+def add_child_at_measurement(
     window: Window, p: int, k: int, event: int, source: int, log_odds: float, c: Config
 ) -> None:
     """Add a child with an event just before measurement k; ``log_odds``: further term of its prior."""
-    prior = log_time(window, p, k, c) + c.log_rates[event, source] + log_odds
+    prior = log_measurement_interval(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, 0, False, prior, c)
 
 
 @compiled
-def add_child_since(
+def add_child_since_snapshot(
     window: Window, p: int, k: int, event: int, source: int, part: int, log_odds: float, c: Config
 ) -> None:
     """Add a child with an event since the snapshot; ``part`` as in ``EventRecord``, ``log_odds`` as above."""
-    prior = log_time_since(window, p, k, c) + c.log_rates[event, source] + log_odds
+    prior = log_time_since_snapshot(window, p, k, c) + c.log_rates[event, source] + log_odds
     add_child(window, p, k, event, source, part, True, prior, c)
 
 
@@ -109,23 +109,27 @@ def add_child(
         window.pool_states[h] = window.states[p, k - 1]
         branch.weight = before.weight + log_prior
     branch.first, branch.fresh = first, 1
-    value = _value(window, p, k, event, source, since, c)
+    value = _event_value(window, p, k, event, source, since, c)
     e = record_event(branch, event, source, part, value, m, window.measurements[first], 0)
     update.opened = event
     update.reset_states = apply_event(state, e, c)
 
 
 @compiled
-def _value(window: Window, p: int, k: int, event: int, source: int, since: bool, c: Config) -> float:
+def _event_value(window: Window, p: int, k: int, event: int, source: int, since: bool, c: Config) -> float:
     """Field ``value`` of the ``EventRecord`` of an event at measurement k."""
     m, before = window.measurements[k], window.states[p, k - 1]
     if event == SKIDDED:
-        seconds = math.exp(log_time_since(window, p, k, c))
-        return c.events.skid_share * distance_since(window, p, k) * min(c.events.skid_time / seconds, 1.0)
+        seconds = math.exp(log_time_since_snapshot(window, p, k, c))
+        return (
+            c.events.skid_share
+            * distance_since_snapshot(window, p, k)
+            * min(c.events.skid_time / seconds, 1.0)
+        )
     if event in (SLIPPED, BIASED):
         return 0.0 if since else float(c.receivers.longest_time)
-    if event == OFFSET and number_of(source, c) < 0:
+    if event == OFFSET and pose_source_number(source, c) < 0:
         return float(c.events.velocity_stddev)
     if m.kind == POSE and event in (OFFSET, MOVED):
-        return reach(squared_jump(m, before))
+        return unknown_position_stddev(squared_jump(m, before))
     return float(m.value[0])

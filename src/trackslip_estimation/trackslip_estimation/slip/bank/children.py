@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled
 from trackslip_estimation.slip.bank.child import (
     add_child,
-    add_child_before,
-    add_child_since,
-    distance_since,
-    log_time,
+    add_child_at_measurement,
+    add_child_since_snapshot,
+    distance_since_snapshot,
+    log_measurement_interval,
     squared_jump,
 )
 from trackslip_estimation.slip.bank.earlier_children import (
@@ -23,7 +23,7 @@ from trackslip_estimation.slip.bank.earlier_children import (
     make_earlier_children,
 )
 from trackslip_estimation.slip.bank.hidden_changes import has_hidden_change, log_odds_of_hidden_change
-from trackslip_estimation.slip.bank.pool import to_pool, update_of
+from trackslip_estimation.slip.bank.pool import copy_row_to_pool, update_of
 from trackslip_estimation.slip.events import (
     BECAME_JUMP,
     BIASED,
@@ -57,17 +57,17 @@ from trackslip_estimation.slip.source_faults import (
     IS_OFFSET,
     IS_SCATTERING,
     IS_WANDERING,
+    can_be_repetition,
     has_failed_unit,
+    has_wandering_offset,
     is_failed,
     is_heading_off,
     is_repeated,
     is_trusted,
     log_density_of_any_size,
-    may_repeat,
-    reach,
-    wanders,
+    unknown_position_stddev,
 )
-from trackslip_estimation.slip.source_offsets import is_correlated, number_of
+from trackslip_estimation.slip.source_offsets import has_mostly_correlated_errors, pose_source_number
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def create_children(window: Window, k: int, c: Config) -> int:
         branch.weight = 0.0
         return 1
     status = window.status[0]
-    status.pooled, status.steps_left = to_pool(window, k), c.bank.steps
+    status.pooled, status.steps_left = copy_row_to_pool(window, k), c.bank.steps
     for p in range(count):
         if window.branches[p, k - 1].weight >= -c.bank.spawns and _needs_children(window, p, k, c):
             _make_children(window, p, k, c)
@@ -121,7 +121,7 @@ def _subtract_fault_costs(window: Window, s: int, k: int, c: Config) -> None:
     follows = measurement.kind == POSE and (fault == IS_OFFSET or is_trusted(fault, POSE))
     if measurement.kind == VELOCITY:  # at standstill slip is not observable
         follows = fault == IS_HEALTHY and state.motion.motion != _STANDING
-    if follows and not is_correlated(state, source, c):
+    if follows and not has_mostly_correlated_errors(state, source, c):
         for i in range(4):
             e = update.whitened[i // 2] * (1.0 - 2.0 * (i % 2))
             branch.cusum[i] = max(branch.cusum[i] + min(e, c.bank.cusum_largest) - c.bank.cusum_drift, 0.0)
@@ -140,7 +140,7 @@ def slip_range_penalty(state: State, c: Config) -> float:
 
 
 @compiled
-def _contradicts(window: Window, s: int, k: int, c: Config) -> bool:
+def _is_contradicted(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether the NIS of measurement k under branch s is beyond half the gate, or the gate rejects it."""
     before, update = window.states[s, k - 1], update_of(window, s, k)
     limit, m = c.gate_limits[update.dof] / 2.0, window.measurements[k]
@@ -155,13 +155,13 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
     fault, update = before.fault[measurement.source], update_of(window, s, k)
     if fault == IS_SCATTERING:
         return bool(update.nis <= c.gate_limits[1] or measurement.kind == POSE)
-    if _contradicts(window, s, k, c) or _may_become_jump(window, s, k, c):
+    if _is_contradicted(window, s, k, c) or _is_jump_test_due(window, s, k, c):
         return True
-    if has_hidden_change(window, s, k, c) or _late_log_odds(measurement, before, c) > 0.0:
+    if has_hidden_change(window, s, k, c) or _log_odds_of_late_stamps(measurement, before, c) > 0.0:
         return True
     if has_failed_unit(before) and measurement.kind in (POSE, VELOCITY):
         return True
-    if wanders(before, measurement.source, c):
+    if has_wandering_offset(before, measurement.source, c):
         return True
     if measurement.kind == POSE and slip_range_penalty(before, c) > 0.0:
         return True
@@ -172,7 +172,7 @@ def _needs_children(window: Window, s: int, k: int, c: Config) -> bool:
 
 
 @compiled
-def _late_log_odds(m: MeasurementRecord, before: State, c: Config) -> float:
+def _log_odds_of_late_stamps(m: MeasurementRecord, before: State, c: Config) -> float:
     """ln of the odds that all fixes up to this one have late or early stamps; −∞ of other measurements."""
     is_fix = m.kind == POSE and is_trusted(before.fault[m.source], POSE)
     return log_odds_of_delay(before, m.source, c) if is_fix else -math.inf
@@ -185,18 +185,18 @@ def _is_sensor_moving(before: State, source: int, c: Config) -> bool:
 
 
 @compiled
-def _may_become_jump(window: Window, s: int, k: int, c: Config) -> bool:
+def _is_jump_test_due(window: Window, s: int, k: int, c: Config) -> bool:
     """Whether to try the source's offset as a jump of the machine, once each fault time or three."""
     source, before = window.measurements[k].source, window.states[s, k - 1]
     fault = before.fault[source]
-    is_place = fault in (IS_OFFSET, IS_WANDERING) and number_of(source, c) >= 0
+    is_place = fault in (IS_OFFSET, IS_WANDERING) and pose_source_number(source, c) >= 0
     if s != 0 or not (is_place or is_heading_off(fault)):
         return False
     times = _WANDER_TIMES if fault == IS_WANDERING else 1.0
     since_ns, period_ns = before.fault_ns[source], times * c.events.fault_time * 1e9
     for other in range(MOST_SOURCES):
         same_angle = c.yaw_offsets[other] >= 0 and c.of_swing[other] == c.of_swing[source]
-        shows = number_of(other, c) >= 0 if is_place else same_angle
+        shows = pose_source_number(other, c) >= 0 if is_place else same_angle
         if other != source and shows and before.consistent_ns[other] > since_ns:
             return False  # this other source measures no jump
     first, last = before.last_ns[source] - since_ns, window.measurements[k].stamp_ns - since_ns
@@ -207,16 +207,16 @@ def _may_become_jump(window: Window, s: int, k: int, c: Config) -> bool:
 def _make_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add the children of branch p at measurement k."""
     m, before = window.measurements[k], window.states[p, k - 1]
-    source, fault, contradicts = m.source, before.fault[m.source], _contradicts(window, p, k, c)
+    source, fault, contradicts = m.source, before.fault[m.source], _is_contradicted(window, p, k, c)
     if fault == IS_SCATTERING:
-        _end_scatter(window, p, k, c)
+        _make_scatter_end_children(window, p, k, c)
         return
-    _end_faults(window, p, k, contradicts, c)
+    _make_recovery_children(window, p, k, contradicts, c)
     for event in (SLIPPED, BIASED):
         odds = log_odds_of_hidden_change(window, p, k, event, c)
         if odds > -c.bank.spawns:
             add_child(window, p, k, event, source, 0, False, odds, c)
-    late = _late_log_odds(m, before, c)
+    late = _log_odds_of_late_stamps(m, before, c)
     if late > 0.0:
         add_child(window, p, k, LATE, source, 0, False, late, c)
     shows = is_trusted(fault, m.kind) and window.branches[p, k].cusum.max() > c.bank.cusum_limit
@@ -233,31 +233,31 @@ def _make_children(window: Window, p: int, k: int, c: Config) -> None:
 
 
 @compiled
-def _end_scatter(window: Window, p: int, k: int, c: Config) -> None:
+def _make_scatter_end_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add children in which scattering has ended, with or without a jump of the machine meanwhile."""
     m, before = window.measurements[k], window.states[p, k - 1]
-    add_child_before(window, p, k, RECOVERED, m.source, 0.0, c)
+    add_child_at_measurement(window, p, k, RECOVERED, m.source, 0.0, c)
     if m.kind == POSE:
         scattered = math.log(max((m.stamp_ns - before.fault_ns[m.source]) * 1e-9, c.bank.shortest_time))
-        moved = scattered + c.log_rates[MOVED, m.source] + _log_any_size(m, before, c)
-        ended = log_time(window, p, k, c) + c.log_rates[RECOVERED, m.source]
+        moved = scattered + c.log_rates[MOVED, m.source] + _log_odds_of_any_size(m, before, c)
+        ended = log_measurement_interval(window, p, k, c) + c.log_rates[RECOVERED, m.source]
         add_child(window, p, k, MOVED, m.source, 0, False, ended + moved, c)
 
 
 @compiled
-def _end_faults(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
+def _make_recovery_children(window: Window, p: int, k: int, contradicts: bool, c: Config) -> None:
     """Add children in which a fault of the source, or of a motion sensor, has ended."""
     m, before = window.measurements[k], window.states[p, k - 1]
     source, fault = m.source, before.fault[m.source]
-    if fault != IS_HEALTHY and (contradicts or wanders(before, source, c)):
-        add_child_before(window, p, k, RECOVERED, source, 0.0, c)
-    if _may_become_jump(window, p, k, c):  # the offset paid for its duration; a jump does not
+    if fault != IS_HEALTHY and (contradicts or has_wandering_offset(before, source, c)):
+        add_child_at_measurement(window, p, k, RECOVERED, source, 0.0, c)
+    if _is_jump_test_due(window, p, k, c):  # the offset paid for its duration; a jump does not
         age = (m.stamp_ns - before.fault_ns[source]) * 1e-9 / c.events.fault_time
         prior = age + c.log_rates[MOVED, source] - c.log_rates[OFFSET, source]
         add_child(window, p, k, BECAME_JUMP, source, 0, False, prior, c)
     for unit in range(MOST_SOURCES):
         if m.kind in (POSE, VELOCITY) and is_failed(before.fault[unit]):
-            add_child_since(window, p, k, RECOVERED, unit, 0, 0.0, c)
+            add_child_since_snapshot(window, p, k, RECOVERED, unit, 0, 0.0, c)
 
 
 @compiled
@@ -267,9 +267,9 @@ def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
     source = window.measurements[k].source
     if is_trusted(before.fault[source], POSE) and _is_sensor_moving(before, source, c):
         if is_repeated(update, c):
-            add_child_before(window, p, k, REPEATS, source, 0.0, c)
-        if contradicts and may_repeat(update, c) and are_track_speeds_measured(before):
-            add_child_before(window, p, k, STAYS, source, 0.0, c)
+            add_child_at_measurement(window, p, k, REPEATS, source, 0.0, c)
+        if contradicts and can_be_repetition(update, c) and are_track_speeds_measured(before):
+            add_child_at_measurement(window, p, k, STAYS, source, 0.0, c)
     if contradicts:
         _make_jump_children(window, p, k, c)
 
@@ -278,23 +278,29 @@ def _make_fix_children(window: Window, p: int, k: int, contradicts: bool, c: Con
 def _make_jump_children(window: Window, p: int, k: int, c: Config) -> None:
     """Add children with a jump of source or machine just before a fix that contradicts branch p."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    source, size = m.source, _log_any_size(m, before, c)
+    source, size = m.source, _log_odds_of_any_size(m, before, c)
     if is_trusted(before.fault[source], POSE):
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
         if before.sole_fix_source != source:
-            add_child_before(window, p, k, SCATTERS, source, 0.0, c)
-            add_child_before(window, p, k, OFFSET, source, size, c)
+            add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)
+            add_child_at_measurement(window, p, k, OFFSET, source, size, c)
             if update.dof > YAW and before.fault[source] == IS_HEALTHY:
                 _make_heading_offset_child(window, p, k, c)
     elif before.fault[source] == IS_OFFSET:  # a different offset
-        add_child_before(window, p, k, OFFSET, source, size, c)
-    moved = log_time(window, p, k, c) + c.log_rates[MOVED, source]
+        add_child_at_measurement(window, p, k, OFFSET, source, size, c)
+    moved = log_measurement_interval(window, p, k, c) + c.log_rates[MOVED, source]
     if before.sole_fix_source == source:  # the position depends on one fix, which may be the outlier too
         moved = max(moved, math.log(before.outlier_share[source]))
     add_child(window, p, k, MOVED, source, 0, False, size + moved, c)
-    if distance_since(window, p, k) > c.bank.least_distance and update.stated <= c.events.skid_stddev:
-        skidded = min(log_time(window, p, k, c), math.log(c.events.skid_time)) + c.log_rates[SKIDDED, source]
+    if (
+        distance_since_snapshot(window, p, k) > c.bank.least_distance
+        and update.stated <= c.events.skid_stddev
+    ):
+        skidded = (
+            min(log_measurement_interval(window, p, k, c), math.log(c.events.skid_time))
+            + c.log_rates[SKIDDED, source]
+        )
         penalty = correlated_penalty(window, p, k, c)
         add_child(window, p, k, SKIDDED, source, 0, False, skidded - penalty, c)
 
@@ -305,15 +311,15 @@ def _make_heading_offset_child(window: Window, p: int, k: int, c: Config) -> Non
     source = window.measurements[k].source
     if c.yaw_offsets[source] >= 0:
         for event in (HEADING_OFF, HEADING_WANDERS):
-            add_child_before(window, p, k, event, source, 0.0, c)
+            add_child_at_measurement(window, p, k, event, source, 0.0, c)
 
 
 @compiled
-def _log_any_size(m: MeasurementRecord, before: State, c: Config) -> float:
+def _log_odds_of_any_size(m: MeasurementRecord, before: State, c: Config) -> float:
     """ln of the density of a jump of any size to a fix, over that of the position as the event resets it."""
     squared = squared_jump(m, before)
     any_size = log_density_of_any_size(max(squared, c.bank.least_jump**2), c)
-    return any_size + math.log(2.0 * math.pi * reach(squared) ** 2)
+    return any_size + math.log(2.0 * math.pi * unknown_position_stddev(squared) ** 2)
 
 
 @compiled
@@ -324,11 +330,11 @@ def _make_angle_children(window: Window, p: int, k: int, c: Config) -> None:
     if before.fault[source] == IS_HEALTHY:
         if update.outcome != _GATED:
             add_child(window, p, k, OUTLIER, source, 0, False, 0.0, c)
-        add_child_before(window, p, k, SCATTERS, source, 0.0, c)
+        add_child_at_measurement(window, p, k, SCATTERS, source, 0.0, c)
         _make_heading_offset_child(window, p, k, c)
         if m.kind == VELOCITY and has_recent_fix(before, m, c):
-            add_child_before(window, p, k, OFFSET, source, 0.0, c)
-    jumped = log_time(window, p, k, c) + c.log_rates[MOVED, source]
+            add_child_at_measurement(window, p, k, OFFSET, source, 0.0, c)
+    jumped = log_measurement_interval(window, p, k, c) + c.log_rates[MOVED, source]
     if m.kind == ON_SWING or (m.kind == HEADING and is_free_to_swing(before, source, c)):
         add_child(window, p, k, SWUNG, source, MEASURED, False, jumped, c)
     if m.kind == HEADING:

@@ -8,7 +8,7 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.bank.child import add_child, add_child_since, distance_since
+from trackslip_estimation.slip.bank.child import add_child, add_child_since_snapshot, distance_since_snapshot
 from trackslip_estimation.slip.bank.pool import update_of
 from trackslip_estimation.slip.events import (
     BIASED,
@@ -36,17 +36,21 @@ from trackslip_estimation.slip.source_faults import (
     IS_MISCOUNTING,
     IS_REPEATING,
     IS_STAYING,
+    can_be_repetition,
     is_trusted,
-    may_repeat,
 )
-from trackslip_estimation.slip.source_offsets import errs_by_position, is_correlated, number_of
+from trackslip_estimation.slip.source_offsets import (
+    has_mostly_correlated_errors,
+    has_position_dependent_errors,
+    pose_source_number,
+)
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
-_ANY_SHARE = math.log(HEADINGS)
+_LOG_SECTORS = math.log(HEADINGS)
 _STEEP = 0.1  # sine of a slope on which a machine may slide
 
 
@@ -56,31 +60,35 @@ def make_earlier_children(
 ) -> None:
     """Add children of p at a fix or a velocity that ``contradicts`` it, or as its slip is ``implausible``."""
     m, before, update = window.measurements[k], window.states[p, k - 1], update_of(window, p, k)
-    e, source, drove = window.branches[p, k], m.source, distance_since(window, p, k) > c.bank.least_distance
+    e, source, drove = (
+        window.branches[p, k],
+        m.source,
+        distance_since_snapshot(window, p, k) > c.bank.least_distance,
+    )
     penalty = correlated_penalty(window, p, k, c)
     if drove and has_velocity_errors(c):
-        add_child_since(window, p, k, SLIPPED, source, 0, -penalty, c)
+        add_child_since_snapshot(window, p, k, SLIPPED, source, 0, -penalty, c)
     is_first = window.branches[p, k - 1].snapshots[OLDER].weighed == 0 and e.cusum.max() <= c.bank.cusum_limit
     if is_first and not implausible and before.outlier_share[source] > c.bank.often_outliers:
         return  # probably an outlier; an earlier event also affects the next measurement
     if contradicts and is_free_to_swing(before, source, c):
         for part in range(HEADINGS):
-            add_child_since(window, p, k, SWUNG, source, part, -_ANY_SHARE, c)
+            add_child_since_snapshot(window, p, k, SWUNG, source, part, -_LOG_SECTORS, c)
     is_place = m.kind == POSE and is_trusted(before.fault[source], POSE)
-    if is_place and drove and are_track_speeds_measured(before) and may_repeat(update, c):
-        add_child_since(window, p, k, STAYS, source, 0, 0.0, c)
-    if is_place and update.coarse == 0 and not errs_by_position(source, c):
-        add_child_since(window, p, k, WANDERS, source, 0, 0.0, c)
+    if is_place and drove and are_track_speeds_measured(before) and can_be_repetition(update, c):
+        add_child_since_snapshot(window, p, k, STAYS, source, 0, 0.0, c)
+    if is_place and update.coarse == 0 and not has_position_dependent_errors(source, c):
+        add_child_since_snapshot(window, p, k, WANDERS, source, 0, 0.0, c)
     _make_source_fault_children(window, p, k, penalty, c)
     if has_velocity_errors(c):
         _make_failure_children(window, p, k, penalty, c)
     if before.fault[source] not in (IS_REPEATING, IS_STAYING) and update.coarse == 0:
-        add_child_since(window, p, k, NOISE, source, 0, 0.0, c)
+        add_child_since_snapshot(window, p, k, NOISE, source, 0, 0.0, c)
     if _is_steep(before) and has_velocity_errors(c):
-        add_child_since(window, p, k, SLID, source, 0, 0.0, c)
+        add_child_since_snapshot(window, p, k, SLID, source, 0, 0.0, c)
     if (contradicts and update.dof > YAW) or ((contradicts or implausible) and drove):
         for part in range(HEADINGS):
-            add_child_since(window, p, k, TURNED, source, part, -_ANY_SHARE - penalty, c)
+            add_child_since_snapshot(window, p, k, TURNED, source, part, -_LOG_SECTORS - penalty, c)
 
 
 @compiled
@@ -93,9 +101,9 @@ def _make_source_fault_children(window: Window, p: int, k: int, penalty: float, 
         if before.fault[other] != IS_HEALTHY:
             continue
         if c.yaw_offsets[other] >= 0:
-            add_child_since(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
-        elif c.offsets[other] >= 0 and number_of(other, c) < 0:
-            add_child_since(window, p, k, OFFSET, other, 0, -penalty, c)
+            add_child_since_snapshot(window, p, k, HEADING_WANDERS, other, 0, -penalty, c)
+        elif c.offsets[other] >= 0 and pose_source_number(other, c) < 0:
+            add_child_since_snapshot(window, p, k, OFFSET, other, 0, -penalty, c)
 
 
 @compiled
@@ -123,16 +131,16 @@ def _make_failure_children(window: Window, p: int, k: int, penalty: float, c: Co
         return
     for unit in range(MOST_SOURCES):
         if c.shows_motion[unit] == 1 and before.fault[unit] == IS_HEALTHY:
-            add_child_since(window, p, k, FAILED, unit, 0, -penalty, c)
+            add_child_since_snapshot(window, p, k, FAILED, unit, 0, -penalty, c)
         elif c.shows_motion[unit] == 1 and before.fault[unit] == IS_MISCOUNTING:  # by another fault
             add_child(window, p, k, FAILED, unit, 0, True, 0.0, c)
     if before.fault[TRACKS] == IS_HEALTHY and before.mean[COMMON_SLIP] < (c.bank.least_slip - 1.0) / 2.0:
         instead = c.log_rates[FAILED, TRACKS] - c.log_rates[SLIPPED, window.measurements[k].source]
         add_child(window, p, k, FAILED, TRACKS, LOST, True, instead, c)
     elif before.fault[TRACKS] == IS_HEALTHY:
-        add_child_since(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
+        add_child_since_snapshot(window, p, k, FAILED, TRACKS, LOST, -penalty, c)
     if c.shows_motion[GYROS] == 1 and before.fault[GYROS] == IS_HEALTHY:
-        add_child_since(window, p, k, BIASED, GYROS, 0, -penalty, c)
+        add_child_since_snapshot(window, p, k, BIASED, GYROS, 0, -penalty, c)
 
 
 @compiled
@@ -151,5 +159,5 @@ def _is_steep(state: State) -> bool:
 @compiled
 def correlated_penalty(window: Window, p: int, k: int, c: Config) -> float:
     """Reduction of ln of the prior of machine events, if errors of the source's fixes are time-correlated."""
-    errs_aside = is_correlated(window.states[p, k - 1], window.measurements[k].source, c)
+    errs_aside = has_mostly_correlated_errors(window.states[p, k - 1], window.measurements[k].source, c)
     return float(c.bank.correlated_penalty if errs_aside else 0.0)

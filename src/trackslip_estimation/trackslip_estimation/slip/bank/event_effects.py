@@ -72,7 +72,7 @@ from trackslip_estimation.slip.source_faults import (
 )
 from trackslip_estimation.slip.source_offsets import (
     latest_pose_source,
-    number_of,
+    pose_source_number,
     prior_offset_variance,
     to_measured_position,
     to_sensor_heading,
@@ -85,7 +85,7 @@ if TYPE_CHECKING:
 
 _LEARNED_BY_HEADING = GYRO_SCALE, FIX_DELAY, TURN_STATE_2, COMMON_SLIP, ROTATION_OFFSET
 _SLOPE_STDDEV = 2.0  # of k while the machine slides
-_PLACE = (1 << X) | (1 << Y)
+_POSITION = (1 << X) | (1 << Y)
 _NOT_ABOUT_SOURCE = -1
 _FAULTS = np.full(len(Event), _NOT_ABOUT_SOURCE)  # fault of the source after each event
 _FAULTS[[RECOVERED, BECAME_JUMP]] = IS_HEALTHY
@@ -96,7 +96,7 @@ _FAULTS[FAILED] = IS_FAILED
 
 
 @compiled
-def sector(part: int) -> tuple[float, float]:
+def sector_angle(part: int) -> tuple[float, float]:
     """Angle of sector ``part`` of the circle from the first one, rad, and variance inside it, rad²."""
     return 2.0 * math.pi * part / HEADINGS, (math.pi / HEADINGS) ** 2 / 2.0
 
@@ -109,7 +109,7 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
     if e.event == OFFSET:
         return _begin_offset(state, e, c)
     if e.event in (HEADING_OFF, HEADING_WANDERS):
-        return _replace(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
+        return _reset_state(state, c.yaw_offsets[source], 0.0, ANY_HEADING**2, c)
     if e.event in (RECOVERED, BECAME_JUMP):
         return _end_fault(state, e, was, c)
     if e.event == MOVED:
@@ -124,7 +124,7 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
     elif e.event == BIASED:
         _inflate_gyro_bias(P, max(e.value, c.events.bias_unseen), c)
     elif e.event == WANDERS:
-        begin_wander(state.offsets[number_of(source, c)].wander, P, c)
+        begin_wander(state.offsets[pose_source_number(source, c)].wander, P, c)
     elif e.event == LATE:
         inflate_delay(state, source, c)
     elif e.event == SKIDDED:
@@ -138,7 +138,7 @@ def apply_event(state: State, e: EventRecord, c: Config) -> int:
 
 
 @compiled
-def _replace(state: State, k: int, mean: float, variance: float, c: Config) -> int:
+def _reset_state(state: State, k: int, mean: float, variance: float, c: Config) -> int:
     """Reset state k to an uncorrelated mean and variance; return its bit."""
     replace_state(state.mean[: c.size], state.covariance[:], k, mean, variance)
     return 1 << k
@@ -166,9 +166,9 @@ def _set_source_fault(state: State, e: EventRecord) -> None:
 def _reset_position(state: State, e: EventRecord, c: Config) -> int:
     """Reset the position, and a heading that depends on the same sole fix."""
     x = state.mean
-    reset_states = _replace(state, X, x[X], e.value**2, c) | _replace(state, Y, x[Y], e.value**2, c)
+    reset_states = _reset_state(state, X, x[X], e.value**2, c) | _reset_state(state, Y, x[Y], e.value**2, c)
     if state.sole_fix_heading:
-        reset_states |= _replace(state, YAW, x[YAW], ANY_HEADING**2, c)
+        reset_states |= _reset_state(state, YAW, x[YAW], ANY_HEADING**2, c)
         state.sole_fix_heading = False
     return reset_states
 
@@ -176,47 +176,47 @@ def _reset_position(state: State, e: EventRecord, c: Config) -> int:
 @compiled
 def _begin_offset(state: State, e: EventRecord, c: Config) -> int:
     """Reset the offset of a source's positions or velocities to zero, with the variance of the event."""
-    own, number, opened = c.offsets[e.source], number_of(e.source, c), e.value**2
-    if own < 0:
+    first, number, opened = c.offsets[e.source], pose_source_number(e.source, c), e.value**2
+    if first < 0:
         return 0
     if number >= 0:
         state.offsets[number].variance = 0.0
-    return _replace(state, own, 0.0, opened, c) | _replace(state, own + 1, 0.0, opened, c)
+    return _reset_state(state, first, 0.0, opened, c) | _reset_state(state, first + 1, 0.0, opened, c)
 
 
 @compiled
 def _end_fault(state: State, e: EventRecord, was: int, c: Config) -> int:
     """End a fault of a source; BECAME_JUMP moves its offset into the measured state, except a swing angle."""
-    x, P, source, own = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
+    x, P, source, index = state.mean[: c.size], state.covariance[:], e.source, c.yaw_offsets[e.source]
     if is_heading_off(was):
         if e.event == BECAME_JUMP and c.of_swing[source] == 1:  # the offset stays
             return 0
         if e.event == BECAME_JUMP:
             to_sensor_heading(x, P, source, 1.0, c)
-        reset_states = _replace(state, own, 0.0, c.prior_variance[own], c)
+        reset_states = _reset_state(state, index, 0.0, c.prior_variance[index], c)
         return reset_states | (1 << YAW) if e.event == BECAME_JUMP else reset_states
     if was == IS_WANDERING and e.event == BECAME_JUMP:
-        wander = state.offsets[number_of(source, c)].wander
-        reset_states = _replace(state, X, x[X] + wander.east, wander.variance, c)
-        return reset_states | _replace(state, Y, x[Y] + wander.north, wander.variance, c)
+        wander = state.offsets[pose_source_number(source, c)].wander
+        reset_states = _reset_state(state, X, x[X] + wander.east, wander.variance, c)
+        return reset_states | _reset_state(state, Y, x[Y] + wander.north, wander.variance, c)
     if c.offsets[source] >= 0:
         if e.event == BECAME_JUMP:
             to_measured_position(x, P, source, 1.0, c)
         reset_states = _end_offset(state, source, c)
-        return reset_states | _PLACE if e.event == BECAME_JUMP else reset_states
+        return reset_states | _POSITION if e.event == BECAME_JUMP else reset_states
     if source == TRACKS and was == IS_MISCOUNTING:
-        return _replace(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
+        return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], c.events.slip_stddev**2, c)
     return 0
 
 
 @compiled
 def _end_offset(state: State, source: int, c: Config) -> int:
     """Reset the offset of a source's positions to the receiver's prior, that of its velocities to zero."""
-    own, number, usual = c.offsets[source], number_of(source, c), 0.0
+    first, number, usual = c.offsets[source], pose_source_number(source, c), 0.0
     if number >= 0:
         usual = prior_offset_variance(state, source, c)
         state.offsets[number].variance = usual
-    return _replace(state, own, 0.0, usual, c) | _replace(state, own + 1, 0.0, usual, c)
+    return _reset_state(state, first, 0.0, usual, c) | _reset_state(state, first + 1, 0.0, usual, c)
 
 
 @compiled
@@ -226,7 +226,7 @@ def _move_offset_to_position(state: State, source: int, c: Config) -> int:
     to_measured_position(x, P, source, 1.0, c)
     reset_states = _end_offset(state, source, c)
     to_measured_position(x, P, source, -1.0, c)
-    return reset_states | _PLACE
+    return reset_states | _POSITION
 
 
 @compiled
@@ -248,9 +248,9 @@ def _inflate_failed_state(state: State, e: EventRecord, was: int, c: Config) -> 
     elif e.source < TRACKS:
         state.covariance[COMMON_SLIP, COMMON_SLIP] += opened
     elif e.source == TRACKS and e.part == LOST:
-        return _replace(state, COMMON_SLIP, -1.0, opened, c)
+        return _reset_state(state, COMMON_SLIP, -1.0, opened, c)
     elif e.source == TRACKS and was == IS_MISCOUNTING:
-        return _replace(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
+        return _reset_state(state, COMMON_SLIP, c.prior_mean[COMMON_SLIP], opened, c)
     return 0
 
 
@@ -260,17 +260,17 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
     x, P, level = state.mean[: c.size], state.covariance[:], state.attitude.level
     is_measured = e.part == MEASURED
     about = latest_pose_source(state, c) if is_measured else e.source
-    turn, variance = (0.0, (math.pi / HEADINGS) ** 2) if is_measured else sector(e.part)
+    turn, variance = (0.0, (math.pi / HEADINGS) ** 2) if is_measured else sector_angle(e.part)
     if is_measured:
         turn = wrap(e.value - c.heading_offset[e.source] - x[YAW])
     swing = x[SWING] if c.above[about] == 1 else 0.0
     heading = wrap(x[YAW] + turn + swing)
     state.is_sector = not is_measured
     to_sensor(x, P, level, about, 1.0, c)
-    reset_states = _PLACE | _replace(state, YAW, heading, variance, c)
+    reset_states = _POSITION | _reset_state(state, YAW, heading, variance, c)
     if has_velocity_errors(c):
         for k in _LEARNED_BY_HEADING:
-            reset_states |= _replace(state, k, c.prior_mean[k], c.prior_variance[k], c)
+            reset_states |= _reset_state(state, k, c.prior_mean[k], c.prior_variance[k], c)
         reset_delay(state, c)
     to_sensor(x, P, level, about, -1.0, c)
     return reset_states
@@ -280,8 +280,8 @@ def _reset_heading(state: State, e: EventRecord, c: Config) -> int:
 def _reset_swing(state: State, e: EventRecord, c: Config) -> int:
     """Reset the swing angle to that of the event, and the swing rate to 0 ± that of the fastest swing."""
     x = state.mean
-    turn, variance = sector(max(e.part, 0))
+    turn, variance = sector_angle(max(e.part, 0))
     if e.part == MEASURED:
         turn = wrap(e.value - c.heading_offset[e.source] - x[SWING])
-    reset_states = _replace(state, SWING, wrap(x[SWING] + turn), variance, c)
-    return reset_states | _replace(state, SWING_RATE, 0.0, c.swing.fastest**2, c)
+    reset_states = _reset_state(state, SWING, wrap(x[SWING] + turn), variance, c)
+    return reset_states | _reset_state(state, SWING_RATE, 0.0, c.swing.fastest**2, c)

@@ -20,12 +20,16 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.single_state import log_ratio
-from trackslip_estimation.slip.bank.child import log_time
+from trackslip_estimation.slip.bank.child import log_measurement_interval
 from trackslip_estimation.slip.events import BIASED, SLIPPED
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.records import GYROS, POSE
 from trackslip_estimation.slip.source_faults import IS_HEALTHY
-from trackslip_estimation.slip.source_offsets import errors_of, is_correlated, number_of
+from trackslip_estimation.slip.source_offsets import (
+    error_model,
+    has_mostly_correlated_errors,
+    pose_source_number,
+)
 from trackslip_estimation.slip.window import Window
 
 if TYPE_CHECKING:
@@ -39,24 +43,24 @@ def log_odds_of_hidden_change(window: Window, p: int, k: int, event: int, c: Con
     −∞ where fixes of this source, or this branch, cannot hide such a change.
     """
     m, before = window.measurements[k], window.states[p, k - 1]
-    if m.kind != POSE or not (has_velocity_errors(c) and is_correlated(before, m.source, c)):
+    if m.kind != POSE or not (has_velocity_errors(c) and has_mostly_correlated_errors(before, m.source, c)):
         return -math.inf
     if event == BIASED and (c.shows_motion[GYROS] == 0 or before.fault[GYROS] != IS_HEALTHY):
         return -math.inf
-    n = number_of(m.source, c)
+    n = pose_source_number(m.source, c)
     east, north = window.receivers[k, n].recent_displacement
-    own, usual = c.offsets[m.source], before.offsets[n].variance
-    distance, found = math.hypot(east, north), errors_of(before.offsets[n], c)
+    first, usual = c.offsets[m.source], before.offsets[n].variance
+    distance, found = math.hypot(east, north), error_model(before.offsets[n], c)
     is_observed = distance >= c.bank.least_distance and found.observed >= found.time
     if before.fault[m.source] != IS_HEALTHY or not is_observed:
         return -math.inf
-    off = before.mean[own] * east + before.mean[own + 1] * north
+    off = before.mean[first] * east + before.mean[first + 1] * north
     spread = c.events.slip_stddev * distance
     if event == BIASED:
-        off = before.mean[own + 1] * east - before.mean[own] * north
+        off = before.mean[first + 1] * east - before.mean[first] * north
         spread = c.events.bias_stddev * c.receivers.longest_time / 2.0 * distance
     odds = log_ratio((off / distance) ** 2, usual + spread**2, usual)
-    return float(odds + log_time(window, p, k, c) + c.log_rates[event, m.source])
+    return float(odds + log_measurement_interval(window, p, k, c) + c.log_rates[event, m.source])
 
 
 @compiled

@@ -29,7 +29,7 @@ def update_of(window: Window, s: int, k: int) -> Update:
 
 
 @compiled
-def to_pool(window: Window, k: int) -> int:
+def copy_row_to_pool(window: Window, k: int) -> int:
     """Copy the branches of row k to the pool; return their number."""
     for s in range(window.counts[k]):
         window.pool_states[s], window.pool_branches[s] = window.states[s, k], window.branches[s, k]
@@ -38,15 +38,15 @@ def to_pool(window: Window, k: int) -> int:
 
 
 @compiled
-def from_pool(window: Window, k: int, count: int, c: Config) -> None:
+def fill_row_from_pool(window: Window, k: int, count: int, c: Config) -> None:
     """Fill row k with the most probable branches of the pool, in order; the first one has weight 0."""
     best, kept, healthy = (
-        window.pool_branches[_most_probable(window, count)].weight,
+        window.pool_branches[_most_probable_branch(window, count)].weight,
         0,
-        _most_probable_healthy(window, count),
+        _most_probable_healthy_branch(window, count),
     )
     while kept < MOST_BRANCHES:
-        h = _most_probable(window, count)
+        h = _most_probable_branch(window, count)
         if kept == MOST_BRANCHES - 1 and healthy >= 0:
             h = healthy
         if h == healthy:
@@ -68,11 +68,11 @@ def from_pool(window: Window, k: int, count: int, c: Config) -> None:
         kept += 1
     window.counts[k] = kept
     if healthy >= 0:  # kept although improbable
-        _keep_healthy(window, k, healthy, best, c)
+        _append_healthy_branch(window, k, healthy, best, c)
 
 
 @compiled
-def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> None:
+def _append_healthy_branch(window: Window, k: int, h: int, best: float, c: Config) -> None:
     """Append branch h of the pool, in which no source is at fault, to row k whatever its weight."""
     s = min(window.counts[k], MOST_BRANCHES - 1)
     branch = window.branches[s, k]
@@ -86,7 +86,7 @@ def _keep_healthy(window: Window, k: int, h: int, best: float, c: Config) -> Non
 
 
 @compiled
-def _most_probable_healthy(window: Window, count: int) -> int:
+def _most_probable_healthy_branch(window: Window, count: int) -> int:
     """Number of the most probable branch of the pool in which no source is at fault; −1: none."""
     heaviest = -1
     for h in range(count):
@@ -100,7 +100,7 @@ def _most_probable_healthy(window: Window, count: int) -> int:
 
 
 @compiled
-def _most_probable(window: Window, count: int) -> int:
+def _most_probable_branch(window: Window, count: int) -> int:
     """Number of the most probable branch of the pool."""
     heaviest = 0
     for h in range(1, count):
@@ -110,7 +110,7 @@ def _most_probable(window: Window, count: int) -> int:
 
 
 @compiled
-def merge(window: Window, count: int, c: Config) -> None:
+def merge_similar_branches(window: Window, count: int, c: Config) -> None:
     """Merge similar branches of the pool: the more probable one gets the weight of both."""
     branches = window.pool_branches
     for a in range(count):

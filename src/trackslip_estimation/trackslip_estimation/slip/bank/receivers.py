@@ -29,7 +29,7 @@ from trackslip_estimation.slip.source_faults import (
     has_failed_unit,
     is_trusted,
 )
-from trackslip_estimation.slip.source_offsets import errs_by_position, number_of
+from trackslip_estimation.slip.source_offsets import has_position_dependent_errors, pose_source_number
 from trackslip_estimation.slip.window import Window, copy_receivers, is_weighed, prior_of
 
 if TYPE_CHECKING:
@@ -75,8 +75,8 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
     holds its offset.
     """
     m, state, update = window.measurements[k], window.states[0, k], window.updates[k]
-    n = number_of(m.source, c)
-    if n < 0 or not _is_usable_for_errors(state, update, m.source, c):
+    n = pose_source_number(m.source, c)
+    if n < 0 or not _is_usable_for_error_model(state, update, m.source, c):
         return
     of, heading = window.receivers[k, n], heading_variance(window, k - 1)
     is_off = update.coarse == 0 and not is_trusted(state.fault[m.source], POSE)
@@ -95,7 +95,7 @@ def compare_fix(window: Window, k: int, c: Config) -> None:
 
 
 @compiled
-def _is_usable_for_errors(state: State, update: Update, source: int, c: Config) -> bool:
+def _is_usable_for_error_model(state: State, update: Update, source: int, c: Config) -> bool:
     """Whether a fix is usable for the errors of its receiver: fix, tracks, gyros and odometry have no fault.
 
     A precise fix is unusable as an outlier, or if errors of its source depend on the position.
@@ -104,19 +104,19 @@ def _is_usable_for_errors(state: State, update: Update, source: int, c: Config) 
     if has_failed_unit(state) or fault in (IS_REPEATING, IS_STAYING, IS_SCATTERING):
         return False
     is_outlier = update.outcome == _GATED and (fault == IS_IGNORED or is_trusted(fault, POSE))
-    return bool(update.coarse == 1 or not (is_outlier or errs_by_position(source, c)))
+    return bool(update.coarse == 1 or not (is_outlier or has_position_dependent_errors(source, c)))
 
 
 @compiled
 def reset_receivers_after_turn(window: Window, k: int, c: Config) -> None:
     """Reset the receivers of row k if the heading was found wrong: their displacements were wrong too."""
-    if _turned_ns(window.branches[0, k]) > _turned_ns(window.branches[0, k - 1]):
+    if _heading_reset_ns(window.branches[0, k]) > _heading_reset_ns(window.branches[0, k - 1]):
         for n in range(c.poses):
             reset_receiver(window.receivers[k, n], c)
 
 
 @compiled
-def _turned_ns(branch: Branch) -> int:
+def _heading_reset_ns(branch: Branch) -> int:
     """Stamp of the latest measurement by which a branch found its heading wrong; NEVER_NS: none."""
     last_ns = NEVER_NS
     for n in range(min(branch.events, HISTORY)):
@@ -142,7 +142,7 @@ def heading_variance(window: Window, k: int) -> float:
 def add_first_fix(window: Window, c: Config) -> None:
     """Initialise the masses with the fix that starts the estimate, if its errors are time-correlated."""
     state, m = window.states[0, 0], window.measurements[0]
-    number = number_of(m.source, c) if is_weighed(m) else -1
+    number = pose_source_number(m.source, c) if is_weighed(m) else -1
     if number >= 0 and state.offsets[number].variance > 0.0:
         of, masses = window.receivers[0, number], window.masses[0, number]
         add_fix(

@@ -24,14 +24,19 @@ from typing import TYPE_CHECKING
 from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.slip.bank.children import create_children, slip_range_penalty
 from trackslip_estimation.slip.bank.event_effects import apply_event
-from trackslip_estimation.slip.bank.pool import from_pool, merge, to_pool, update_of
+from trackslip_estimation.slip.bank.pool import (
+    copy_row_to_pool,
+    fill_row_from_pool,
+    merge_similar_branches,
+    update_of,
+)
 from trackslip_estimation.slip.bank.receivers import (
     carry_receivers,
     compare_fix,
     copy_error_models,
     reset_receivers_after_turn,
 )
-from trackslip_estimation.slip.bank.script import play_script, record_event
+from trackslip_estimation.slip.bank.script import apply_scripted_events, record_event
 from trackslip_estimation.slip.correlated_errors import reset_receiver
 from trackslip_estimation.slip.events import HEADINGS, NONE, TURNED, UNKNOWN_HEADING
 from trackslip_estimation.slip.finite import is_finite_state
@@ -78,7 +83,7 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
             if j < was:
                 update.opened, update.reset_states = NONE, 0
                 if scripted:
-                    play_script(window, k, 0, c)
+                    apply_scripted_events(window, k, 0, c)
             for i in range(branch.first, k + 1):
                 copy_error_models(state, window, i - 1, c)
                 if closes < i or i == branch.first:
@@ -95,10 +100,10 @@ def make_rows(window: Window, first: int, count: int, c: Config) -> bool:
             if j == was and weighs:
                 jobs = create_children(window, k, c)
         if scripted:
-            play_script(window, k, 1, c)
+            apply_scripted_events(window, k, 1, c)
         else:
             if weighs:
-                settle_row(window, k, jobs, c)
+                prune_row(window, k, jobs, c)
                 reset_receivers_after_turn(window, k, c)
             advance_snapshots(window, k, c)
             if is_moving_without_heading(states[0, k]):
@@ -131,7 +136,7 @@ def is_moving_without_heading(state: State) -> bool:
 @compiled
 def split_unknown_heading(window: Window, k: int, c: Config) -> None:
     """Split the first branch of row k into one branch for each sector of the circle."""
-    count = to_pool(window, k)
+    count = copy_row_to_pool(window, k)
     for part in range(1, HEADINGS):
         window.pool_states[count], window.pool_branches[count] = (
             window.pool_states[0],
@@ -141,7 +146,7 @@ def split_unknown_heading(window: Window, k: int, c: Config) -> None:
         _set_sector(window, count, part, k, c)
         count += 1
     _set_sector(window, 0, 0, k, c)
-    from_pool(window, k, count, c)
+    fill_row_from_pool(window, k, count, c)
     for s in range(window.counts[k]):
         if window.branches[s, k].fresh == 1:
             _reset_snapshots(window, s, k)
@@ -158,11 +163,11 @@ def _set_sector(window: Window, h: int, part: int, k: int, c: Config) -> None:
 
 
 @compiled
-def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
+def prune_row(window: Window, k: int, jobs: int, c: Config) -> None:
     """Merge and prune the ``jobs`` branches and children into row k; move its snapshots."""
     measurement, count = window.measurements[k], window.counts[k]
     if jobs > 1:
-        _tie(window, count, measurement.source)
+        _equalize_tied_evidence(window, count, measurement.source)
         for h in range(jobs):
             if not is_finite_state(window.pool_states[h], c.size) or math.isnan(
                 window.pool_branches[h].weight
@@ -174,13 +179,13 @@ def settle_row(window: Window, k: int, jobs: int, c: Config) -> None:
             branch.cusum[:] = 0.0
             if state.fault[measurement.source] == IS_IGNORED:  # only for this measurement
                 state.fault[measurement.source], branch.fresh = IS_HEALTHY, 0
-        merge(window, jobs, c)
-        from_pool(window, k, jobs, c)
+        merge_similar_branches(window, jobs, c)
+        fill_row_from_pool(window, k, jobs, c)
     _move_snapshots(window, k, c)
 
 
 @compiled
-def _tie(window: Window, count: int, source: int) -> None:
+def _equalize_tied_evidence(window: Window, count: int, source: int) -> None:
     """Give tied measurements the evidence of the most probable branch that may use them: equal odds."""
     best = -1
     for h in range(count):

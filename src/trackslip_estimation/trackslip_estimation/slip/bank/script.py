@@ -37,7 +37,7 @@ def record_event(
 
 
 @compiled
-def play_script(window: Window, k: int, after: int, c: Config) -> None:
+def apply_scripted_events(window: Window, k: int, after: int, c: Config) -> None:
     """Apply the script's events before (0) or ``after`` (1) the step to measurement k to the only branch."""
     script, status, m = window.script, window.status[0], window.measurements[k]
     state, update = window.states[0, k], window.updates[k]

@@ -40,7 +40,7 @@ from trackslip_estimation.slip.levers import swung_place, unknown_arm
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
-from trackslip_estimation.slip.source_offsets import errors_of, number_of, time_correlated_share
+from trackslip_estimation.slip.source_offsets import error_model, pose_source_number, time_correlated_share
 from trackslip_estimation.slip.validity import HIGHEST
 
 if TYPE_CHECKING:
@@ -119,8 +119,8 @@ def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -
     share = time_correlated_share(state, source, c)
     if share == 0.0:
         return stated, stated
-    offset = state.offsets[number_of(source, c)]
-    time = errors_of(offset, c).time
+    offset = state.offsets[pose_source_number(source, c)]
+    time = error_model(offset, c).time
     return stated, stated * (1.0 - share + share / math.tanh(dt / (2.0 * time)))
 
 

@@ -33,7 +33,7 @@ from trackslip_estimation.slip.source_faults import IS_OFFSET
 from trackslip_estimation.slip.source_offsets import (
     has_correlated_errors,
     is_unobserved_receiver,
-    number_of,
+    pose_source_number,
     position_stddev,
 )
 from trackslip_estimation.slip.validity import LEAST_VARIANCE
@@ -74,7 +74,7 @@ def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> Flo
 @compiled
 def has_offset(state: State, source: int, c: Config) -> bool:
     """Whether the positions of a source contain its offset."""
-    number = number_of(source, c)
+    number = pose_source_number(source, c)
     return bool(number >= 0 and (state.fault[source] == IS_OFFSET or state.offsets[number].variance > 0.0))
 
 
@@ -118,7 +118,7 @@ def remove_correlated_noise(state: State, source: int, R: FloatArray, c: Config)
     stddev = position_stddev(R)
     if not has_correlated_errors(state, source, stddev, c):
         return
-    share = math.sqrt(state.offsets[number_of(source, c)].errors[quality_of(stddev, c)].f)
+    share = math.sqrt(state.offsets[pose_source_number(source, c)].errors[quality_of(stddev, c)].f)
     R[:YAW] *= share
     R[:, :YAW] *= share
 

@@ -13,7 +13,7 @@ import numpy as np
 from trackslip_common.arrays import BoolArray, FloatArray, IntArray
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.log import begin_log, make_log, run_whole
+from trackslip_estimation.slip.log import make_log, run_in_one_block, start_of_log
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, SwingAngle, YawRate
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -133,8 +133,8 @@ def _simulated(p: StudyParameters, estimator: SlipEstimatorParameters, soil: str
 def _read(found: list[Measurement], p: SlipEstimatorParameters) -> tuple[Window, Rows]:
     """The state at the start, and the rows after it with their sprocket speeds."""
     log = make_log(to_records(found, SlipEstimator(p).sources), p)
-    start, config = begin_log(log, p, np.zeros(0, EVENT))
-    window = run_whole(log.rest, start, config)
+    start, config = start_of_log(log, p, np.zeros(0, EVENT))
+    window = run_in_one_block(log.rest, start, config)
     if window.best["coasting"][: window.count].any():
         raise InputError(
             f"{NODE}: sprocket_rate: the estimator takes the time between two samples for silence"

@@ -9,10 +9,10 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.log import run_whole
+from trackslip_estimation.slip.log import run_in_one_block
 from trackslip_estimation.slip.models.model import POSE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.window import Window, copy_first, make_like
+from trackslip_estimation.slip.window import Window, copy_first_entry, make_like
 from trackslip_sim.study.slip.drive import Drive
 from trackslip_sim.study.slip.kernels import SLIPS, bound, compare, scratch, variances
 from trackslip_sim.study.slip.parameters import DRAWN, SHEAR, Cell, StudyParameters
@@ -79,9 +79,9 @@ def _filtered(setting: Setting, trial: Trial) -> Window:
     """The filtered states of a run, after its start."""
     drive = setting.drive
     begin = make_like(drive.begin, 2)
-    copy_first(begin, drive.begin)
+    copy_first_entry(begin, drive.begin)
     begin.best["mean"][0], begin.best["covariance"][0] = trial.start
-    return run_whole(trial.rows.measurements, begin, setting.config)
+    return run_in_one_block(trial.rows.measurements, begin, setting.config)
 
 
 def least(setting: Setting, trial: Trial) -> FloatArray:
