@@ -19,7 +19,7 @@ from trackslip_estimation.slip.models.dispatch import twist
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, GYRO_SCALE
 from trackslip_estimation.slip.models.model import POSE as OF_POSE
 from trackslip_estimation.slip.models.turning import ASYMMETRY
-from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, smoothed
+from trackslip_estimation.slip.motion import Motion, MotionState, Speeds, smoothed_speeds
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import MEASUREMENT, POSE, STATE
 from trackslip_sim.study.slip.drive import make_drive
@@ -70,7 +70,7 @@ def steady(drives: NDArray[np.void], p: SlipEstimatorParameters) -> FloatArray:
     for drive in drives:
         motion, changing, *rest = drive["motion"].item()
         state = MotionState(Motion(motion), changing, *rest)
-        found.append(smoothed(Speeds(*drive["speeds"].item()), state, p.motion)[:2])
+        found.append(smoothed_speeds(Speeds(*drive["speeds"].item()), state, p.motion)[:2])
     return np.array(found)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.slip.counts import COUNTS, begin_counts, follow, keep
+from trackslip_estimation.slip.counts import COUNTS, begin_counts, filter_counts, store_counts
 
 
 def speeds_of(positions: FloatArray, periods: FloatArray, resolution: float) -> tuple[FloatArray, FloatArray]:
@@ -20,8 +20,8 @@ def speeds_of(positions: FloatArray, periods: FloatArray, resolution: float) -> 
     found, variances = np.zeros((len(periods), 2)), np.zeros(len(periods))
     begin_counts(counts, c)
     for k, (shown, dt) in enumerate(zip(np.diff(positions, axis=0), periods, strict=True)):
-        followed = follow(counts, shown[0] / dt, shown[1] / dt, dt, c)
-        keep(followed, counts)
+        followed = filter_counts(counts, shown[0] / dt, shown[1] / dt, dt, c)
+        store_counts(followed, counts)
         found[k], variances[k] = (followed.left.mean, followed.right.mean), followed.mean_variance
     return found, variances
 

@@ -8,7 +8,14 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from trackslip_estimation.slip.motion import Motion, MotionParameters, MotionState, Speeds, classify, smoothed
+from trackslip_estimation.slip.motion import (
+    Motion,
+    MotionParameters,
+    MotionState,
+    Speeds,
+    classify,
+    smoothed_speeds,
+)
 
 LIMITS = MotionParameters(
     standing_speed=0.05,
@@ -68,11 +75,11 @@ def test_steady_speeds(left: float, right: float, expected: Motion) -> None:
     for state in (drive(held(left, right))[-1], drive(held(0.0, 0.0) + held(left, right, 5.0))[-1]):
         assert state.motion is expected
         assert not state.changing
-        assert state.slips_move == (expected is not Motion.STRAIGHT)
+        assert state.are_slips_changing == (expected is not Motion.STRAIGHT)
 
 
 def test_the_first_sample_counts_whole() -> None:
-    assert MotionState().slips_move
+    assert MotionState().are_slips_changing
     state = classify(MotionState(), measured(2.0, 2.0), DT, LIMITS)
     assert (state.motion, state.left, state.right_mean) == (Motion.STRAIGHT, 2.0, 2.0)
 
@@ -93,8 +100,8 @@ def test_change_is_detected_at_once_and_expires() -> None:
     assert any(changing[300:310])
     assert not any(changing[-50:])
     assert set(motions(states)) == {Motion.STRAIGHT}
-    assert states[310].slips_move
-    assert not states[-1].slips_move
+    assert states[310].are_slips_changing
+    assert not states[-1].are_slips_changing
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -145,7 +152,7 @@ def test_speeds_are_low_passed_where_rounding_explains_their_changes() -> None:
     for left, right in counted(1.37, 1.371, 5.0) + counted(1.6, 1.2, 5.0):
         speeds = Speeds(left, right, COUNTED, COUNT**2 / 12.0)
         state = classify(state, speeds, DT, LIMITS)
-        found.append(smoothed(speeds, state, LIMITS))
+        found.append(smoothed_speeds(speeds, state, LIMITS))
     variances = np.array([one.variance for one in found])
     assert variances[100:500].max() < COUNTED / 100.0
     assert found[500] == (*counted(1.6, 1.2, DT)[0], COUNTED, COUNT**2 / 12.0)
@@ -157,12 +164,12 @@ def test_speed_difference_within_rounding_is_not_published(difference: float) ->
     """Speeds are not low-passed while they change; one count in 10 ms is 0.05 rad/s."""
     now = Speeds(1.5, 1.5 + difference, COUNTED, COUNT**2 / 12.0)
     changing = MotionState(Motion.STRAIGHT, left=1.0, right=1.0, departure=0.5)
-    left, right, variance, _ = smoothed(now, changing, LIMITS)
+    left, right, variance, _ = smoothed_speeds(now, changing, LIMITS)
     assert (left + right) / 2.0 == pytest.approx(1.5 + difference / 2.0)
     assert right - left == pytest.approx(difference if difference == 0.3 else 0.0)
     assert variance == COUNTED
     measured_ = now._replace(variance=0.0)
-    assert smoothed(measured_, changing, LIMITS) == measured_
+    assert smoothed_speeds(measured_, changing, LIMITS) == measured_
 
 
 def test_shaking_on_the_spot_is_standstill() -> None:

@@ -14,7 +14,7 @@ from fixtures.filter_steps import Gaussian, config_of, state_of
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import correct
-from trackslip_estimation.slip.levers import lever, to_sensor, turn_about
+from trackslip_estimation.slip.levers import lever, to_sensor, turn_about_sensor
 from trackslip_estimation.slip.models.model import FIX_DELAY, SIZE, SWING, YAW, X, Y
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
 from trackslip_estimation.slip.parameters import load_slip_parameters
@@ -125,7 +125,7 @@ def test_position_correction_rotates_the_machine_about_its_sensor(source: str) -
     x, P = state["mean"][0, :n].copy(), state["covariance"][0].copy()
     before, place = x.copy(), lever(x, level, number, c)
     correct(x, P, o)
-    turn_about(x, P, before, place, level, number, c)
+    turn_about_sensor(x, P, before, place, level, number, c)
     assert abs(x[YAW] - before[YAW]) > 0.2
     at, Q = before.copy(), state["covariance"][0].copy()
     to_sensor(at, Q, level, number, 1.0, c)

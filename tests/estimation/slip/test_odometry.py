@@ -27,7 +27,7 @@ from trackslip_estimation.slip.measurements import (
     Sprockets,
 )
 from trackslip_estimation.slip.mounting import quaternion_of
-from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, variances_stated
+from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, stated_variances
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Refusal
 
@@ -226,7 +226,7 @@ def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> No
             odometry_variances=np.array([(0.09, 0.01)]),
         )
         measured = SimpleNamespace(source=0, noise=now)
-        return variances_stated.py_func(  # type: ignore[attr-defined]  # numba's
+        return stated_variances.py_func(  # type: ignore[attr-defined]  # numba's
             SimpleNamespace(noise=before), measured, 0.5, c
         )
 

@@ -10,7 +10,7 @@ from fixtures.filter_steps import Drive, Gaussian, config_of, differences, moved
 from fixtures.swinging_cab import CAB, upper_pose
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.slip.levers import sensor_place, stamp_shift, to_sensor
+from trackslip_estimation.slip.levers import horizontal_lever_arm, stamp_shift, to_sensor
 from trackslip_estimation.slip.models.model import (
     SIZE,
     SWING,
@@ -58,7 +58,7 @@ def test_lever_arm_on_the_cab_is_transformed_and_inverted(tilted: bool) -> None:
         swing, axis = known.mean[SWING], np.array(CAB.swing_axis)
         arm = np.array((antenna.x, antenna.y)) - axis
         turned = axis + np.array(((np.cos(swing), -np.sin(swing)), (np.sin(swing), np.cos(swing)))) @ arm
-        np.testing.assert_allclose(sensor_place(level, swing, 0, c)[:2], turned, atol=1e-12)
+        np.testing.assert_allclose(horizontal_lever_arm(level, swing, 0, c)[:2], turned, atol=1e-12)
 
 
 def test_box_on_the_cab_turns_with_it() -> None:

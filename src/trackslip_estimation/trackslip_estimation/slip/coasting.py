@@ -50,7 +50,7 @@ def unknown_motion(vehicle: Kinematics, max_sprocket_speed: float) -> UnknownMot
 
 
 @compiled
-def begin_coast(state: State, rate: tuple[float, float], c: Config) -> None:
+def reset_velocity_errors(state: State, rate: tuple[float, float], c: Config) -> None:
     """Reset the velocity errors at the begin of silence; ``rate``: yaw rate and its variance."""
     if has_velocity_errors(c):
         replace_state(state.mean, state.covariance, SPEED_ERROR, 0.0, c.unknown_speed**2)
@@ -58,7 +58,7 @@ def begin_coast(state: State, rate: tuple[float, float], c: Config) -> None:
 
 
 @compiled
-def inflate(state: State, dt: float, c: Config) -> None:
+def add_unknown_motion_noise(state: State, dt: float, c: Config) -> None:
     """Add process noise of ``dt`` s of unknown motion that no state models."""
     P, share = state.covariance, 1.0
     if has_velocity_errors(c):  # which model speed along the heading
@@ -69,8 +69,8 @@ def inflate(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def widen_start(state: State, reached_ns: int, c: Config) -> None:
-    """Inflate the pose by the error of the first sample's speeds, from the stamp of the state on."""
+def inflate_start_pose(state: State, reached_ns: int, c: Config) -> None:
+    """Inflate the covariance of the pose by the error of the first sample's speeds since the state."""
     P, start_ns = state.covariance, state.sample.stamp_ns
     before, after = (state.stamp_ns - start_ns) * 1e-9, (reached_ns - start_ns) * 1e-9
     grown = (after**3 - before**3) / (3.0 * SPEED_TIME)

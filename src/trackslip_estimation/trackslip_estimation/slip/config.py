@@ -228,11 +228,11 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
 
 def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Set the rates of events by source; a source without own rates uses 1/s for its faults and jumps."""
-    own = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
-    own |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
-    own |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.angles().items()}
-    own |= {name: (velocity.fault_rate, 1.0) for name, velocity in p.velocities().items()}
-    by_number = {numbers[name]: rates for name, rates in own.items()}
+    by_name = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
+    by_name |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
+    by_name |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.angles().items()}
+    by_name |= {name: (velocity.fault_rate, 1.0) for name, velocity in p.velocities().items()}
+    by_number = {numbers[name]: rates for name, rates in by_name.items()}
     c["log_rates"] = -np.inf
     for k in range(MOST_SOURCES):
         rates = event_rates(p.events, *by_number.get(k, (1.0, 1.0)), p.bank.repeat_jitter)

@@ -40,19 +40,19 @@ class CountsRecord(Record):
 COUNTS = dtype_of(CountsRecord)
 
 
-class Side(NamedTuple):
-    """Angle and speed of a sprocket at a position."""
+class SprocketEstimate(NamedTuple):
+    """Estimated angle and speed of a sprocket at a position."""
 
     ahead: float  # p − θ, rad
     speed: float  # ω, rad/s
     mean: float  # mean of ω since the previous position, rad/s
 
 
-class Followed(NamedTuple):
-    """Both sprockets at a position."""
+class CountsEstimate(NamedTuple):
+    """Estimated angles and speeds of both sprockets at a position."""
 
-    left: Side
-    right: Side
+    left: SprocketEstimate
+    right: SprocketEstimate
     variance: float  # of θ, rad²
     covariance: float  # of θ and ω, rad²/s
     speed_variance: float  # of ω, (rad/s)²
@@ -75,8 +75,8 @@ def begin_counts(counts: CountsRecord, c: Config) -> None:
 
 
 @compiled
-def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> Followed:
-    """The filter ``dt`` s later, after mean encoder speeds of ``left`` and ``right`` rad/s."""
+def filter_counts(counts: CountsRecord, left: float, right: float, dt: float, c: Config) -> CountsEstimate:
+    """Estimate ``dt`` s after ``counts``, from mean encoder speeds ``left`` and ``right``, rad/s."""
     known = RateCovariance(counts.variance, counts.covariance, counts.speed_variance)
     variance, covariance, speed_variance = propagate_rate_covariance(known, dt, _SPEED_WALK)
     R, half = c.encoder_resolution**2 / 12.0, c.encoder_resolution / 2.0
@@ -84,9 +84,9 @@ def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config
     gain = _Gain(R / S, covariance / S)
     now = gain.kept * variance
     shared = gain.kept * (counts.variance + counts.covariance * dt)  # of θ now and before
-    return Followed(
-        _side(counts.left_ahead, counts.left_speed, left, dt, gain, half),
-        _side(counts.right_ahead, counts.right_speed, right, dt, gain, half),
+    return CountsEstimate(
+        _filter_sprocket(counts.left_ahead, counts.left_speed, left, dt, gain, half),
+        _filter_sprocket(counts.right_ahead, counts.right_speed, right, dt, gain, half),
         now,
         gain.kept * covariance,
         max(speed_variance - gain.speed * covariance, 0.0),
@@ -95,16 +95,18 @@ def follow(counts: CountsRecord, left: float, right: float, dt: float, c: Config
 
 
 @compiled
-def _side(ahead: float, speed: float, shown: float, dt: float, gain: _Gain, half: float) -> Side:
+def _filter_sprocket(
+    ahead: float, speed: float, shown: float, dt: float, gain: _Gain, half: float
+) -> SprocketEstimate:
     innovation = ahead + (shown - speed) * dt
     after = min(max(gain.kept * innovation, -half), half)
-    return Side(after, speed + gain.speed * innovation, shown - (after - ahead) / dt)
+    return SprocketEstimate(after, speed + gain.speed * innovation, shown - (after - ahead) / dt)
 
 
 @compiled
-def keep(followed: Followed, counts: CountsRecord) -> None:
-    """Store ``followed`` in ``counts``."""
-    counts.left_ahead, counts.left_speed = followed.left.ahead, followed.left.speed
-    counts.right_ahead, counts.right_speed = followed.right.ahead, followed.right.speed
-    counts.variance, counts.covariance = followed.variance, followed.covariance
-    counts.speed_variance = followed.speed_variance
+def store_counts(estimate: CountsEstimate, counts: CountsRecord) -> None:
+    """Store an estimate in ``counts``."""
+    counts.left_ahead, counts.left_speed = estimate.left.ahead, estimate.left.speed
+    counts.right_ahead, counts.right_speed = estimate.right.ahead, estimate.right.speed
+    counts.variance, counts.covariance = estimate.variance, estimate.covariance
+    counts.speed_variance = estimate.speed_variance

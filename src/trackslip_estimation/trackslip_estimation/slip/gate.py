@@ -35,7 +35,7 @@ def gate_factor(rejected_ns: int, timeout_ns: int, relaxation: float) -> float:
 
 
 @compiled
-def limit_of(state: State, measurement: MeasurementRecord, rows: int, c: Config) -> float:
+def gate_limit(state: State, measurement: MeasurementRecord, rows: int, c: Config) -> float:
     """Gate w g of a measurement with ``rows`` degrees of freedom."""
     source = measurement.source
     wide = gate_factor(state.rejected_ns[source], c.timeouts_ns[source], c.gate_relaxation)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
     from trackslip_estimation.slip.records import State
 
-_SHOWN = 0.8  # largest P, over v; above it noise of the fixes dominates δ
+_LARGEST_RATIO = 0.8  # largest P, over v; above it noise of the fixes dominates δ
 
 
 @compiled
@@ -47,7 +47,7 @@ def propagate_delay(state: State, dt: float, c: Config) -> None:
 def log_odds_of_delay(state: State, source: int, c: Config) -> float:
     """ln of the odds of stamp errors of a source beyond σ_t; −∞: v allows for them, or δ is not observed."""
     v, w, P = state.delay_variance, _late_variance(source, c), state.covariance[FIX_DELAY, FIX_DELAY]
-    if not has_velocity_errors(c) or v >= w / 4.0 or not 0.0 < P < _SHOWN * v:
+    if not has_velocity_errors(c) or v >= w / 4.0 or not 0.0 < P < _LARGEST_RATIO * v:
         return -math.inf
     R = 1.0 / (1.0 / P - 1.0 / v)
     shown = (state.mean[FIX_DELAY] - c.prior_mean[FIX_DELAY]) * R / P

@@ -44,28 +44,28 @@ class Lever(NamedTuple):
 
 
 @compiled
-def arm_of(source: int, c: Config) -> tuple[float, float]:
+def arm_from_swing_axis(source: int, c: Config) -> tuple[float, float]:
     """l − a of a sensor above, horizontal, m."""
     return c.levers[source, 0] - c.swing_axis[0], c.levers[source, 1] - c.swing_axis[1]
 
 
 @compiled
-def unknown_arm(P: FloatArray, source: int, c: Config) -> float:
-    """Variance of its position by axis, m², where σ is unknown and linearisation fails; else 0."""
-    x, y = arm_of(source, c)
+def unknown_swing_variance(P: FloatArray, source: int, c: Config) -> float:
+    """Variance of a sensor's position by axis, m², where σ is unknown and linearisation fails; else 0."""
+    x, y = arm_from_swing_axis(source, c)
     known = P[SWING, SWING] <= UNKNOWN_SWING**2
     return 0.0 if known else float(x * x + y * y)
 
 
 @compiled
-def swung_place(swing: float, source: int, c: Config) -> Place:
-    """x and y of its lever arm in base_link, and their derivatives by σ."""
+def swung_lever_arm(swing: float, source: int, c: Config) -> Place:
+    """x and y of a sensor's lever arm in base_link, and their derivatives by σ."""
     x, y = c.levers[source, 0], c.levers[source, 1]
-    return _swung(x, y, swing, c) if c.above[source] == 1 else (x, y, 0.0, 0.0)
+    return _swung_point(x, y, swing, c) if c.above[source] == 1 else (x, y, 0.0, 0.0)
 
 
 @compiled
-def _swung(x: float, y: float, swing: float, c: Config) -> Place:
+def _swung_point(x: float, y: float, swing: float, c: Config) -> Place:
     """x and y in base_link of a point above, and their derivatives by σ; ``x``, ``y``: at σ = 0."""
     cos, sin, ahead, left = np.cos(swing), np.sin(swing), x - c.swing_axis[0], y - c.swing_axis[1]
     by_x, by_y = -sin * ahead - cos * left, cos * ahead - sin * left
@@ -73,10 +73,10 @@ def _swung(x: float, y: float, swing: float, c: Config) -> Place:
 
 
 @compiled
-def sensor_place(level: Level, swing: float, source: int, c: Config) -> Place:
+def horizontal_lever_arm(level: Level, swing: float, source: int, c: Config) -> Place:
     """p and p'; ``level``: tilt of the machine, record of ``attitude``."""
     z = c.levers[source, 2]
-    x, y, by_x, by_y = swung_place(swing, source, c)
+    x, y, by_x, by_y = swung_lever_arm(swing, source, c)
     ahead = x * (1.0 + level.forward) + y * level.across + z * level.lean_x
     by_ahead = by_x * (1.0 + level.forward) + by_y * level.across
     left = y * (1.0 + level.sideways) + z * level.lean_y
@@ -87,7 +87,7 @@ def sensor_place(level: Level, swing: float, source: int, c: Config) -> Place:
 def lever(x: FloatArray, level: Level, source: int, c: Config) -> Lever:
     """R(φ) p with the time-correlated tilt error, and its derivatives."""
     above, by, cos, sin = c.above[source] == 1, np.zeros((2, x.size)), np.cos(x[YAW]), np.sin(x[YAW])
-    ahead, left, by_ahead, by_left = sensor_place(level, x[SWING] if above else 0.0, source, c)
+    ahead, left, by_ahead, by_left = horizontal_lever_arm(level, x[SWING] if above else 0.0, source, c)
     if above:
         by[X, SWING], by[Y, SWING] = cos * by_ahead - sin * by_left, sin * by_ahead + cos * by_left
     if c.lean_errors >= 0 and c.levers[source, 2] != 0.0:
@@ -110,13 +110,13 @@ def to_sensor(x: FloatArray, P: FloatArray, level: Level, source: int, sign: flo
     place = lever(x, level, source, c)
     x[X] += sign * place.east
     x[Y] += sign * place.north
-    _shear_place(P, place.jacobian, sign)
+    _transform_position_covariance(P, place.jacobian, sign)
     if above and sign > 0.0:
         _turn_heading(x, P, level, sign)
 
 
 @compiled
-def turn_about(
+def turn_about_sensor(
     x: FloatArray, P: FloatArray, before: FloatArray, place: Lever, level: Level, source: int, c: Config
 ) -> None:
     """Add the terms beyond first order to a correction, so that C turns about the sensor; in place.
@@ -130,11 +130,11 @@ def turn_about(
     for k in range(YAW, x.size):
         x[X] += place.jacobian[X, k] * (x[k] - before[k])
         x[Y] += place.jacobian[Y, k] * (x[k] - before[k])
-    _shear_place(P, place.jacobian - after.jacobian, 1.0)
+    _transform_position_covariance(P, place.jacobian - after.jacobian, 1.0)
 
 
 @compiled
-def _shear_place(P: FloatArray, by: FloatArray, sign: float) -> None:
+def _transform_position_covariance(P: FloatArray, by: FloatArray, sign: float) -> None:
     """Transform P for x and y that gain ``by`` (2, n) times the other states; in place."""
     for k in range(YAW, by.shape[1]):
         for axis in (X, Y):
@@ -145,12 +145,12 @@ def _shear_place(P: FloatArray, by: FloatArray, sign: float) -> None:
 @compiled
 def _turn_heading(x: FloatArray, P: FloatArray, level: Level, sign: float) -> None:
     """Transform φ into the horizontal φ + σ, or back; in place."""
-    x[YAW] = wrap(x[YAW] + sign * seen_from_above(x[SWING], level))
+    x[YAW] = wrap(x[YAW] + sign * horizontal_direction(x[SWING], level))
     add_state(P, YAW, SWING, sign)
 
 
 @compiled
-def other_lean(level: Level, source: int, c: Config) -> float:
+def unmodelled_tilt_variance(level: Level, source: int, c: Config) -> float:
     """Variance of a sensor's position by axis, m², by the part of the tilt error that is no state."""
     more = max(level.lean_variance - c.lean_stddev**2, 0.0)
     return float(c.levers[source, 2] ** 2 * more)
@@ -159,13 +159,13 @@ def other_lean(level: Level, source: int, c: Config) -> float:
 @compiled
 def swing_lever(imu: ImuSample, swing_rate: float, c: Config) -> None:
     """Transform lever arm and velocity in the record of an IMU above by σ and σ̇; in place."""
-    imu.lever[0], imu.lever[1], by_x, by_y = _swung(imu.lever[0], imu.lever[1], imu.turn, c)
+    imu.lever[0], imu.lever[1], by_x, by_y = _swung_point(imu.lever[0], imu.lever[1], imu.turn, c)
     imu.velocity[0] += swing_rate * by_x
     imu.velocity[1] += swing_rate * by_y
 
 
 @compiled
-def seen_from_above(angle: float, level: Level) -> float:
+def horizontal_direction(angle: float, level: Level) -> float:
     """Horizontal direction, relative to the heading, of a vector along ``angle`` in base_link, rad."""
     if level.tilted == 0:
         return angle
@@ -178,7 +178,7 @@ def stamp_shift(state: State, source: int, c: Config) -> tuple[float, float, flo
     """Change of a sensor's pose within its σ_t; zero while the speed is unknown."""
     seconds = 0.0 if state.coasting else c.stamp_errors[source]
     v_x, v_y, rate = horizontal_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
-    place = sensor_place(state.attitude.level, state.mean[SWING], source, c)
+    place = horizontal_lever_arm(state.attitude.level, state.mean[SWING], source, c)
     v_x -= rate * place[1]
     v_y += rate * place[0]
     if c.above[source] == 1:

@@ -113,32 +113,34 @@ class MotionState(NamedTuple):
     departure: float = 0.0  # rad/s, largest difference of the current speeds from these
 
     @property
-    def slips_move(self) -> bool:
+    def are_slips_changing(self) -> bool:
         """The jump hypothesis: whether the slips may be moving now."""
         return self.changing or self.motion is not Motion.STRAIGHT
 
 
 def classify(state: MotionState, speeds: Speeds, dt: float, limits: MotionParameters) -> MotionState:
     """The state of motion after ``dt`` seconds with these mean sprocket speeds."""
-    motion = _table(MotionRecord, MOTION, state)
-    _classify(motion, _table(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits))
+    motion = _make_record(MotionRecord, MOTION, state)
+    _classify(motion, _make_record(SpeedsRecord, SPEEDS, speeds), dt, limits_record(limits))
     code, changing, *remembered = motion.item(0)
     return MotionState(Motion(code), bool(changing), *remembered)
 
 
-def smoothed(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
+def smoothed_speeds(speeds: Speeds, state: MotionState, limits: MotionParameters) -> Speeds:
     """``steady_speeds`` for Python."""
-    now, before = _table(SpeedsRecord, SPEEDS, speeds), _table(MotionRecord, MOTION, state)
+    now, before = _make_record(SpeedsRecord, SPEEDS, speeds), _make_record(MotionRecord, MOTION, state)
     left, right, variance = _steady_speeds(now, before, limits_record(limits))
     return speeds._replace(left=left, right=right, variance=variance)
 
 
 def limits_record(limits: MotionParameters) -> Table[LimitsRecord]:
     """(1,) of ``LIMITS``."""
-    return _table(LimitsRecord, LIMITS, tuple(getattr(limits, name) for name in LIMITS.names or ()))
+    return _make_record(LimitsRecord, LIMITS, tuple(getattr(limits, name) for name in LIMITS.names or ()))
 
 
-def _table(declared: type[RecordT], dtype: np.dtype[np.void], fields: tuple[Any, ...]) -> Table[RecordT]:
+def _make_record(
+    declared: type[RecordT], dtype: np.dtype[np.void], fields: tuple[Any, ...]
+) -> Table[RecordT]:
     """(1,) of ``declared``."""
     table = make_table(declared, dtype, 1)
     table[:] = np.array([tuple(fields)], dtype)
@@ -197,13 +199,13 @@ def update_motion(state: MotionRecord, speeds: SpeedsRecord, dt: float, limits: 
 
 
 @compiled
-def is_rounding(departure: float, speeds: SpeedsRecord) -> bool:
+def is_explained_by_rounding(departure: float, speeds: SpeedsRecord) -> bool:
     """Whether the quantisation of counts explains a ``departure`` of ``speeds``, rad/s."""
     return bool(departure**2 <= _SIGNIFICANT**2 * speeds.variance)
 
 
 @compiled
-def rounding_over(time: float, speeds: SpeedsRecord) -> float:
+def rounding_variance(time: float, speeds: SpeedsRecord) -> float:
     """Variance of a mean speed over ``time`` s by the quantisation of the angles at its ends, (rad/s)²."""
     return min(2.0 * speeds.angle_variance / (time * time), speeds.variance)
 
@@ -221,9 +223,9 @@ def steady_speeds(
     left, right, variance = speeds.left, speeds.right, speeds.variance
     if variance == 0.0:
         return left, right, variance
-    if is_rounding(motion.departure, speeds):
+    if is_explained_by_rounding(motion.departure, speeds):
         left, right = motion.left, motion.right
-        variance = rounding_over(math.sqrt(2.0) * limits.smoothing_time, speeds)
+        variance = rounding_variance(math.sqrt(2.0) * limits.smoothing_time, speeds)
     if (right - left) ** 2 <= 2.0 * _SIGNIFICANT**2 * variance:
         left = right = (left + right) / 2.0
     return left, right, variance

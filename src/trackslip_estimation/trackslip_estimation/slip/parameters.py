@@ -176,12 +176,12 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
         turned = len(self.yaw_offsets())
         offsets = len(self.poses()) + len(self.velocities())
-        own = odometries + gyros + turned + 2 * offsets + 2 * self.leans
+        states = odometries + gyros + turned + 2 * offsets + 2 * self.leans
         if odometries > MOST_ODOMETRIES:
             raise InputError(
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
             )
-        if own > MOST_SENSOR_ERRORS:
+        if states > MOST_SENSOR_ERRORS:
             parts = f"{gyros} gyros after the first one, {odometries} odometries, {turned} sources of"
             parts += f" headings or swing angles; {offsets} sources of poses and velocities and"
             parts += f" {int(self.leans)} tilt of a high antenna, which count twice"

@@ -23,7 +23,7 @@ from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.outputs import fill_estimate, fill_motion
 from trackslip_estimation.slip.records import HEADING, MANUAL, POSE, SPROCKETS
 from trackslip_estimation.slip.start import begin_estimate
-from trackslip_estimation.slip.validity import fault_of
+from trackslip_estimation.slip.validity import measurement_fault
 from trackslip_estimation.slip.window import (
     Records,
     Window,
@@ -101,7 +101,7 @@ def _fill_result(
     """Fill the result of an arrival once all states are known; ``became``: outcome so far, entry."""
     status, (outcome, entry) = window.status[0], became
     result.published, result.dof, result.attitude = False, 0, 0
-    result.fault = 0 if outcome != _INVALID else fault_of(measurement, c)
+    result.fault = 0 if outcome != _INVALID else measurement_fault(measurement, c)
     result.nis = result.gate = np.nan
     if entry > 0:
         update = window.updates[entry]
@@ -117,7 +117,7 @@ def _fill_result(
 def _check(window: Window, measurement: MeasurementRecord, c: Config) -> int:
     """Return the outcome of checks of values and stamp; a clock that went back clears the window."""
     status = window.status[0]
-    if fault_of(measurement, c) > 0:
+    if measurement_fault(measurement, c) > 0:
         return _INVALID
     if status.frozen and measurement.kind in (POSE, HEADING) and measurement.source != MANUAL:
         return _FROZEN

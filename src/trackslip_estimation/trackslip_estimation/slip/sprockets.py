@@ -7,7 +7,7 @@ previous interval are extrapolated. The rest is *silence*: its speeds are unknow
 its ends (a restarted driver counts from another origin). The same holds beyond the newest sample. The
 variance of extrapolated speeds grows with time, up to that of unknown speeds (``coasting``). Between a start
 and a first sample within the timeout, the speeds are those of that sample, with an uncertainty
-(``coasting.widen_start``).
+(``coasting.inflate_start_pose``).
 
 While a branch assumes that the sprockets have failed (``events.FAILED``), all time is silence.
 
@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 from trackslip_common.clock_monitor import NEVER_NS
 from trackslip_common.compiled import compiled
-from trackslip_estimation.slip.counts import begin_counts, follow, keep
+from trackslip_estimation.slip.counts import begin_counts, filter_counts, store_counts
 from trackslip_estimation.slip.records import SPROCKETS, TRACKS
 from trackslip_estimation.slip.source_faults import IS_FAILED
 
@@ -49,36 +49,38 @@ def set_speeds(state: State, closing: MeasurementRecord, stamp_ns: int, c: Confi
     closed = closing.kind == SPROCKETS
     if not sample.seen:  # its stamp is that of the start
         in_time = closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
-        return stamp_ns if in_time and interval_speeds(sample, closing, c, speeds) else NEVER_NS
+        return stamp_ns if in_time and set_interval_speeds(sample, closing, c, speeds) else NEVER_NS
     if closed and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns:
-        return stamp_ns if interval_speeds(sample, closing, c, speeds) else sample.stamp_ns
+        return stamp_ns if set_interval_speeds(sample, closing, c, speeds) else sample.stamp_ns
     if not sample.known:
         return int(sample.stamp_ns)
-    _copy(sample.speeds, speeds)
+    _copy_speeds(sample.speeds, speeds)
     known_ns = int(min(stamp_ns, sample.stamp_ns + c.sprocket_timeout_ns))
     state.time_since_sample = ((state.stamp_ns - sample.stamp_ns) + (known_ns - sample.stamp_ns)) / 2.0 * 1e-9
     return known_ns
 
 
 @compiled
-def interval_speeds(
+def set_interval_speeds(
     sample: SprocketSample, closing: MeasurementRecord, c: Config, speeds: SpeedsRecord
 ) -> bool:
-    """Set ``speeds`` to the mean speeds between ``sample`` and ``closing``; whether they are known."""
-    left, right, dt = _shown(sample, closing, c)
+    """Set ``speeds`` to the mean speeds between ``sample`` and ``closing``; return whether they are known."""
+    left, right, dt = _encoder_speeds(sample, closing, c)
     a_count = c.encoder_resolution / dt if dt > 0.0 else 0.0
     if max(abs(left), abs(right)) > c.max_sprocket_speed + a_count:
         return False
     speeds.left, speeds.right, speeds.variance, speeds.angle_variance = left, right, 0.0, 0.0
     if dt > 0.0:
-        followed = follow(sample.counts, left, right, dt, c)
-        speeds.left, speeds.right = followed.left.mean, followed.right.mean
-        speeds.variance, speeds.angle_variance = followed.mean_variance, followed.variance
+        estimate = filter_counts(sample.counts, left, right, dt, c)
+        speeds.left, speeds.right = estimate.left.mean, estimate.right.mean
+        speeds.variance, speeds.angle_variance = estimate.mean_variance, estimate.variance
     return True
 
 
 @compiled
-def _shown(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> tuple[float, float, float]:
+def _encoder_speeds(
+    sample: SprocketSample, closing: MeasurementRecord, c: Config
+) -> tuple[float, float, float]:
     """Left and right speed of the encoder, rad/s, and their interval, s; 0: no previous sample in time."""
     elapsed_ns = closing.stamp_ns - sample.stamp_ns if sample.seen else 0
     dt = elapsed_ns * 1e-9 if elapsed_ns <= c.sprocket_timeout_ns else 0.0
@@ -107,8 +109,8 @@ def is_continuous(sample: SprocketSample, closing: MeasurementRecord, c: Config)
 
 
 @compiled
-def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
-    """Whether the positions of a sample in time are not continuous."""
+def has_position_jump(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool:
+    """Whether the positions of a sample within the timeout are not continuous with the previous ones."""
     in_time = has_angles(sample, closing) and closing.stamp_ns - sample.stamp_ns <= c.sprocket_timeout_ns
     return in_time and not is_continuous(sample, closing, c)
 
@@ -117,10 +119,10 @@ def jumps(sample: SprocketSample, closing: MeasurementRecord, c: Config) -> bool
 def store_sample(state: State, closing: MeasurementRecord, c: Config) -> None:
     """Store ``closing`` as the latest sample of ``state``."""
     sample = state.sample
-    left, right, dt = _shown(sample, closing, c)
-    sample.known = interval_speeds(sample, closing, c, sample.speeds)
+    left, right, dt = _encoder_speeds(sample, closing, c)
+    sample.known = set_interval_speeds(sample, closing, c, sample.speeds)
     if sample.known and dt > 0.0:
-        keep(follow(sample.counts, left, right, dt, c), sample.counts)
+        store_counts(filter_counts(sample.counts, left, right, dt, c), sample.counts)
     else:
         begin_counts(sample.counts, c)
     sample.seen, sample.stamp_ns = True, closing.stamp_ns
@@ -128,7 +130,7 @@ def store_sample(state: State, closing: MeasurementRecord, c: Config) -> None:
 
 
 @compiled
-def _copy(source: SpeedsRecord, target: SpeedsRecord) -> None:
+def _copy_speeds(source: SpeedsRecord, target: SpeedsRecord) -> None:
     target.left, target.right = source.left, source.right
     target.variance, target.angle_variance = source.variance, source.angle_variance
 

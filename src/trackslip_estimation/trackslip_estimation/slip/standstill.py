@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 _STANDING = int(Motion.STANDING)
-_SWUNG = 0.1  # rad of swing, beyond which a sensor on the upper structure sees another side
+_LARGEST_SWING = 0.1  # rad of swing, beyond which a sensor on the upper structure sees another side
 
 
 @compiled
 def is_at_same_standstill(state: State, source: int, c: Config) -> bool:
     """Whether a source with position-dependent errors has not moved since its latest fix."""
     standstill, shares = state.standstills[source], has_position_dependent_errors(source, c)
-    turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _SWUNG
+    turned = c.above[source] == 1 and abs(wrap(state.mean[SWING] - standstill.swing)) > _LARGEST_SWING
     is_standing = shares and state.motion.motion == _STANDING and not state.coasting
     return bool(is_standing and standstill.count > 0 and not turned)
 

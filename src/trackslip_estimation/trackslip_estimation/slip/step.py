@@ -26,7 +26,11 @@ from trackslip_estimation.kalman.linear_algebra import copy_square, sandwich, us
 from trackslip_estimation.kalman.positive import make_positive
 from trackslip_estimation.kalman.propagate import propagate_covariance
 from trackslip_estimation.slip.adaptation import add_track_error_noise, clear_track_error
-from trackslip_estimation.slip.coasting import begin_coast, inflate, widen_start
+from trackslip_estimation.slip.coasting import (
+    add_unknown_motion_noise,
+    inflate_start_pose,
+    reset_velocity_errors,
+)
 from trackslip_estimation.slip.events import ANY_HEADING, UNKNOWN_HEADING
 from trackslip_estimation.slip.late_stamps import propagate_delay
 from trackslip_estimation.slip.measurements import Outcome
@@ -49,13 +53,13 @@ from trackslip_estimation.slip.records import MANUAL, POSE, SPROCKETS, TRACKS
 from trackslip_estimation.slip.source_faults import IS_FAILED, IS_HEALTHY, propagate_faults
 from trackslip_estimation.slip.source_offsets import propagate_offsets
 from trackslip_estimation.slip.sprockets import (
-    interval_speeds,
-    jumps,
+    has_position_jump,
+    set_interval_speeds,
     set_speeds,
     set_zero_speeds,
     store_sample,
 )
-from trackslip_estimation.slip.tilt import rise, update_ground
+from trackslip_estimation.slip.tilt import correct_height_by_position, propagate_height_by_twist
 from trackslip_estimation.slip.update import apply_measurement
 
 if TYPE_CHECKING:
@@ -63,8 +67,8 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, Prior, State, Update
 
 
-_SETTLED = 0.2  # rad, standard deviation below which a heading is known
-_MOVING = 0.1  # m, track distance beyond which the machine has moved
+_KNOWN_HEADING = 0.2  # rad, standard deviation below which a heading is known
+_LEAST_DISTANCE = 0.1  # m, track distance beyond which the machine has moved
 _ACCEPTED, _JUMPED = int(Outcome.ACCEPTED), int(Outcome.JUMPED)
 
 
@@ -78,7 +82,7 @@ def step(
     prior: Prior,
 ) -> None:
     """The state after a measurement: propagated to its stamp, and updated where it is accepted."""
-    follow_sprockets(state, closing, measurement.stamp_ns, c)
+    propagate_with_sprockets(state, closing, measurement.stamp_ns, c)
     update.outcome, update.dof, update.follows = _ACCEPTED, 0, not state.coasting
     update.attitude, update.evidence, update.whitened[:] = 0, 0.0, 0.0
     update.squared_repeat_distance, update.tied = math.inf, 0
@@ -89,16 +93,16 @@ def step(
     if measurement.kind == POSE:
         state.fixed_ns = measurement.stamp_ns
     if measurement.kind == SPROCKETS:
-        if jumps(state.sample, measurement, c):
+        if has_position_jump(state.sample, measurement, c):
             update.outcome = _JUMPED
         store_sample(state, measurement, c)
     elif measurement.source == MANUAL:
-        place(state, measurement)
+        set_manual_pose(state, measurement)
         update.follows = False
     else:
         apply_measurement(state, measurement, c, update, prior)
-        _settle_heading(state)
-        _update_ground(state, update, prior)
+        _clear_known_sector(state)
+        _correct_height(state, update, prior)
         if measurement.kind == POSE and update.outcome == _ACCEPTED:
             update.attitude = update_height(state, measurement, c)
     if measurement.kind != SPROCKETS:
@@ -108,22 +112,27 @@ def step(
 
 
 @inlined
-def _update_ground(state: State, update: Update, prior: Prior) -> None:
+def _correct_height(state: State, update: Update, prior: Prior) -> None:
     """Correct the height by a correction of the position, but for an initial or a reset position."""
     jumped = update.reset_states & ((1 << X) | (1 << Y)) != 0
-    if update.follows and not jumped and update.outcome == _ACCEPTED and state.track_distance > _MOVING:
-        update_ground(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
+    if (
+        update.follows
+        and not jumped
+        and update.outcome == _ACCEPTED
+        and state.track_distance > _LEAST_DISTANCE
+    ):
+        correct_height_by_position(state, state.mean[X] - prior.mean[X], state.mean[Y] - prior.mean[Y])
 
 
 @inlined
-def _settle_heading(state: State) -> None:
+def _clear_known_sector(state: State) -> None:
     """Clear ``is_sector`` once the heading is known better than to a sector."""
-    if state.is_sector and state.covariance[YAW, YAW] < _SETTLED**2:
+    if state.is_sector and state.covariance[YAW, YAW] < _KNOWN_HEADING**2:
         state.is_sector = False
 
 
 @inlined
-def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> None:
+def propagate_with_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c: Config) -> None:
     """Propagate the state to ``stamp_ns`` by the sprockets; coast while they are silent."""
     if state.sample.seen and state.sample.stamp_ns == stamp_ns == state.stamp_ns:
         return  # at the sample: no time passes
@@ -133,13 +142,13 @@ def follow_sprockets(state: State, closing: MeasurementRecord, stamp_ns: int, c:
         update_motion(state.motion, state.speeds, dt, c.motion_limits)
         propagate(state, dt, c)
         if not state.sample.seen:
-            widen_start(state, known_ns, c)
+            inflate_start_pose(state, known_ns, c)
         state.coasting, reached_ns = False, known_ns
     if known_ns < stamp_ns:
         coast(state, (stamp_ns - reached_ns) * 1e-9, c)
         ends = closing.kind == SPROCKETS and closing.stamp_ns == stamp_ns
         if ends and state.fault[TRACKS] != IS_FAILED:
-            interval_speeds(state.sample, closing, c, state.speeds)
+            set_interval_speeds(state.sample, closing, c, state.speeds)
     state.stamp_ns = stamp_ns
 
 
@@ -153,13 +162,13 @@ def coast(state: State, dt: float, c: Config) -> None:
         if state.fault[TRACKS] != IS_FAILED:
             rate = twist(state.mean[:], left, right, c)[2]
             variance = sandwich(twist_jacobian(state.mean[:], left, right, c), state.covariance[:])[2, 2]
-        begin_coast(state, (rate, variance), c)
+        reset_velocity_errors(state, (rate, variance), c)
     set_zero_speeds(state.speeds)
     clear_track_error(state.adaptation)
     reset_motion(state.motion)
     state.shear[:] = 0.0
     propagate(state, dt, c)
-    inflate(state, dt, c)
+    add_unknown_motion_noise(state, dt, c)
     limit_heading(state)
     state.coasting = True
 
@@ -195,7 +204,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
     x = state.mean[:n]
     integrate_motion(state, dt, c)
     integrate_tracks(state, dt, c)
-    rise(state, dt, c)
+    propagate_height_by_twist(state, dt, c)
     if has_velocity_errors(c):
         add_track_error_noise(state, dt, c)
         inflate_downhill_slip(state)
@@ -214,8 +223,8 @@ def propagate(state: State, dt: float, c: Config) -> None:
             propagate_swing_covariance(P, F)
         propagate_covariance(P, F, Q, COUPLED)
     else:
-        own = P[: x.size, : x.size].copy()
-        points, weights = daf.sigma_points(x, own, c.kappa, c.active)
+        used = P[: x.size, : x.size].copy()
+        points, weights = daf.sigma_points(x, used, c.kappa, c.active)
         for i in range(weights.size):
             points[i] = propagate_mean(points[i], state, dt, c)
         mean, departures, weights = daf.moments(points, weights, YAW)
@@ -227,7 +236,7 @@ def propagate(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def place(state: State, manual: MeasurementRecord) -> None:
+def set_manual_pose(state: State, manual: MeasurementRecord) -> None:
     """Set a manual pose; all other states stay."""
     x, P = state.mean, state.covariance
     for i in range(3):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @compiled
-def tilt_by(state: State, measurement: MeasurementRecord, bias: int, c: Config) -> int:
+def update_attitude(state: State, measurement: MeasurementRecord, bias: int, c: Config) -> int:
     """Update the attitude by a sample of its IMU; returns why its orientation was rejected, 0: used.
 
     ``bias``: number of the state that is the bias of its gyro.
@@ -59,7 +59,7 @@ def tilt_by(state: State, measurement: MeasurementRecord, bias: int, c: Config) 
 
 
 @compiled
-def rise(state: State, dt: float, c: Config) -> None:
+def propagate_height_by_twist(state: State, dt: float, c: Config) -> None:
     """Propagate the height over ``dt`` s with the speeds of the state."""
     if state.attitude.known == 1 and dt > 0.0:
         v_x, v_y, _ = body_twist(state.mean[:], state.speeds.left, state.speeds.right, state, c)
@@ -67,15 +67,15 @@ def rise(state: State, dt: float, c: Config) -> None:
 
 
 @compiled
-def update_ground(state: State, east: float, north: float) -> None:
+def correct_height_by_position(state: State, east: float, north: float) -> None:
     """Correct the height by a correction of the position, m, along the ground."""
     if state.attitude.level.tilted == 1 and (east != 0.0 or north != 0.0):
-        ahead, left = _along_ground(state, east, north)
+        ahead, left = _displacement_on_ground(state, east, north)
         propagate_height(state.attitude, ahead, left, 1.0)
 
 
 @compiled
-def _along_ground(state: State, east: float, north: float) -> tuple[float, float]:
+def _displacement_on_ground(state: State, east: float, north: float) -> tuple[float, float]:
     """A horizontal displacement along the axes of the machine on the ground: ahead and to the left."""
     level = state.attitude.level
     cos, sin = math.cos(state.mean[YAW]), math.sin(state.mean[YAW])
@@ -84,12 +84,12 @@ def _along_ground(state: State, east: float, north: float) -> tuple[float, float
 
 
 @compiled
-def _of_place(state: State) -> float:
+def _height_variance_by_position(state: State) -> float:
     """Variance of the height, m², by the position error on the slope."""
     tilt, P = state.attitude.mean, state.covariance
-    ahead, left = _along_ground(state, 1.0, 0.0)
+    ahead, left = _displacement_on_ground(state, 1.0, 0.0)
     east = climb_rate(tilt, ahead, left)
-    ahead, left = _along_ground(state, 0.0, 1.0)
+    ahead, left = _displacement_on_ground(state, 0.0, 1.0)
     north = climb_rate(tilt, ahead, left)
     return float(east * east * P[X, X] + 2.0 * east * north * P[X, Y] + north * north * P[Y, Y])
 
@@ -115,7 +115,7 @@ def fill_tilt(state: State, estimate: EstimateRecord) -> None:
         tilt.force[i] = force[i] if feels else 0.0
         for j in range(3):
             tilt.covariance[i, j] = a.covariance[ROLL + i, ROLL + j]
-    tilt.covariance[HEIGHT, HEIGHT] += _of_place(state)
+    tilt.covariance[HEIGHT, HEIGHT] += _height_variance_by_position(state)
     tilt.force_variance = a.sample.force_variance if feels else UNOBSERVED
     v_x, v_y, P = estimate.twist[0], estimate.twist[1], a.covariance
     estimate.rise = climb_rate(a.mean, v_x, v_y)

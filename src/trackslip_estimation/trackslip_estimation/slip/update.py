@@ -21,12 +21,12 @@ from trackslip_common.compiled import compiled, inlined
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.gate import update_rejection_time
 from trackslip_estimation.slip.measurements import Outcome
-from trackslip_estimation.slip.observations.gyro import bias_of, observe_rate, update_with_rate
+from trackslip_estimation.slip.observations.gyro import bias_index, observe_rate, update_with_rate
 from trackslip_estimation.slip.observations.odometry import update_with_odometry
 from trackslip_estimation.slip.observations.slips import observe_slips, update_with_slips
 from trackslip_estimation.slip.records import GYROS, ODOMETRY, SLIPS, YAW_RATE
 from trackslip_estimation.slip.source_faults import IS_HEALTHY
-from trackslip_estimation.slip.tilt import tilt_by
+from trackslip_estimation.slip.tilt import update_attitude
 from trackslip_estimation.slip.weighing import observe_weighed, weigh_and_update
 from trackslip_estimation.slip.window import is_weighed
 
@@ -49,7 +49,7 @@ def apply_measurement(
     update_rejection_time(state, measurement, c)
     if kind == YAW_RATE:
         if measurement.source == c.tilt_source:
-            update.attitude = tilt_by(state, measurement, bias_of(measurement.source, c), c)
+            update.attitude = update_attitude(state, measurement, bias_index(measurement.source, c), c)
         if state.fault[GYROS] != IS_HEALTHY:
             update.outcome = _GATED
             return

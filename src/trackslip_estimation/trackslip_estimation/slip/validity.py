@@ -61,27 +61,27 @@ _NO_ROTATION = int(Fault.NO_ROTATION)
 
 
 @compiled
-def fault_of(measurement: MeasurementRecord, c: Config) -> int:
+def measurement_fault(measurement: MeasurementRecord, c: Config) -> int:
     """``Fault`` of a record of ``MEASUREMENT``; 0: valid."""
     z, R, kind = measurement.value, measurement.noise, measurement.kind
     if kind == SPROCKETS:
-        return _of_sprockets(measurement)
+        return _sprocket_fault(measurement)
     if kind == ODOMETRY:
-        return _of_odometry(measurement)
+        return _odometry_fault(measurement)
     if kind == SLIPS:
-        fault = max(_of_number(z[0], LARGEST_SLIP), _of_number(z[1], LARGEST_SLIP))
-        return fault if fault > 0 else _of_covariance(R, 2, _LARGEST_SLIP_VARIANCE)
+        fault = max(_number_fault(z[0], LARGEST_SLIP), _number_fault(z[1], LARGEST_SLIP))
+        return fault if fault > 0 else _covariance_fault(R, 2, _LARGEST_SLIP_VARIANCE)
     if kind == YAW_RATE:
-        return max(_of_imu(measurement), _of_variance(R[0, 0], FASTEST_TURN**2))
+        return max(_imu_fault(measurement), _variance_fault(R[0, 0], FASTEST_TURN**2))
     if kind in (HEADING, ON_SWING):
-        return max(_of_number(z[0], LARGEST_ANGLE), _of_variance(R[0, 0], _LARGEST_ANGLE_VARIANCE))
+        return max(_number_fault(z[0], LARGEST_ANGLE), _variance_fault(R[0, 0], _LARGEST_ANGLE_VARIANCE))
     if kind == VELOCITY:
         rows = rows_of_velocity(measurement, c)
-        fault = _of_number(z[0], FASTEST)
+        fault = _number_fault(z[0], FASTEST)
         if rows > 1:
-            fault = max(fault, _of_number(z[1], FASTEST))
-        return fault if fault > 0 else _of_covariance(R, rows, FASTEST**2)
-    return _of_pose(measurement, c)
+            fault = max(fault, _number_fault(z[1], FASTEST))
+        return fault if fault > 0 else _covariance_fault(R, rows, FASTEST**2)
+    return _pose_fault(measurement, c)
 
 
 @compiled
@@ -96,25 +96,25 @@ def has_heading(measurement: MeasurementRecord) -> bool:
     """Whether a pose has a heading: finite, with the variance of a known angle."""
     variance = measurement.noise[2, 2]
     return bool(abs(measurement.value[2]) < LARGEST_ANGLE and 0.0 < variance <= math.pi**2) and (
-        _of_covariance(measurement.noise, 3, FARTHEST_STDDEV**2) == 0
+        _covariance_fault(measurement.noise, 3, FARTHEST_STDDEV**2) == 0
     )
 
 
 @compiled
-def _of_number(value: float, largest: float) -> int:
+def _number_fault(value: float, largest: float) -> int:
     if not math.isfinite(value):
         return _NOT_FINITE
     return 0 if abs(value) < largest else _OUT_OF_RANGE
 
 
 @compiled
-def _of_optional(value: float, largest: float) -> int:
+def _optional_fault(value: float, largest: float) -> int:
     """Fault of an optional value of an IMU; not finite where it is absent."""
     return _OUT_OF_RANGE if math.isfinite(value) and not abs(value) < largest else 0
 
 
 @compiled
-def _of_variance(variance: float, largest: float) -> int:
+def _variance_fault(variance: float, largest: float) -> int:
     if not math.isfinite(variance):
         return _NOT_FINITE
     if not variance > 0.0:
@@ -123,50 +123,53 @@ def _of_variance(variance: float, largest: float) -> int:
 
 
 @compiled
-def _of_sprockets(measurement: MeasurementRecord) -> int:
+def _sprocket_fault(measurement: MeasurementRecord) -> int:
     left, right = measurement.left_angle, measurement.right_angle
     fault = max(
-        _of_number(measurement.left_speed, LARGEST_COUNT), _of_number(measurement.right_speed, LARGEST_COUNT)
+        _number_fault(measurement.left_speed, LARGEST_COUNT),
+        _number_fault(measurement.right_speed, LARGEST_COUNT),
     )
     if fault == 0 and not (math.isnan(left) and math.isnan(right)):
-        fault = max(_of_number(left, LARGEST_COUNT), _of_number(right, LARGEST_COUNT))
+        fault = max(_number_fault(left, LARGEST_COUNT), _number_fault(right, LARGEST_COUNT))
     return fault
 
 
 @compiled
-def _of_imu(measurement: MeasurementRecord) -> int:
-    fault = _of_number(measurement.value[0], FASTEST_TURN)
+def _imu_fault(measurement: MeasurementRecord) -> int:
+    fault = _number_fault(measurement.value[0], FASTEST_TURN)
     for k in range(3):
         if k > 0:
-            fault = max(fault, _of_optional(measurement.value[k], FASTEST_TURN))
-        fault = max(fault, _of_optional(measurement.acceleration[k], LARGEST_FORCE))
+            fault = max(fault, _optional_fault(measurement.value[k], FASTEST_TURN))
+        fault = max(fault, _optional_fault(measurement.acceleration[k], LARGEST_FORCE))
     return fault
 
 
 @compiled
-def _of_pose(measurement: MeasurementRecord, c: Config) -> int:
+def _pose_fault(measurement: MeasurementRecord, c: Config) -> int:
     """Fault of a fix; its heading counts only where the source has one."""
     z, R, source = measurement.value, measurement.noise, measurement.source
-    fault = max(_of_number(z[0], FARTHEST), _of_number(z[1], FARTHEST))
-    fault = max(fault, _of_variance(R[0, 0], FARTHEST_STDDEV**2), _of_variance(R[1, 1], FARTHEST_STDDEV**2))
+    fault = max(_number_fault(z[0], FARTHEST), _number_fault(z[1], FARTHEST))
+    fault = max(
+        fault, _variance_fault(R[0, 0], FARTHEST_STDDEV**2), _variance_fault(R[1, 1], FARTHEST_STDDEV**2)
+    )
     if fault > 0:
         return fault
     if source != MANUAL and c.use_heading[source] != 1:
-        return _of_covariance(R, 2, FARTHEST_STDDEV**2)
-    fault = _of_number(z[2], LARGEST_ANGLE)
-    return fault if fault > 0 else _of_covariance(R, 3, _UNKNOWN_HEADING)
+        return _covariance_fault(R, 2, FARTHEST_STDDEV**2)
+    fault = _number_fault(z[2], LARGEST_ANGLE)
+    return fault if fault > 0 else _covariance_fault(R, 3, _UNKNOWN_HEADING)
 
 
 @compiled
-def _of_odometry(measurement: MeasurementRecord) -> int:
+def _odometry_fault(measurement: MeasurementRecord) -> int:
     """Fault of an odometry pose and its variances; a variance of zero: unspecified."""
     norm = 0.0
     for k in range(3):
-        fault = _of_number(measurement.value[k], FARTHEST)
+        fault = _number_fault(measurement.value[k], FARTHEST)
         for row in range(2):
             variance = measurement.noise[row, k]
             if variance != 0.0:
-                fault = max(fault, _of_variance(variance, _LARGEST_ODOMETRY_VARIANCE))
+                fault = max(fault, _variance_fault(variance, _LARGEST_ODOMETRY_VARIANCE))
         if fault > 0:
             return fault
     for k in range(4):
@@ -175,10 +178,10 @@ def _of_odometry(measurement: MeasurementRecord) -> int:
 
 
 @compiled
-def _of_covariance(R: FloatArray, rows: int, largest: float) -> int:
+def _covariance_fault(R: FloatArray, rows: int, largest: float) -> int:
     """Fault of the first ``rows`` of R: symmetric, positive definite, and not nearly singular."""
     for i in range(rows):
-        fault = _of_variance(R[i, i], largest)
+        fault = _variance_fault(R[i, i], largest)
         if fault > 0:
             return fault
     C = np.eye(3)

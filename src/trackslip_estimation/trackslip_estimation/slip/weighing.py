@@ -41,7 +41,7 @@ from trackslip_estimation.slip.adaptation import (
     log_density_over_factors,
 )
 from trackslip_estimation.slip.correlated_errors import PRECISE, quality_of, student_inflation
-from trackslip_estimation.slip.levers import lever, turn_about
+from trackslip_estimation.slip.levers import lever, turn_about_sensor
 from trackslip_estimation.slip.mean_speeds import MeanSpeeds
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
@@ -187,7 +187,7 @@ def _correct(state: State, measurement: MeasurementRecord, o: Observation, c: Co
     else:
         before, place = x.copy(), lever(x, level, about, c)
         correct(x, P, o)
-        turn_about(x, P, before, place, level, about, c)
+        turn_about_sensor(x, P, before, place, level, about, c)
     x[YAW] = wrap(x[YAW])
 
 

@@ -23,7 +23,7 @@ from trackslip_estimation.slip.observations.altitude import update_height
 from trackslip_estimation.slip.outputs import fill_outputs
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import ESTIMATE, MEASUREMENT, STATE
-from trackslip_estimation.slip.tilt import tilt_by
+from trackslip_estimation.slip.tilt import update_attitude
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_sim.machine.hydraulics import Sensing, soil_inputs
@@ -56,7 +56,7 @@ def _last() -> None:
     """Compile the kernels that the slip estimator needs last, in parallel with its own compilation."""
     state, measurement, c, estimate = map(numba.from_dtype, (STATE, MEASUREMENT, CONFIG, ESTIMATE))
     parts: tuple[tuple[Any, tuple[Any, ...]], ...] = (
-        (tilt_by, (state, measurement, numba.int64, c)),
+        (update_attitude, (state, measurement, numba.int64, c)),
         (update_height, (state, measurement, c)),
         (fill_outputs, (state, c, estimate)),
     )

@@ -114,7 +114,7 @@ def horizontal_twist(
     x: FloatArray, left: float, right: float, drive: State, c: Config
 ) -> tuple[float, float, float]:
     """Horizontal part of ``body_twist``: speeds along the heading and to its left, rate of the heading."""
-    return slope.horizontal(body_twist(x, left, right, drive, c), drive.attitude.level)
+    return slope.horizontal_part(body_twist(x, left, right, drive, c), drive.attitude.level)
 
 
 @compiled
@@ -275,11 +275,11 @@ def _add_velocity_errors(
     of_mean, of_both, of_end = growth
     kept, share = persistence
     for k in range(SPEED_ERROR, YAW_RATE_ERROR + 1):
-        own = variances[k - SPEED_ERROR]
+        variance = variances[k - SPEED_ERROR]
         for i in range(COUPLED):
             for j in range(COUPLED):
-                Q[i, j] += G[i, k] * G[j, k] * own * of_mean
-            Q[i, k] = Q[k, i] = G[i, k] * own * of_both
+                Q[i, j] += G[i, k] * G[j, k] * variance * of_mean
+            Q[i, k] = Q[k, i] = G[i, k] * variance * of_both
             F[i, k] = G[i, k] * share
-        Q[k, k] += own * of_end
+        Q[k, k] += variance * of_end
         F[k, k] = kept

@@ -90,7 +90,7 @@ def prior(n: SlipNoise, tread: float) -> Prior:
 
 def process_noise_density(n: SlipNoise, motion: MotionState) -> FloatArray:
     """(SIZE,) per √s: (3.22) by the jump hypothesis."""
-    slip = n.slip_moving if motion.slips_move else n.slip_steady
+    slip = n.slip_moving if motion.are_slips_changing else n.slip_steady
     turning = motion.motion is Motion.TURNING or motion.changing
     angle = n.slip_angle_turning if turning else n.slip_angle_steady
     if motion.motion is Motion.STANDING:

@@ -87,7 +87,7 @@ def turn_speed(speeds: tuple[float, float], c: Config) -> float:
 
 
 @compiled
-def horizontal(twist: Twist, level: Level) -> Twist:
+def horizontal_part(twist: Twist, level: Level) -> Twist:
     """Speeds along the heading and to its left, m/s, and rate of the heading, rad/s."""
     if level.tilted == 0:
         return twist
@@ -98,7 +98,7 @@ def horizontal(twist: Twist, level: Level) -> Twist:
 
 @compiled
 def horizontal_jacobian(J: FloatArray, level: Level) -> None:
-    """Turn J (3, n) of the twist into the derivative of ``horizontal``, in place."""
+    """Turn J (3, n) of the twist into the derivative of ``horizontal_part``, in place."""
     if level.tilted == 0:
         return
     for k in range(J.shape[1]):

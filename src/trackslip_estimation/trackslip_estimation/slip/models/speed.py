@@ -55,7 +55,7 @@ from trackslip_estimation.slip.models.model import (
     Y,
 )
 from trackslip_estimation.slip.models.shear import shear_variances
-from trackslip_estimation.slip.motion import Motion, MotionState, rounding_over
+from trackslip_estimation.slip.motion import Motion, MotionState, rounding_variance
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.config import Config
@@ -252,7 +252,7 @@ def error_variances(x: FloatArray, P: FloatArray, drive: State, c: Config) -> tu
     of_speed += c.adaptation.forward**2 * of_tracks / 4.0
     of_rate += ((e.yaw_rate_ratio * steady) ** 2 + changing**2) * yielding + e.standing**2 + of_tracks
     if motion.motion != _STANDING:
-        rounding = c.rolling_radius**2 * rounding_over(e.time, speeds)
+        rounding = c.rolling_radius**2 * rounding_variance(e.time, speeds)
         of_speed, of_rate = of_speed + rounding / 2.0, of_rate + 2.0 * rounding
     goes_on = drive.time_since_sample / SPEED_TIME
     return (

@@ -129,7 +129,7 @@ def _swing_share(rate: float) -> float:
 
 
 @compiled
-def _noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
+def _rate_noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
     """q and τ at a swing rate."""
     n, swings = c.swing, _swing_share(rate)
     if not is_swing_braked(drive):
@@ -140,7 +140,7 @@ def _noise(rate: float, drive: State, c: Config) -> tuple[float, float]:
 @compiled
 def propagate_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c: Config) -> None:
     """Write σ and σ̇ after ``dt`` s into ``moved`` and add the shift of x_I; σ is not wrapped."""
-    tau = _noise(x[SWING_RATE], drive, c)[1]
+    tau = _rate_noise(x[SWING_RATE], drive, c)[1]
     lost = -math.expm1(-dt / tau)
     moved[SWING] = x[SWING] + x[SWING_RATE] * lost * tau
     moved[SWING_RATE] = x[SWING_RATE] * (1.0 - lost)
@@ -150,7 +150,7 @@ def propagate_swing(x: FloatArray, moved: FloatArray, dt: float, drive: State, c
 @compiled
 def linearize_swing(x: FloatArray, F: FloatArray, Q: FloatArray, dt: float, drive: State, c: Config) -> None:
     """Enter the swing into F and Q of a step of ``dt`` s, in place."""
-    q, tau = _noise(x[SWING_RATE], drive, c)
+    q, tau = _rate_noise(x[SWING_RATE], drive, c)
     lost = -math.expm1(-dt / tau)
     F[SWING, SWING_RATE], F[SWING_RATE, SWING_RATE] = lost * tau, 1.0 - lost
     Q[SWING_RATE, SWING_RATE] = q * tau * lost * (2.0 - lost) / 2.0

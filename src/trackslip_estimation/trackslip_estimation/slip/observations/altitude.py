@@ -36,7 +36,7 @@ from trackslip_estimation.kalman.update import (
     inflate_noise_to_gate,
     predicted_covariance,
 )
-from trackslip_estimation.slip.levers import swung_place, unknown_arm
+from trackslip_estimation.slip.levers import swung_lever_arm, unknown_swing_variance
 from trackslip_estimation.slip.measurements import UNOBSERVED
 from trackslip_estimation.slip.models.dispatch import body_jacobian
 from trackslip_estimation.slip.models.model import SWING
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 _NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
 _SLIP_TIME = 10.0  # s, T
-_PERSISTS = 3  # least number of altitudes that agree, and of timeouts that they span
+_LEAST_AGREEING = 3  # least number of altitudes that agree, and of timeouts that they span
 _SHORTEST, _LONGEST = 1e-3, 3600.0  # s, bounds of Δt
 
 
@@ -67,9 +67,9 @@ def update_height(state: State, measurement: MeasurementRecord, c: Config) -> in
     if not (abs(measurement.altitude) < HIGHEST and variance > 0.0):
         return _NONE
     dt = min(max((measurement.stamp_ns - a.climb.used_ns) * 1e-9, _SHORTEST), _LONGEST)
-    expected, H = _expected(state, source, c)
+    expected, H = _predicted_altitude(state, source, c)
     innovation, limit = measurement.altitude - expected, c.gate_limits[1]
-    stated, R = _noise(state, measurement, dt, c)
+    stated, R = _altitude_variances(state, measurement, dt, c)
     spread = _rise_variance(state, c) * dt * max(2.0 * _SLIP_TIME, dt)
     predicted = predicted_covariance(a.covariance[:], H) + spread
     nis = innovation * innovation / (predicted[0, 0] + R)
@@ -95,9 +95,9 @@ def _rise_variance(state: State, c: Config) -> float:
 
 
 @compiled
-def _expected(state: State, source: int, c: Config) -> tuple[float, FloatArray]:
+def _predicted_altitude(state: State, source: int, c: Config) -> tuple[float, FloatArray]:
     """h, and its Jacobian (1, SIZE)."""
-    x, y, _, _ = swung_place(state.mean[SWING], source, c)
+    x, y, _, _ = swung_lever_arm(state.mean[SWING], source, c)
     z, mean = c.levers[source, 2], state.attitude.mean
     sin, cos = math.sin(mean[ROLL]), math.cos(mean[ROLL])
     sin_pitch, cos_pitch = math.sin(mean[PITCH]), math.cos(mean[PITCH])
@@ -109,13 +109,15 @@ def _expected(state: State, source: int, c: Config) -> tuple[float, FloatArray]:
 
 
 @compiled
-def _noise(state: State, measurement: MeasurementRecord, dt: float, c: Config) -> tuple[float, float]:
+def _altitude_variances(
+    state: State, measurement: MeasurementRecord, dt: float, c: Config
+) -> tuple[float, float]:
     """R as stated, with floor, noise factor and lever arm; and inflated for correlation over ``dt`` s."""
     source, level = measurement.source, state.attitude.level
     stated = max(measurement.altitude_variance, c.position_floor[source] ** 2)
     stated *= state.adaptation.fix_factors[source]
     steep = level.downhill_x**2 + level.downhill_y**2
-    stated += steep * unknown_arm(state.covariance, source, c)
+    stated += steep * unknown_swing_variance(state.covariance, source, c)
     share = time_correlated_share(state, source, c)
     if share == 0.0:
         return stated, stated
@@ -134,4 +136,6 @@ def _is_persistent(
         climb.refused, climb.rejected_ns, climb.apart = 0, measurement.stamp_ns, innovation
     climb.refused += 1
     lasted_ns = measurement.stamp_ns - climb.rejected_ns
-    return bool(climb.refused >= _PERSISTS and lasted_ns >= _PERSISTS * c.timeouts_ns[measurement.source])
+    return bool(
+        climb.refused >= _LEAST_AGREEING and lasted_ns >= _LEAST_AGREEING * c.timeouts_ns[measurement.source]
+    )

@@ -39,7 +39,7 @@ from trackslip_estimation.kalman.update import (
     predicted_covariance,
 )
 from trackslip_estimation.slip.adaptation import learn_from_rate
-from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.gate import gate_limit
 from trackslip_estimation.slip.mean_speeds import mean_speeds_since, store_reading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
@@ -51,7 +51,7 @@ from trackslip_estimation.slip.models.dispatch import (
 from trackslip_estimation.slip.models.model import GYRO_BIAS, GYRO_SCALE, SWING_RATE, YAW
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, TURN_STATE_1, TURN_STATE_2, YAW_RATE_ERROR
 from trackslip_estimation.slip.models.swing import is_free_to_swing
-from trackslip_estimation.slip.motion import Motion, is_rounding, steady_speeds
+from trackslip_estimation.slip.motion import Motion, is_explained_by_rounding, steady_speeds
 from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
 if TYPE_CHECKING:
@@ -63,10 +63,10 @@ _GATED, _STANDING = int(Outcome.GATED), int(Motion.STANDING)
 
 
 @compiled
-def bias_of(source: int, c: Config) -> int:
+def bias_index(source: int, c: Config) -> int:
     """Index of the state that is the bias of a gyro."""
-    own = c.source_states[source]
-    return GYRO_BIAS if own < 0 else int(own)
+    index = c.source_states[source]
+    return GYRO_BIAS if index < 0 else int(index)
 
 
 @compiled
@@ -80,7 +80,7 @@ def stated_variance(measurement: MeasurementRecord, state: State, c: Config) -> 
 
 
 @compiled
-def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[float, float]:
+def _speeds_to_compare(state: State, source: int, stamp_ns: int, c: Config) -> tuple[float, float]:
     """Sprocket speeds to compare with a gyro, rad/s: their means since its last reading.
 
     Where rounding does not explain the difference, or without a recent reading, they are the newest speeds.
@@ -88,7 +88,7 @@ def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[
     speeds = state.speeds
     if 0 < stamp_ns - state.readings[source].stamp_ns <= c.sprocket_timeout_ns:
         left, right, _ = mean_speeds_since(state, source, stamp_ns)
-        if is_rounding(max(abs(left - speeds.left), abs(right - speeds.right)), speeds):
+        if is_explained_by_rounding(max(abs(left - speeds.left), abs(right - speeds.right)), speeds):
             return left, right
     return speeds.left, speeds.right
 
@@ -97,8 +97,8 @@ def _speeds_since(state: State, source: int, stamp_ns: int, c: Config) -> tuple[
 def observe_rate(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of a yaw rate, and its known states (``_consider_states``)."""
     source, x = measurement.source, state.mean[: c.size]
-    left, right = _speeds_since(state, source, measurement.stamp_ns, c)
-    bias, scale, rate = bias_of(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
+    left, right = _speeds_to_compare(state, source, measurement.stamp_ns, c)
+    bias, scale, rate = bias_index(source, c), 1.0 + x[GYRO_SCALE], twist(x, left, right, c)[2]
     steady = steady_speeds(state.speeds, state.motion, c.motion_limits)
     H = twist_jacobian(x, steady[0], steady[1], c)[2:]
     for k in range(x.size):
@@ -134,10 +134,10 @@ def update_with_rate(
     source, x, P = measurement.source, state.mean[: c.size], state.covariance[:]
     o, stated = observe_rate(state, measurement, c), stated_variance(measurement, state, c)
     o.noise[0, 0] += (state.adaptation.rate_factor - 1.0) * stated
-    left, right = _speeds_since(state, source, measurement.stamp_ns, c)
+    left, right = _speeds_to_compare(state, source, measurement.stamp_ns, c)
     store_reading(state, source, measurement.stamp_ns)
     limit, innovation = c.gate_limits[1], o.innovation[0]
-    update.dof, update.gate = 1, limit_of(state, measurement, 1, c)
+    update.dof, update.gate = 1, gate_limit(state, measurement, 1, c)
     measured, measured_variance = _measured_rate(state, measurement, o.noise[0, 0], c)
     is_physical = np.isinf(limit) or not _is_impossible_rate(measured, measured_variance, left, right, c)
     S = o.noise[0, 0] + predicted_covariance(P, o.jacobian)[0, 0]
@@ -167,7 +167,7 @@ def update_with_rate(
         if is_free_to_swing(state, source, c):  # a start or stop of the swing beyond its noise, no bias
             P[SWING_RATE, SWING_RATE] += c.swing.fastest**2
         else:
-            bias = bias_of(source, c)
+            bias = bias_index(source, c)
             P[bias, bias] += innovation * innovation
     if resets_turn_states or least_nis > limit:
         copy_square(P, prior.covariance, c.size)
@@ -182,7 +182,7 @@ def _measured_rate(
 ) -> tuple[float, float]:
     """Yaw rate of the machine by the gyro alone, rad/s; variance with bias, swing and velocity error."""
     source, x, P = measurement.source, state.mean, state.covariance
-    bias, measured = bias_of(source, c), measurement.value[0] / c.rate_scale[source]
+    bias, measured = bias_index(source, c), measurement.value[0] / c.rate_scale[source]
     if c.above[source] == 1:
         measured -= x[SWING_RATE]
         variance += P[SWING_RATE, SWING_RATE] + 2.0 * P[SWING_RATE, YAW_RATE_ERROR]
@@ -193,7 +193,7 @@ def _measured_rate(
 
 
 @compiled
-def _without_slip(left: float, right: float, c: Config) -> float:
+def _rate_without_slip(left: float, right: float, c: Config) -> float:
     """Yaw rate of the machine without slip, rad/s."""
     rate: float = c.rolling_radius * (right - left) / c.tread
     return rate
@@ -202,7 +202,7 @@ def _without_slip(left: float, right: float, c: Config) -> float:
 @compiled
 def _is_impossible_rate(rate: float, variance: float, left: float, right: float, c: Config) -> bool:
     """Whether the machine would turn against its tracks, beyond noise, bias and lag."""
-    without_slip = _without_slip(left, right, c)
+    without_slip = _rate_without_slip(left, right, c)
     allowed = c.ground.against_tracks * np.sqrt(variance) + c.ground.lag * abs(without_slip)
     return has_velocity_errors(c) and rate * np.sign(without_slip) < -allowed
 
@@ -216,7 +216,7 @@ def _has_ground_changed(
     A reading after the first counts if it agrees with the first, and departs from the yaw rate predicted by
     the turn states of x by at least the share ``persists`` of the first departure.
     """
-    without_slip = _without_slip(left, right, c)
+    without_slip = _rate_without_slip(left, right, c)
     if not (rate * without_slip > 0.0 and abs(rate) < abs(without_slip)) or not has_velocity_errors(c):
         streak.count = 0
         return False

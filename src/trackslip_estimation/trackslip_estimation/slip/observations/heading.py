@@ -19,7 +19,7 @@ import numpy as np
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
-from trackslip_estimation.slip.levers import seen_from_above, stamp_shift
+from trackslip_estimation.slip.levers import horizontal_direction, stamp_shift
 from trackslip_estimation.slip.models.model import FIX_DELAY, SWING, YAW
 from trackslip_estimation.slip.validity import LEAST_VARIANCE
 
@@ -34,7 +34,7 @@ def compass_offset(state: State, source: int, c: Config) -> float:
     offset = c.heading_offset[source]
     if c.above[source] == 1:
         offset += state.mean[SWING]
-    return seen_from_above(offset, state.attitude.level)
+    return horizontal_direction(offset, state.attitude.level)
 
 
 @compiled
@@ -46,9 +46,9 @@ def observe_heading(state: State, measurement: MeasurementRecord, c: Config) -> 
     nu += shift[YAW] * x[FIX_DELAY]
     if c.above[source] == 1:
         H[0, SWING] = 1.0
-    own = c.yaw_offsets[source]
-    if own >= 0:
-        H[0, own] = 1.0
-        nu -= x[own]
+    index = c.yaw_offsets[source]
+    if index >= 0:
+        H[0, index] = 1.0
+        nu -= x[index]
     R = max(measurement.noise[0, 0], c.heading_floor[source] ** 2, LEAST_VARIANCE)
     return Observation(np.array((wrap(nu),)), H, np.array(((R,),)), 0, 0, H[:0])

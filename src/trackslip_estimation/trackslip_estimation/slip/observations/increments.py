@@ -37,21 +37,21 @@ _SMALL = 1e-9  # rad
 def increment(before: OdometryRecord, measurement: MeasurementRecord, T: float, c: Config) -> FloatArray:
     """(3,) v_x and v_y in m/s, yaw rate in rad/s; means over T, along the axes of base_link."""
     lever, mounting = c.levers[measurement.source], c.mountings[measurement.source]
-    first, second = _base(before.turn, mounting), _base(measurement.turn, mounting)
-    moved = measurement.value - _turned(second, lever) - before.place + _turned(first, lever)
+    first, second = _base_orientation(before.turn, mounting), _base_orientation(measurement.turn, mounting)
+    moved = measurement.value - _rotate(second, lever) - before.place + _rotate(first, lever)
     turn = _product(_conjugate(first), second)
     if turn[3] < 0.0:
         turn = -turn
     sine = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
     half = math.atan2(sine, turn[3])  # |θ|/2
     stretch = half / sine if sine > _SMALL else 1.0
-    back = _conjugate(_halved(turn))
-    v = _turned(back, _turned(_conjugate(first), moved)) * stretch
+    back = _conjugate(_half_rotation(turn))
+    v = _rotate(back, _rotate(_conjugate(first), moved)) * stretch
     return np.array((v[0] / T, v[1] / T, 2.0 * stretch * turn[2] / T))
 
 
 @compiled
-def variances_stated(
+def stated_variances(
     before: OdometryRecord, measurement: MeasurementRecord, T: float, c: Config
 ) -> FloatArray:
     """(3,) variances of an increment as stated by its source; declared by parameters where it states none."""
@@ -59,7 +59,7 @@ def variances_stated(
     linear, angular, lever = np.zeros(3), np.zeros(3), c.levers[source]
     kind, declared = c.odometry_noise[source], c.odometry_variances[source]
     if kind == TWIST:
-        linear, angular = _turned_variances(c.mountings[source], noise)
+        linear, angular = _rotate_variances(c.mountings[source], noise)
     elif kind == POSE_GROWTH:
         for k in range(3):  # axes unknown: isotropic in the plane
             linear[k] = (noise[0, 0] + noise[0, 1] - before.noise[0, 0] - before.noise[0, 1]) / (2.0 * T * T)
@@ -72,7 +72,7 @@ def variances_stated(
 
 
 @compiled
-def _base(turn: FloatArray, mounting: FloatArray) -> FloatArray:
+def _base_orientation(turn: FloatArray, mounting: FloatArray) -> FloatArray:
     """d, normalised."""
     d = _product(turn, _conjugate(mounting))
     return d / math.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2 + d[3] ** 2)
@@ -96,27 +96,27 @@ def _conjugate(q: FloatArray) -> FloatArray:
 
 
 @compiled
-def _halved(q: FloatArray) -> FloatArray:
+def _half_rotation(q: FloatArray) -> FloatArray:
     """Half of the rotation q; q[3] ≥ 0."""
     half = np.array((q[0], q[1], q[2], q[3] + 1.0))
     return half / math.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2 + half[3] ** 2)
 
 
 @compiled
-def _turned(q: FloatArray, v: FloatArray) -> FloatArray:
+def _rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """(3,) q v q*."""
     turned = _product(_product(q, np.array((v[0], v[1], v[2], 0.0))), _conjugate(q))
     return turned[:3].copy()
 
 
 @compiled
-def _turned_variances(mounting: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rotate_variances(mounting: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(3,) of velocity and (3,) of rates along base_link, from rows of ``noise`` along the sensor's axes."""
     linear, angular, axis = np.zeros(3), np.zeros(3), np.zeros(3)
     for j in range(3):
         axis[:] = 0.0
         axis[j] = 1.0
-        shares = _turned(mounting, axis)
+        shares = _rotate(mounting, axis)
         for k in range(3):
             linear[k] += shares[k] ** 2 * noise[0, j]
             angular[k] += shares[k] ** 2 * noise[1, j]

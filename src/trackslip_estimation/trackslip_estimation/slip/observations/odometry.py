@@ -45,7 +45,7 @@ from trackslip_estimation.kalman.update import (
     predicted_covariance,
 )
 from trackslip_estimation.slip.adaptation import learn_from_fix, learn_from_speed
-from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.gate import gate_limit
 from trackslip_estimation.slip.mean_speeds import MeanSpeeds, mean_speeds_since, store_reading
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models import speed
@@ -53,7 +53,7 @@ from trackslip_estimation.slip.models.dispatch import body_jacobian, body_twist,
 from trackslip_estimation.slip.models.model import SPEED_TIME, YAW, X, Y
 from trackslip_estimation.slip.models.speed import COMMON_SLIP, SPEED_ERROR, YAW_RATE_ERROR
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.observations.increments import increment, variances_stated
+from trackslip_estimation.slip.observations.increments import increment, stated_variances
 from trackslip_estimation.slip.source_faults import IS_FAILED
 from trackslip_estimation.slip.validity import FASTEST, FASTEST_TURN
 
@@ -116,8 +116,8 @@ def update_with_odometry(
     elif follows and c.odometry_gap[source] >= T:
         z = increment(before, measurement, T, c)
         if max(abs(z[0]), abs(z[1])) < FASTEST and abs(z[2]) < FASTEST_TURN:
-            _use(
-                state, z, np.diag(variances_stated(before, measurement, T, c)), measurement, c, update, prior
+            _update_with_increment(
+                state, z, np.diag(stated_variances(before, measurement, T, c)), measurement, c, update, prior
             )
         else:
             update.outcome = _GATED
@@ -132,7 +132,7 @@ def update_with_odometry(
 
 
 @compiled
-def _use(
+def _update_with_increment(
     state: State,
     z: FloatArray,
     stated: FloatArray,
@@ -146,16 +146,18 @@ def _use(
     before, factors = state.odometry[c.odometry_number[source]], state.adaptation.fix_factors
     drive, since_ns = mean_speeds_since(state, source, measurement.stamp_ns), state.readings[source].stamp_ns
     ahead, turned, open_ = _mean_error_model(state, before, drive, c)
-    h, H = _expected(state, before, drive, source, ahead, turned, c)
+    h, H = _predicted_increment(state, before, drive, source, ahead, turned, c)
     D = np.diag(open_)
     innovation = z - h
     if has_velocity_errors(c) and not state.coasting:
         of_errors = H[0, SPEED_ERROR] ** 2 * P[SPEED_ERROR, SPEED_ERROR] + D[0, 0]
-        own = factors[source] * stated[0, 0] + of_errors * max(2.0 * c.velocity_errors.time / drive.T, 1.0)
-        _inflate_slip_on_agreement(state, before, since_ns, innovation[0], drive, H, own, c)
+        independent = factors[source] * stated[0, 0] + of_errors * max(
+            2.0 * c.velocity_errors.time / drive.T, 1.0
+        )
+        _inflate_slip_on_agreement(state, before, since_ns, innovation[0], drive, H, independent, c)
         copy_square(P, prior.covariance, c.size)
     predicted = predicted_covariance(P, H) + D
-    update.dof, update.gate = 3, limit_of(state, measurement, 3, c)
+    update.dof, update.gate = 3, gate_limit(state, measurement, 3, c)
     least_nis = _least_nis(state, source, innovation, predicted, stated, drive, update.gate, c)
     R = factors[source] * stated
     L = root(predicted + R)
@@ -216,12 +218,12 @@ def _inflate_slip_on_agreement(
     innovation: float,
     drive: MeanSpeeds,
     H: FloatArray,
-    own: float,
+    independent: float,
     c: Config,
 ) -> None:
     """Inflate i₀, and with it the position, where recent increments agree on another slip.
 
-    ``innovation`` of the speed ahead, m/s; ``own``: variance of the errors independent in each increment.
+    ``innovation`` of the speed ahead, m/s; ``independent``: variance of independent errors.
     """
     x, P, T = state.mean[:], state.covariance[:], drive.T
     track = c.rolling_radius * (drive.left + drive.right) / 2.0
@@ -231,8 +233,8 @@ def _inflate_slip_on_agreement(
     slow[0, SPEED_ERROR] = slow[0, YAW_RATE_ERROR] = 0.0
     known = predicted_covariance(P, slow)[0, 0]
     kept = math.exp(-T / c.ground.increments_time)
-    before.slip_weight = kept * before.slip_weight + track * track / own
-    before.slip_sum = kept * before.slip_sum - track * innovation / own
+    before.slip_weight = kept * before.slip_weight + track * track / independent
+    before.slip_sum = kept * before.slip_sum - track * innovation / independent
     before.slip_distance += track * T
     off, variance = before.slip_sum / before.slip_weight, 1.0 / before.slip_weight + known / (track * track)
     if off * off <= variance:
@@ -246,7 +248,7 @@ def _inflate_slip_on_agreement(
 
 
 @compiled
-def _expected(
+def _predicted_increment(
     state: State,
     before: OdometryRecord,
     drive: MeanSpeeds,
@@ -256,8 +258,8 @@ def _expected(
     c: Config,
 ) -> tuple[FloatArray, FloatArray]:
     """h (3,) and H (3, n); ``ahead``, ``turned``: factors of the means of m on m at the end of T."""
-    own, h = c.source_states[source], (state.integrated_twist - before.integrated_twist) / drive.T
-    scale = 1.0 + (state.mean[own] if own >= 0 else 0.0)
+    index, h = c.source_states[source], (state.integrated_twist - before.integrated_twist) / drive.T
+    scale = 1.0 + (state.mean[index] if index >= 0 else 0.0)
     H = body_jacobian(state.mean[:], drive.left, drive.right, state, c)
     for i in range(3):
         if has_velocity_errors(c):
@@ -266,8 +268,8 @@ def _expected(
         if i < YAW:
             for j in range(state.mean.size):
                 H[i, j] *= scale
-            if own >= 0:
-                H[i, own] = h[i]
+            if index >= 0:
+                H[i, index] = h[i]
             h[i] *= scale
     return h, H
 
@@ -276,7 +278,7 @@ def _expected(
 def _mean_error_model(
     state: State, before: OdometryRecord, drive: MeanSpeeds, c: Config
 ) -> tuple[float, float, FloatArray]:
-    """Factors ``ahead`` and ``turned`` of ``_expected``, and D (3,).
+    """Factors ``ahead`` and ``turned`` of ``_predicted_increment``, and D (3,).
 
     While the sprockets are silent, D is that of an unknown speed.
     """
@@ -291,26 +293,26 @@ def _mean_error_model(
     growth = speed.error_growth(T, state.motion.motion, c)
     ahead, D[0] = _regress_mean_on_end(before.errors[0], variances[0], persistence, growth)
     turned, D[2] = _regress_mean_on_end(before.errors[1], variances[1], persistence, growth)
-    D[1] = state.adaptation.track_variance * _sideways(drive, c)
+    D[1] = state.adaptation.track_variance * _sideways_variance(drive, c)
     return ahead, turned, D
 
 
 @compiled
 def _regress_mean_on_end(
-    first: float, own: float, persistence: tuple[float, float], growth: tuple[float, float, float]
+    first: float, variance: float, persistence: tuple[float, float], growth: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Regression of the mean of an error over T on its value at the end: factor and residual variance.
 
-    ``first``: variance at the start of T; ``own``: variance of the process.
+    ``first``: variance at the start of T; ``variance``: variance of the process.
     """
     (kept, mean), (of_mean, of_both, of_end) = persistence, growth
-    both, end = kept * mean * first + of_both * own, kept * kept * first + of_end * own
+    both, end = kept * mean * first + of_both * variance, kept * kept * first + of_end * variance
     factor = both / end if end > 0.0 else 0.0
-    return factor, max(mean * mean * first + of_mean * own - factor * both, 0.0)
+    return factor, max(mean * mean * first + of_mean * variance - factor * both, 0.0)
 
 
 @compiled
-def _sideways(drive: MeanSpeeds, c: Config) -> float:
+def _sideways_variance(drive: MeanSpeeds, c: Config) -> float:
     """Variance of the mean of v_y over T for a track error of 1 (``speed``), (m/s)²."""
     squares: float = c.rolling_radius**2 * (drive.left * drive.left + drive.right * drive.right)
     return float(c.adaptation.sideways**2 * squares / 4.0 * 2.0 * c.velocity_errors.time / drive.T)
@@ -323,7 +325,7 @@ def track_error_variances(state: State, drive: MeanSpeeds, c: Config) -> FloatAr
     of_mean = speed.error_growth(drive.T, state.motion.motion, c)[0]
     U = speed.track_exposure(state, c)
     ahead = c.adaptation.forward**2 / 4.0 * (share**2 * state.adaptation.speed_exposure + of_mean * U)
-    return np.array((ahead, _sideways(drive, c), of_mean * U / c.tread**2))
+    return np.array((ahead, _sideways_variance(drive, c), of_mean * U / c.tread**2))
 
 
 @compiled

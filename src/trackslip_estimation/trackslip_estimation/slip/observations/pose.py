@@ -25,7 +25,13 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import wrap
 from trackslip_estimation.kalman.update import Observation
 from trackslip_estimation.slip.correlated_errors import quality_of
-from trackslip_estimation.slip.levers import lever, other_lean, seen_from_above, stamp_shift, unknown_arm
+from trackslip_estimation.slip.levers import (
+    horizontal_direction,
+    lever,
+    stamp_shift,
+    unknown_swing_variance,
+    unmodelled_tilt_variance,
+)
 from trackslip_estimation.slip.models.dispatch import has_velocity_errors
 from trackslip_estimation.slip.models.model import FIX_DELAY, GYRO_BIAS, SWING, YAW, X, Y
 from trackslip_estimation.slip.models.shear import is_shear_building_up
@@ -65,9 +71,9 @@ def stated_noise(measurement: MeasurementRecord, state: State, c: Config) -> Flo
     R = measurement.noise[:rows, :rows].copy()
     raise_to_floors(R, rows, source, c)
     for i in range(YAW):
-        R[i, i] += other_lean(state.attitude.level, source, c)
+        R[i, i] += unmodelled_tilt_variance(state.attitude.level, source, c)
         if c.above[source] == 1:
-            R[i, i] += unknown_arm(state.covariance, source, c)
+            R[i, i] += unknown_swing_variance(state.covariance, source, c)
     return R
 
 
@@ -92,24 +98,24 @@ def observe_pose(state: State, measurement: MeasurementRecord, c: Config) -> Obs
         nu[YAW] = measurement.value[YAW] - x[YAW]
         if c.above[source] == 1:
             H[YAW, SWING] = 1.0
-            nu[YAW] -= seen_from_above(x[SWING], state.attitude.level)
-        own = c.yaw_offsets[source]
-        if own >= 0:
-            H[YAW, own] = 1.0
-            nu[YAW] -= x[own]
+            nu[YAW] -= horizontal_direction(x[SWING], state.attitude.level)
+        index = c.yaw_offsets[source]
+        if index >= 0:
+            H[YAW, index] = 1.0
+            nu[YAW] -= x[index]
     for i in range(m):
         H[i, FIX_DELAY] = -shift[i]
         nu[i] += shift[i] * x[FIX_DELAY]
     if has_offset(state, source, c):
-        own = c.offsets[source]
+        index = c.offsets[source]
         for axis in (X, Y):
-            H[axis, own + axis] = 1.0
-            nu[axis] -= x[own + axis]
+            H[axis, index + axis] = 1.0
+            nu[axis] -= x[index + axis]
     if m > YAW:
         nu[YAW] = wrap(nu[YAW])
     remove_correlated_noise(state, source, R, c)
     considered = 1 << GYRO_BIAS if is_unobserved_receiver(state, source, c) else 0
-    return Observation(nu, H, R, considered | delay_considered(state, c), 0, H[:0])
+    return Observation(nu, H, R, considered | considered_delay(state, c), 0, H[:0])
 
 
 @compiled
@@ -124,6 +130,6 @@ def remove_correlated_noise(state: State, source: int, R: FloatArray, c: Config)
 
 
 @compiled
-def delay_considered(state: State, c: Config) -> int:
+def considered_delay(state: State, c: Config) -> int:
     """Bit of δ while tracks start or reverse: the shear of the soil has the effect of a delay then."""
     return 1 << FIX_DELAY if has_velocity_errors(c) and is_shear_building_up(state, c) else 0

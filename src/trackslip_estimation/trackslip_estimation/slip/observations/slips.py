@@ -32,7 +32,7 @@ from trackslip_estimation.kalman.update import (
     independent_observation,
     predicted_covariance,
 )
-from trackslip_estimation.slip.gate import limit_of
+from trackslip_estimation.slip.gate import gate_limit
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.models.dispatch import (
     has_velocity_errors,
@@ -87,7 +87,7 @@ def update_with_slips(
     o = observe_slips(state, measurement, c)
     L = root(predicted_covariance(P, o.jacobian) + o.noise)
     update.nis, update.log_determinant = weighted_square(L, o.innovation), log_determinant(L)
-    update.dof, update.gate = 2, limit_of(state, measurement, 2, c)
+    update.dof, update.gate = 2, gate_limit(state, measurement, 2, c)
     if update.nis > update.gate:
         update.outcome = _GATED
         return

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 @compiled
 def observe_swing(state: State, measurement: MeasurementRecord, c: Config) -> Observation:
     """ν (1,), H and R of an angle."""
-    own, H = c.yaw_offsets[measurement.source], np.eye(1, c.size, SWING)
+    index, H = c.yaw_offsets[measurement.source], np.eye(1, c.size, SWING)
     nu = measurement.value[0] - c.heading_offset[measurement.source] - state.mean[SWING]
-    if own >= 0:
-        H[0, own] = 1.0
-        nu -= state.mean[own]
+    if index >= 0:
+        H[0, index] = 1.0
+        nu -= state.mean[index]
     R = max(measurement.noise[0, 0], LEAST_VARIANCE)
     return independent_observation(np.array((wrap(nu),)), H, np.array(((R,),)))

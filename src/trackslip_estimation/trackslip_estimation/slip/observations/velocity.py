@@ -26,7 +26,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.update import Observation, independent_observation
-from trackslip_estimation.slip.levers import sensor_place, swung_place
+from trackslip_estimation.slip.levers import horizontal_lever_arm, swung_lever_arm
 from trackslip_estimation.slip.models import slope
 from trackslip_estimation.slip.models.dispatch import (
     body_jacobian,
@@ -75,7 +75,7 @@ def observe_velocity(state: State, measurement: MeasurementRecord, c: Config) ->
         R[i, i] = max(R[i, i], c.velocity_floor[source] ** 2, LEAST_VARIANCE)
     beyond = np.empty(2)
     beyond[0], beyond[1] = -turn.sin, turn.cos
-    R += (_sideways(state, left, right, c) * np.outer(beyond, beyond))[:m, :m]
+    R += (_sideways_variance(state, left, right, c) * np.outer(beyond, beyond))[:m, :m]
     if state.coasting and not has_velocity_errors(c):
         R += c.unknown_speed**2 * np.eye(m)
     beyond[0], beyond[1] = -w[1], w[0]
@@ -115,10 +115,12 @@ def _velocity(state: State, left: float, right: float, source: int, c: Config) -
     x, level, u = state.mean[: c.size], state.attitude.level, np.empty(2)
     if c.body_axes[source] == 1:
         v_x, v_y, rate = body_twist(x, left, right, state, c)
-        ahead, aside, by_ahead, by_aside = swung_place(x[SWING] if c.swings else 0.0, source, c)
+        ahead, aside, by_ahead, by_aside = swung_lever_arm(x[SWING] if c.swings else 0.0, source, c)
     else:
         v_x, v_y, rate = horizontal_twist(x, left, right, state, c)
-        ahead, aside, by_ahead, by_aside = sensor_place(level, x[SWING] if c.swings else 0.0, source, c)
+        ahead, aside, by_ahead, by_aside = horizontal_lever_arm(
+            level, x[SWING] if c.swings else 0.0, source, c
+        )
     u[0], u[1] = v_x - rate * aside, v_y + rate * ahead
     if c.above[source] == 1:
         u[0] += x[SWING_RATE] * by_ahead
@@ -136,15 +138,15 @@ def _jacobian(state: State, left: float, right: float, source: int, c: Config) -
     x, level = state.mean[: c.size], state.attitude.level
     J, D = body_jacobian(x, left, right, state, c), np.empty((2, x.size))
     swing = x[SWING] if c.swings else 0.0
-    x_swung, y_swung, _, _ = swung_place(swing, source, c)
+    x_swung, y_swung, _, _ = swung_lever_arm(swing, source, c)
     forward, sideways, across = level.forward, level.sideways, level.across
     if c.body_axes[source] == 1:
         rate = body_twist(x, left, right, state, c)[2]
-        ahead, aside, by_ahead, by_aside = swung_place(swing, source, c)
+        ahead, aside, by_ahead, by_aside = swung_lever_arm(swing, source, c)
         forward = sideways = across = 0.0
     else:
         rate = horizontal_twist(x, left, right, state, c)[2]
-        ahead, aside, by_ahead, by_aside = sensor_place(level, swing, source, c)
+        ahead, aside, by_ahead, by_aside = horizontal_lever_arm(level, swing, source, c)
         slope.horizontal_jacobian(J, level)
     D[0], D[1] = J[0] - aside * J[2], J[1] + ahead * J[2]
     if c.above[source] == 1:
@@ -159,7 +161,7 @@ def _jacobian(state: State, left: float, right: float, source: int, c: Config) -
 
 
 @compiled
-def _sideways(state: State, left: float, right: float, c: Config) -> float:
+def _sideways_variance(state: State, left: float, right: float, c: Config) -> float:
     """Variance of the speed of C to the left that is not a state, (m/s)²."""
     if state.coasting:
         return c.unknown_speed**2
