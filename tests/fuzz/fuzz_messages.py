@@ -251,7 +251,7 @@ def _look_at(estimate: Estimate | None, local: LocalOdometry, period: int, fault
         return
     for message in (
         conversions.odometry(make, estimate, "map", "base_link"),
-        conversions.odometry(make, local.after(estimate), "odom", "base_link"),
+        conversions.odometry(make, local.estimate_in_odom(estimate), "odom", "base_link"),
         conversions.track_slip(make, estimate, "base_link"),
         conversions.machine_state(make, estimate, "map", "base_link"),
         conversions.attitude(make, estimate, "base_link"),

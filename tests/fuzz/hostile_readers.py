@@ -27,7 +27,7 @@ from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
 from trackslip_estimation.box.track import Kept, Track
 from trackslip_estimation.box.track_file import TrackFile, track_text
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import meaning
+from trackslip_estimation.slip.learned import learned_context
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.state_file import CHECKSUM, StateFile, digest, state_text
 from trackslip_sim.machine.faults import parse_fault
@@ -244,7 +244,7 @@ def state(_: Path) -> Reader:
         inputs = read_inputs(bag, p, InputFilters(stop_s=10.0), ())
     estimator.process_records(inputs.measurements(estimator.sources))
     assert estimator.learned is not None
-    text = state_text(estimator.learned, meaning(p), 1.8e9)
+    text = state_text(estimator.learned, learned_context(p), 1.8e9)
 
     def read(path: Path) -> None:
         content = path.read_bytes()
@@ -254,7 +254,7 @@ def state(_: Path) -> Reader:
             )
             path.write_text(f"{body}{CHECKSUM}{digest(body)}\n", encoding="utf-8")
         file = StateFile(str(path))
-        learned = file.read(meaning(p))
+        learned = file.read(learned_context(p))
         assert file.note.isprintable(), file.note
         if learned is not None:
             SlipEstimator(p, learned=learned)

@@ -149,7 +149,7 @@ def random_arrivals(
         YAW_RATE: list(p.gyros()),
         HEADING: list(p.compasses()),
         ODOMETRY: list(p.odometries()),
-        ON_SWING: list(p.angles()),
+        ON_SWING: list(p.swing_encoders()),
         VELOCITY: list(p.velocities()),
         SLIPS: [name for name in p.slip_sources if name],
     }

@@ -38,13 +38,13 @@ def live(
     """The messages of an estimator that receives the lines without delay."""
     estimator, local, found = SlipEstimator(p, learned=learned), LocalOdometry(), []
     given = sorted(lines, key=lambda line: line.log_ns)
-    started = {} if learned is None else {"learned": to_tree(learned, estimator.meaning)}
+    started = {} if learned is None else {"learned": to_tree(learned, estimator.learned_context)}
     text = make(PARAMETERS_TYPE, data=parameters_text(to_flat(p), NODE, **started))
     found.append(Line(given[0].log_ns - BEFORE_NS, PARAMETERS_TOPIC, PARAMETERS_TYPE, text))
     for sequence, line in enumerate(given):
         report, estimate = estimator.process(measurement(line, p))
         outputs = [] if estimate is None else [(t, estimate) for t in (ODOMETRY, TRACK_SLIP)]
-        outputs += [] if estimate is None else [(LOCAL_ODOMETRY, local.after(estimate))]
+        outputs += [] if estimate is None else [(LOCAL_ODOMETRY, local.estimate_in_odom(estimate))]
         messages = [(topic, message_of(topic, of, p)) for topic, of in outputs]
         messages.append((REPORTS, conversions.measurement_report(make, report, sequence)))
         found += [Line(line.log_ns + 1, topic, TOPICS[topic].type_name, m) for topic, m in messages]

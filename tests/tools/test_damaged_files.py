@@ -11,7 +11,7 @@ from types import MappingProxyType
 import pytest
 
 from trackslip_estimation.box.track_file import TrackFile
-from trackslip_estimation.slip.learned import meaning
+from trackslip_estimation.slip.learned import learned_context
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.state_file import StateFile
 from trackslip_tools.cli.main import main
@@ -19,7 +19,7 @@ from trackslip_tools.cli.main import main
 FOLDER = Path(__file__).parents[1] / "fixtures" / "damaged"
 FILES = sorted(path.name for path in FOLDER.iterdir() if path.name != "README.md")
 BAG = Path(__file__).parents[2] / "bags" / "slalom_sand"
-MACHINE = meaning(load_slip_parameters())
+MACHINE = learned_context(load_slip_parameters())
 LONGEST = 1000  # characters in a line
 LARGEST = 6000  # bytes of a file
 

@@ -34,7 +34,7 @@ def learned_tree(drive: Callable[..., Any]) -> dict[str, Any]:
     segments = [(5.0, 2.0, 2.0, 0.0, 0.0, 0.0), (5.0, 1.0, 2.0, 0.0, 0.0, 0.0)]
     estimator.process_all(drive(segments, seed=4, gyro_bias=0.004).measurements)
     assert estimator.learned is not None
-    return to_tree(estimator.learned, estimator.meaning)
+    return to_tree(estimator.learned, estimator.learned_context)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from trackslip_bags.reader import open_bag
 from trackslip_bags.writer import BagWriter
 from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.events import Event as Explaining
-from trackslip_estimation.slip.explanations import AcceptedEvent, Explained, Explanation
+from trackslip_estimation.slip.explanations import AcceptedEvent, CompetingExplanations, Explanation
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_tools.cli.report_command import distinct
@@ -159,7 +159,7 @@ def test_explanations_that_compete_and_events_are_in_the_story(emulated_run: Run
     details.sources = emulated_run.details.sources
     for at_s in range(10, 31):
         found = [off, moved] if at_s < 20 else [off._replace(probability=1.0)] if at_s < 24 else []
-        details.add_explained([Explained(zero_ns + at_s * SECOND_NS, found)])
+        details.add_explained([CompetingExplanations(zero_ns + at_s * SECOND_NS, found)])
     happened = [
         AcceptedEvent(zero_ns + 10 * SECOND_NS, Explaining.OFFSET, "box_pose", 1.0),
         AcceptedEvent(zero_ns + 15 * SECOND_NS, Explaining.OUTLIER, "box_pose", 1.0),

@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from trackslip_common.vehicle import Hydraulics
-from trackslip_estimation.slip.sources import group_name, named
+from trackslip_estimation.slip.sources import group_name, nonempty_names
 
 # Until November 2026 each number of the sources was a list: one value per source, or one for all.
 SOURCE_LISTS = {
@@ -83,7 +83,7 @@ def current_names(stated: Mapping[str, Any]) -> dict[str, Any]:
 def _topics(stated: Mapping[str, Any], kind: str) -> list[str]:
     """The sources of a kind; items other than texts are ignored here, and refused by the later check."""
     given = stated.get(kind, _DEFAULTS.get(kind, ()))
-    return named([topic for topic in _listed(given) if isinstance(topic, str)])
+    return nonempty_names([topic for topic in _listed(given) if isinstance(topic, str)])
 
 
 def _listed(given: Any) -> Sequence[Any]:

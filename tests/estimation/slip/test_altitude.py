@@ -239,7 +239,7 @@ def test_the_first_altitude_does_not_move_odom() -> None:
     local, heights = LocalOdometry(), []
     message = blank_transforms(make, Frames("map", "odom", "base_link"))
     for estimate in estimates:
-        found = local.after(estimate)
+        found = local.estimate_in_odom(estimate)
         fill_transforms(message, estimate, found)
         of_odom, of_base = (t.transform.translation.z for t in message.transforms)
         if estimate.outputs.tilt is not None:

@@ -100,7 +100,7 @@ def test_explanation_of_frozen_fixes_states_its_duration() -> None:
         return replace(m, pose=last[0])
 
     _, _, estimator = errors(changed(recording, freeze), recording, parameters(**GNSS))
-    found = estimator.explained.found[0]
+    found = estimator.competing_explanations.explanations[0]
     assert found.text == f"{FIX} repeats one fix"
     assert 19.0 < found.since_ns / S - 1.0 < 23.0
 
@@ -357,7 +357,7 @@ def test_motion_is_unknown_while_counts_are_lost() -> None:
             m = replace(m, left_speed=0.5 * m.left_speed, right_speed=0.5 * m.right_speed)
         estimator.process(m)
     assert estimator.estimate().motion is Motion.UNKNOWN
-    assert estimator.explained.found[0].text == "sprockets count half of the distance"
+    assert estimator.competing_explanations.explanations[0].text == "sprockets count half of the distance"
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3])

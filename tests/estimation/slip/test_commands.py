@@ -128,14 +128,14 @@ def test_set_pose_without_a_stamp_counts_as_now_after_a_reset(found: list[Measur
     reset, _ = estimator.process(Command(RESET))
     watch.clear()
     watch.add(reset)
-    assert watch.lost(now_ns) == {}
+    assert watch.lost_sources(now_ns) == {}
     assert not estimator.started
     given, estimate = estimator.process(manual_pose())
     watch.add(given)
     assert (given.outcome, given.stamp_ns) == (Outcome.ACCEPTED, now_ns)
     assert estimator.estimate().stamp_ns == now_ns
     np.testing.assert_array_equal(estimator.estimate().pose, manual_pose().pose)
-    assert watch.lost(now_ns + S // 10) == {}
+    assert watch.lost_sources(now_ns + S // 10) == {}
     steps = [estimator.process(m) for m in later if m.stamp_ns > now_ns]
     published = [e.stamp_ns for _, e in steps if e is not None]
     assert published == sorted(published)
@@ -171,16 +171,16 @@ def processed(source: str, seconds: float, nis: float = 1.0, outcome: Outcome = 
 
 def test_source_without_accepted_measurements_is_lost() -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": 5 * S})
-    assert watch.lost(100 * S) == {}  # no source is lost before the start
+    assert watch.lost_sources(100 * S) == {}  # no source is lost before the start
     for at_s in (10.0, 10.1):
         watch.add(processed("imu/data_raw", at_s))
     for k in range(10):
         watch.add(processed("box_pose", 10.0 + k / 2.0, outcome=Outcome.GATED))
-    assert watch.lost(12 * S) == {"box_pose": 2.0}
+    assert watch.lost_sources(12 * S) == {"box_pose": 2.0}
     watch.add(processed("box_pose", 15.0))
-    assert watch.lost(round(15.5 * S)) == {"imu/data_raw": 5.4}
+    assert watch.lost_sources(round(15.5 * S)) == {"imu/data_raw": 5.4}
     watch.clear()
-    assert watch.lost(99 * S) == {}
+    assert watch.lost_sources(99 * S) == {}
 
 
 def test_a_source_slower_than_its_timeout_is_lost_after_three_periods() -> None:
@@ -190,16 +190,16 @@ def test_a_source_slower_than_its_timeout_is_lost_after_three_periods() -> None:
         outcome = Outcome.GATED if k % 100 == 50 else Outcome.ACCEPTED
         watch.add(processed("gnss_pose", at_s, outcome=outcome))
         at_s += 1.06 if k % 2 else 0.97
-        assert watch.lost(round(at_s * S)) == {}  # just before the next fix
-    assert watch.lost(round((at_s + 1.8) * S)) == {}
-    assert list(watch.lost(round((at_s + 2.2) * S))) == ["gnss_pose"]
+        assert watch.lost_sources(round(at_s * S)) == {}  # just before the next fix
+    assert watch.lost_sources(round((at_s + 1.8) * S)) == {}
+    assert list(watch.lost_sources(round((at_s + 2.2) * S))) == ["gnss_pose"]
 
 
 def test_a_source_of_one_message_is_lost_after_three_timeouts() -> None:
     watch = SourceWatch({"gnss_pose": S})
     watch.add(processed("gnss_pose", 10.0))
-    assert watch.lost(13 * S) == {}
-    assert watch.lost(round(13.5 * S)) == {"gnss_pose": 3.5}
+    assert watch.lost_sources(13 * S) == {}
+    assert watch.lost_sources(round(13.5 * S)) == {"gnss_pose": 3.5}
 
 
 def test_the_mean_innovation_is_stated_with_its_bounds() -> None:
@@ -215,11 +215,11 @@ def test_the_mean_innovation_is_stated_with_its_bounds() -> None:
 def test_commands_are_no_source_of_measurements(name: str) -> None:
     watch = SourceWatch({"box_pose": S, "imu/data_raw": S})
     watch.add(Report(name, 0, Outcome.ACCEPTED))
-    assert watch.lost(EPOCH_NS) == {}  # no source is lost before the start
+    assert watch.lost_sources(EPOCH_NS) == {}  # no source is lost before the start
     watch.add(processed("box_pose", 1.8e9))
     watch.add(Report(name, 0, Outcome.ACCEPTED))
-    assert watch.lost(EPOCH_NS + S // 2) == {}
-    assert watch.lost(EPOCH_NS + 4 * S) == {"box_pose": 4.0, "imu/data_raw": 4.0}
+    assert watch.lost_sources(EPOCH_NS + S // 2) == {}
+    assert watch.lost_sources(EPOCH_NS + 4 * S) == {"box_pose": 4.0, "imu/data_raw": 4.0}
 
 
 def test_a_restart_clears_the_watch() -> None:
@@ -227,4 +227,4 @@ def test_a_restart_clears_the_watch() -> None:
     watch.add(processed("box_pose", 100.0))
     watch.add(Report("sprockets", 2 * S, Outcome.RESTARTED))
     assert watch.innovations(2 * S) == {}
-    assert watch.lost(round(2.5 * S)) == {}
+    assert watch.lost_sources(round(2.5 * S)) == {}

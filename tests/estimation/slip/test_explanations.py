@@ -11,11 +11,11 @@ from trackslip_estimation.nodes.estimator_health import estimator_health
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.events import Event
 from trackslip_estimation.slip.explanations import (
-    AS_BEFORE,
+    NOTHING_HAPPENED,
     AcceptedEvent,
-    Explained,
+    CompetingExplanations,
     Explanation,
-    recent,
+    recent_events_text,
     sentence,
 )
 from trackslip_estimation.slip.measurements import PoseFix
@@ -24,17 +24,17 @@ from trackslip_estimation.slip.source_watch import SourceWatch
 S = 1_000_000_000
 OFF = Explanation("gnss_pose is 1.0 m off", 0.9, 8 * S)
 MOVED = Explanation("the machine was moved", 0.1, 8 * S, is_ongoing=False)
-CALM = Explanation(AS_BEFORE, 0.0, 10 * S)
+CALM = Explanation(NOTHING_HAPPENED, 0.0, 10 * S)
 
 
 def test_explanations_that_compete_are_listed_with_their_probabilities() -> None:
     text = "two explanations for 2.0 s: gnss_pose is 1.0 m off (90 %), the machine was moved (10 %)"
-    assert Explained(10 * S, (OFF, MOVED)).text == text
+    assert CompetingExplanations(10 * S, (OFF, MOVED)).text == text
 
 
 def test_single_explanation_states_its_duration() -> None:
-    assert Explained(10 * S, (OFF,)).text == "gnss_pose is 1.0 m off, for 2.0 s"
-    assert Explained(10 * S, (MOVED,)).text == "the machine was moved, 2.0 s ago"
+    assert CompetingExplanations(10 * S, (OFF,)).text == "gnss_pose is 1.0 m off, for 2.0 s"
+    assert CompetingExplanations(10 * S, (MOVED,)).text == "the machine was moved, 2.0 s ago"
 
 
 def test_three_explanations_are_named_and_the_others_summed() -> None:
@@ -45,13 +45,23 @@ def test_three_explanations_are_named_and_the_others_summed() -> None:
 
 
 def test_alternatives_of_a_few_percent_are_not_stated() -> None:
-    assert Explained(10 * S, (CALM._replace(probability=0.95), OFF._replace(probability=0.05))).competing == 0
-    assert Explained(10 * S, (CALM._replace(probability=0.6), OFF._replace(probability=0.4))).competing == 2
-    assert Explained(10 * S, ()).text == ""
+    assert (
+        CompetingExplanations(
+            10 * S, (CALM._replace(probability=0.95), OFF._replace(probability=0.05))
+        ).number_competing
+        == 0
+    )
+    assert (
+        CompetingExplanations(
+            10 * S, (CALM._replace(probability=0.6), OFF._replace(probability=0.4))
+        ).number_competing
+        == 2
+    )
+    assert CompetingExplanations(10 * S, ()).text == ""
 
 
 def test_explanation_without_an_event_does_not_shorten_the_duration() -> None:
-    assert Explained(10 * S, (OFF, CALM._replace(probability=0.1))).seconds == 2.0
+    assert CompetingExplanations(10 * S, (OFF, CALM._replace(probability=0.1))).seconds == 2.0
 
 
 def test_last_events_have_stamps_and_no_single_outliers() -> None:
@@ -60,8 +70,11 @@ def test_last_events_have_stamps_and_no_single_outliers() -> None:
         AcceptedEvent(45 * S, Event.OUTLIER, "gnss_pose", 0.9),
         AcceptedEvent(50 * S + S // 4, Event.RECOVERED, "gnss_pose", 0.9),
     ]
-    assert recent(happened) == "40.00 gnss_pose is off; 50.25 gnss_pose has recovered; probability 90 %"
-    assert recent([]) == "none"
+    assert (
+        recent_events_text(happened)
+        == "40.00 gnss_pose is off; 50.25 gnss_pose has recovered; probability 90 %"
+    )
+    assert recent_events_text([]) == "none"
 
 
 def test_recovered_source_is_not_an_explanation() -> None:
@@ -76,7 +89,10 @@ def test_recovered_source_is_not_an_explanation() -> None:
         if isinstance(m, PoseFix) and 20.0 <= t < 30.0:
             m = replace(m, pose=m.pose + np.array((0.8, 0.6, 0.0)))
         watch.add(estimator.process(m)[0])
-        counts[t], texts[t] = estimator.explained.competing, estimator.explained.text
+        counts[t], texts[t] = (
+            estimator.competing_explanations.number_competing,
+            estimator.competing_explanations.text,
+        )
     assert all(counts[t] >= 1 for t in counts if 23.0 < t < 29.5)
     assert any(
         text.startswith("two explanations for") and f"{FIX} is 1.0 m off" in text for text in texts.values()
@@ -94,7 +110,7 @@ def test_unknown_heading_is_reported_until_it_is_found() -> None:
     texts = []
     for m in recording.measurements:
         estimator.process(m)
-        texts.append(estimator.explained.text)
+        texts.append(estimator.competing_explanations.text)
     begun = [text for text in texts if "the heading is being found from fixes" in text]
     assert begun
     assert texts[-1] == ""

@@ -43,7 +43,7 @@ def probabilities(case: FaultCase, text: str) -> Iterator[float]:
     for m in case.measurements:
         estimator.process(m)
         if isinstance(m, PoseFix) and BEGIN + 2.0 <= seconds(m) < END:
-            found = estimator.explained.found
+            found = estimator.competing_explanations.explanations
             yield sum(e.probability for e in found if e.text.startswith(text))
 
 

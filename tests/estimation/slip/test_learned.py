@@ -15,13 +15,25 @@ from hypothesis import strategies as st
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.adaptation import FIX_FACTORS
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, Meaning, aged, from_tree, meaning, to_tree
-from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, findings, lines_of
+from trackslip_estimation.slip.learned import (
+    Learned,
+    LearnedContext,
+    decay_to_prior,
+    from_tree,
+    learned_context,
+    to_tree,
+)
+from trackslip_estimation.slip.learned_text import (
+    NOT_OBSERVED,
+    LearnedQuantity,
+    learned_quantities,
+    quantity_lines,
+)
 from trackslip_estimation.slip.measurements import FORGET, RESET, Command, Measurement, PoseFix
 from trackslip_estimation.slip.models.model import GYRO_SCALE
 
 P = parameters()
-OF = meaning(P)
+OF = learned_context(P)
 HOUR, MONTH = 3600.0, 30 * 86400.0
 
 
@@ -42,8 +54,8 @@ def bits(known: Learned) -> str:
     return json.dumps(to_tree(known, OF))
 
 
-def named(known: Learned | None, of: Meaning = OF) -> dict[str, Finding]:
-    return {finding.name: finding for finding in findings(known, of)}
+def named(known: Learned | None, of: LearnedContext = OF) -> dict[str, LearnedQuantity]:
+    return {finding.name: finding for finding in learned_quantities(known, of)}
 
 
 def known(seed: int, n: int = len(OF.places)) -> Learned:
@@ -76,19 +88,19 @@ def test_learned_states_survive_the_text_bit_for_bit(seed: int) -> None:
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1e9), st.floats(0.0, 1e9))
 def test_age_widens_towards_the_prior_and_never_beyond(seed: int, first: float, then: float) -> None:
     one, prior = known(seed), OF.prior
-    younger, older = aged(one, first, OF), aged(one, first + then, OF)
+    younger, older = decay_to_prior(one, first, OF), decay_to_prior(one, first + then, OF)
     assert np.all(younger.stddev <= prior.stddev * (1.0 + 1e-9))
     assert np.all(older.stddev >= younger.stddev * (1.0 - 1e-9))
     assert np.all(np.abs(older.mean - prior.mean) <= np.abs(younger.mean - prior.mean) + 1e-12)
     assert np.linalg.eigvalsh(older.correlations)[0] > -1e-9
-    twice = aged(younger, then, OF)
+    twice = decay_to_prior(younger, then, OF)
     np.testing.assert_allclose(twice.covariance, older.covariance, atol=1e-12)
     np.testing.assert_allclose(twice.track_weights, older.track_weights, atol=1e-9)
 
 
 def test_soil_states_age_within_hours_and_machine_states_within_months(learned: Learned) -> None:
     deviations = {
-        age: dict(zip(OF.places, aged(learned, age, OF).stddev, strict=True))
+        age: dict(zip(OF.places, decay_to_prior(learned, age, OF).stddev, strict=True))
         for age in (0.0, 12 * HOUR, 12 * MONTH)
     }
     prior = dict(zip(OF.places, OF.prior.stddev, strict=True))
@@ -148,13 +160,13 @@ def test_reset_keeps_learned_states_and_forget_drops_them(driven: list[Measureme
 @pytest.mark.parametrize("model", ["turning", "icr", "free_slips"])
 def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -> None:
     p = parameters(model=model)
-    of, estimator = meaning(p), SlipEstimator(p)
+    of, estimator = learned_context(p), SlipEstimator(p)
     estimator.process_all(driven)
     found = estimator.learned
     assert found is not None
-    assert all(np.isfinite((f.value, f.stddev)).all() for f in findings(found, of))
+    assert all(np.isfinite((f.value, f.stddev)).all() for f in learned_quantities(found, of))
     assert to_tree(from_tree(to_tree(found, of), of), of) == to_tree(found, of)
-    SlipEstimator(p, learned=aged(found, HOUR, of)).process_all(driven)
+    SlipEstimator(p, learned=decay_to_prior(found, HOUR, of)).process_all(driven)
 
 
 @pytest.mark.parametrize(
@@ -170,11 +182,11 @@ def test_every_model_learns_and_reports(model: str, driven: list[Measurement]) -
 )
 def test_parameters_of_another_machine_are_detected(learned: Learned, changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="another vehicle, or of other sources"):
-        from_tree(to_tree(learned, OF), meaning(parameters(**changes)))
+        from_tree(to_tree(learned, OF), learned_context(parameters(**changes)))
 
 
 def test_other_gates_keep_the_machine_identity(learned: Learned) -> None:
-    of = meaning(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
+    of = learned_context(parameters(**{"gate_probability": 0.5, "sources.box_pose.timeout": 9.0}))
     assert to_tree(from_tree(to_tree(learned, OF), of), of) == to_tree(learned, OF)
 
 
@@ -200,8 +212,8 @@ def test_invalid_learned_states_are_refused(learned: Learned, name: str, value: 
 
 
 def test_nothing_is_observed_before_the_first_metre() -> None:
-    assert {f.sentence for f in findings(None, OF)} == {NOT_OBSERVED}
-    (line,) = lines_of(findings(None, OF))
+    assert {f.sentence for f in learned_quantities(None, OF)} == {NOT_OBSERVED}
+    (line,) = quantity_lines(learned_quantities(None, OF))
     assert line.startswith(f"{NOT_OBSERVED}: gyro scale, ")
 
 
@@ -244,12 +256,12 @@ def test_observed_states_are_reported_in_sentences(learned: Learned) -> None:
 def test_a_sentence_has_the_digits_of_its_standard_deviation(
     name: str, value: float, stddev: float, sentence: str
 ) -> None:
-    assert Finding(name, value, stddev, observed=True).sentence == sentence
+    assert LearnedQuantity(name, value, stddev, observed=True).sentence == sentence
 
 
 def test_each_source_has_its_own_delay() -> None:
     changes = {"sources.box_pose.stamp_error": 0.0, "sources.gnss_pose.stamp_error": 0.03}
-    found = named(None, meaning(parameters(pose_sources=("box_pose", "gnss_pose"), **changes)))
+    found = named(None, learned_context(parameters(pose_sources=("box_pose", "gnss_pose"), **changes)))
     assert "fix_delay.box_pose" not in found  # configured without a delay
     assert found["fix_delay.gnss_pose"].stddev == pytest.approx(0.03)
     assert {"fix_noise_factor.box_pose", "fix_noise_factor.gnss_pose"} <= found.keys()

@@ -19,7 +19,7 @@ from trackslip_common.nodes.messages import make
 from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Outcome, YawRate
-from trackslip_estimation.slip.mounting import rotation, turned, turned_variances
+from trackslip_estimation.slip.mounting import rotate, rotate_variances, rotation
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.sources import Refusal, YawRateSource
 
@@ -53,9 +53,9 @@ def source(**changed: float) -> YawRateSource:
 def test_the_rotation_is_that_of_its_three_angles(roll: float, pitch: float, yaw: float) -> None:
     expected = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
     v, variances = (1.0, -2.0, 3.0), (0.1, 0.2, 0.3)
-    found = turned(rotation(roll, pitch, yaw), v)
+    found = rotate(rotation(roll, pitch, yaw), v)
     np.testing.assert_allclose(found, expected @ v, atol=1e-9)
-    spread = turned_variances(rotation(roll, pitch, yaw), variances)
+    spread = rotate_variances(rotation(roll, pitch, yaw), variances)
     np.testing.assert_allclose(spread, np.diag(expected @ np.diag(variances) @ expected.T), atol=1e-9)
 
 
@@ -63,14 +63,14 @@ def test_the_rotation_is_that_of_its_three_angles(roll: float, pitch: float, yaw
 def test_columns_of_a_bag_turn_as_numbers_do(roll: float, pitch: float, yaw: float, seed: int) -> None:
     columns = np.random.default_rng(seed).normal(size=(3, 5))
     R = rotation(roll, pitch, yaw)
-    one_by_one = [turned(R, column.tolist()) for column in columns.T]
-    np.testing.assert_array_equal(np.column_stack(turned(R, list(columns))), one_by_one)
+    one_by_one = [rotate(R, column.tolist()) for column in columns.T]
+    np.testing.assert_array_equal(np.column_stack(rotate(R, list(columns))), one_by_one)
 
 
 def test_an_axis_that_a_unit_lacks_does_not_spoil_the_others() -> None:
     """Half a turn about x must not mix x into z, although sin π is not exactly 0."""
     upside_down = rotation(math.pi, 0.0, 0.0)
-    assert turned(upside_down, (math.nan, math.nan, 0.3))[2] == -0.3
+    assert rotate(upside_down, (math.nan, math.nan, 0.3))[2] == -0.3
     assert rotation(0.0, 0.0, 0.0) is None
 
 

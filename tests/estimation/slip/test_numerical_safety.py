@@ -170,7 +170,7 @@ def test_reset_drops_all_states_that_are_not_finite() -> None:
     assert estimator.learned is not None
     assert estimator.learned.is_finite
     assert np.isfinite(estimator.estimate().pose).all()
-    assert "nan" not in str(to_tree(estimator.learned, estimator.meaning))
+    assert "nan" not in str(to_tree(estimator.learned, estimator.learned_context))
 
 
 def test_replay_of_a_diverged_estimate_ends_with_the_same_bits() -> None:

@@ -26,14 +26,14 @@ from trackslip_estimation.slip.measurements import (
     Report,
     Sprockets,
 )
-from trackslip_estimation.slip.mounting import quaternion_of
+from trackslip_estimation.slip.mounting import quaternion_from_angles
 from trackslip_estimation.slip.observations.increments import POSE_GROWTH, TWIST, increment, stated_variances
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.sources import Refusal
 
 S = 1_000_000_000
 SOURCE, LEVER, MOUNTING = "camera", (0.8, -0.3, 1.5), (0.1, 0.3, 0.7)
-STANDSTILL = np.array(quaternion_of(0.2, -0.4, 1.0))  # orientation of its odom frame
+STANDSTILL = np.array(quaternion_from_angles(0.2, -0.4, 1.0))  # orientation of its odom frame
 ALONE = 40.0  # s, end of the fixes
 
 
@@ -47,7 +47,10 @@ def with_odometry(**changed: object) -> SlipEstimatorParameters:
 
 def pose_of(stamp_ns: int, pose: np.ndarray, frame: int = 7) -> OdometryPose:
     """Pose that the source publishes with base_link at (3,) x, y, heading of its odom frame, if level."""
-    base, camera = np.array(quaternion_of(0.0, 0.0, pose[2])), np.array(quaternion_of(*MOUNTING))
+    base, camera = (
+        np.array(quaternion_from_angles(0.0, 0.0, pose[2])),
+        np.array(quaternion_from_angles(*MOUNTING)),
+    )
     at = turned_by(STANDSTILL, np.append(pose[:2], 0.0) + turned_by(base, np.array(LEVER)))
     turn = product(product(STANDSTILL, base), camera)
     return OdometryPose(SOURCE, stamp_ns, at, turn, frame, np.zeros((2, 3)))
@@ -209,7 +212,7 @@ def test_increment_is_the_twist_of_a_circle(rate: float) -> None:
     turn = rate * T
     x, y = (v / rate * np.sin(turn), v / rate * (1.0 - np.cos(turn))) if rate else (v * T, 0.0)
     first, second = pose_of(S, np.zeros(3)), pose_of(2 * S, np.array((x, y, turn)))
-    c = SimpleNamespace(levers=np.array([LEVER]), mountings=np.array([quaternion_of(*MOUNTING)]))
+    c = SimpleNamespace(levers=np.array([LEVER]), mountings=np.array([quaternion_from_angles(*MOUNTING)]))
     measured = SimpleNamespace(source=0, value=second.place, turn=second.turn)
     found = increment.py_func(  # type: ignore[attr-defined]  # numba's
         first, measured, T, c
@@ -221,7 +224,7 @@ def test_covariance_is_the_twists_or_the_growth_of_the_poses_or_declared() -> No
     def stated(kind: int, before: np.ndarray, now: np.ndarray) -> np.ndarray:
         c = SimpleNamespace(
             levers=np.array([(1.0, 2.0, 0.0)]),
-            mountings=np.array([quaternion_of(0.0, 0.0, np.pi / 2.0)]),
+            mountings=np.array([quaternion_from_angles(0.0, 0.0, np.pi / 2.0)]),
             odometry_noise=[kind],
             odometry_variances=np.array([(0.09, 0.01)]),
         )

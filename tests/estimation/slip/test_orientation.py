@@ -147,7 +147,7 @@ def test_malformed_orientation_is_refused_by_name(
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
     found, own, reports = run(measurements, **REQUESTED)
     expected, _, plain = run(measurements)
-    imus = [report for report in reports if report.source == IMU and not report.outcome.refused]
+    imus = [report for report in reports if report.source == IMU and not report.outcome.is_rejected]
     assert len(imus) > 100
     assert {report.attitude for report in imus[1:]} == {refusal}
     assert refused(plain) == []

@@ -25,7 +25,7 @@ from trackslip_estimation.slip.measurements import (
 )
 from trackslip_estimation.slip.models.model import DOWNHILL
 from trackslip_estimation.slip.models.slope import inflate_downhill_slip
-from trackslip_estimation.slip.mounting import quaternion_of
+from trackslip_estimation.slip.mounting import quaternion_from_angles
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import STATE
 
@@ -197,7 +197,7 @@ def test_messages_carry_the_tilt() -> None:
     message = odometry(make, end, "map", "base_link")
     roll, pitch, height = end.outputs.tilt.tilt.tolist()
     turn = message.pose.pose.orientation
-    assert (turn.x, turn.y, turn.z, turn.w) == quaternion_of(roll, pitch, float(end.pose[2]))
+    assert (turn.x, turn.y, turn.z, turn.w) == quaternion_from_angles(roll, pitch, float(end.pose[2]))
     assert message.pose.pose.position.z == height
     assert message.pose.covariance[14] == end.outputs.tilt.covariance[2, 2]
     imu = make("sensor_msgs/msg/Imu")
@@ -213,11 +213,11 @@ def test_messages_carry_the_tilt() -> None:
 def test_local_odometry_runs_along_the_ground_too() -> None:
     own, local, last = estimator(), LocalOdometry(), None
     for _, estimate in own.process_all(drive(0.0, 0.0)):
-        last = local.after(estimate) if estimate is not None else last
+        last = local.estimate_in_odom(estimate) if estimate is not None else last
     assert last is not None
     own, local, tilted = estimator(), LocalOdometry(), None
     for _, estimate in own.process_all(drive(math.pi / 2.0, math.radians(15.0))):
-        tilted = local.after(estimate) if estimate is not None else tilted
+        tilted = local.estimate_in_odom(estimate) if estimate is not None else tilted
     assert tilted is not None
     assert np.hypot(*tilted.pose[:2]) == pytest.approx(
         math.cos(math.radians(15.0)) * np.hypot(*last.pose[:2]), rel=0.01

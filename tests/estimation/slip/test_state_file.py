@@ -16,11 +16,11 @@ from trackslip_common.errors import InputError
 from trackslip_common.kept_files import MOST_ASIDE
 from trackslip_estimation.slip import state_file
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, aged, meaning, to_tree
+from trackslip_estimation.slip.learned import Learned, decay_to_prior, learned_context, to_tree
 from trackslip_estimation.slip.state_file import StateFile, parse_state, state_text
 
 P = parameters()
-OF = meaning(P)
+OF = learned_context(P)
 NOW_S = 1.8e9
 HOUR = 3600.0
 
@@ -73,7 +73,7 @@ def test_written_states_are_read_with_their_age(path: Path, at: Callable[[float]
     assert found is not None
     assert kept.used
     assert kept.note == f"starts from values learned 2 h ago ({path})"
-    assert to_tree(found, OF) == to_tree(aged(LEARNED, 2 * HOUR, OF), OF)
+    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, 2 * HOUR, OF), OF)
 
 
 def test_the_file_can_be_read_by_people(path: Path) -> None:
@@ -191,16 +191,16 @@ def test_the_file_of_another_vehicle_is_kept_under_its_own_name(path: Path) -> N
     first = path.read_bytes()
     other = parameters(**{"vehicle.kinematics.tread": 0.8})
     kept = StateFile(str(path))
-    assert kept.read(meaning(other)) is None
+    assert kept.read(learned_context(other)) is None
     assert "of another vehicle" in kept.note
     estimator = SlipEstimator(other)
     estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    kept.write(estimator.learned, meaning(other))
+    kept.write(estimator.learned, learned_context(other))
     kept.finish()
     (aside,) = (p for p in path.parent.iterdir() if p != path)
     assert aside.name.startswith(f"{path.name}.of-")
     assert aside.read_bytes() == first
-    assert StateFile(str(path)).read(meaning(other)) is not None
+    assert StateFile(str(path)).read(learned_context(other)) is not None
 
 
 def test_vehicle_finds_its_file_after_another_one_used_the_path(
@@ -210,7 +210,7 @@ def test_vehicle_finds_its_file_after_another_one_used_the_path(
     written(path)
     first = path.read_bytes()
     p = parameters(**{"vehicle.kinematics.tread": 0.8})
-    other = meaning(p)
+    other = learned_context(p)
     estimator = SlipEstimator(p)
     estimator.process_all(drive(Machine(duration=5.0)).measurements)
     second = StateFile(str(path))
@@ -222,7 +222,7 @@ def test_vehicle_finds_its_file_after_another_one_used_the_path(
     again = StateFile(str(path))
     found = again.read(OF)
     assert found is not None
-    assert to_tree(found, OF) == to_tree(aged(LEARNED, HOUR, OF), OF)
+    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, HOUR, OF), OF)
     assert again.used
     assert "60 min ago" in again.note
     assert ".of-" in again.note
@@ -238,8 +238,8 @@ def test_damaged_file_kept_aside_is_reported_and_kept(path: Path) -> None:
     written(path)
     estimator, visitor = SlipEstimator(p), StateFile(str(path))
     estimator.process_all(drive(Machine(duration=5.0)).measurements)
-    visitor.read(meaning(p))
-    visitor.write(estimator.learned, meaning(p))
+    visitor.read(learned_context(p))
+    visitor.write(estimator.learned, learned_context(p))
     visitor.finish()
     (aside,) = (p for p in path.parent.iterdir() if p != path)
     aside.write_text("years of work", encoding="utf-8")
@@ -264,7 +264,7 @@ def test_implausible_clock_ages_learned_states_by_a_week(
     found = kept.read(OF)
     assert found is not None
     assert "at an unknown time" in kept.note
-    assert to_tree(found, OF) == to_tree(aged(LEARNED, 7 * 86400.0, OF), OF)
+    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, 7 * 86400.0, OF), OF)
 
 
 def test_file_of_another_version_is_not_used() -> None:
@@ -336,14 +336,14 @@ def test_forget_removes_the_file_until_the_next_write(path: Path, at: Callable[[
     kept.finish()
     found = StateFile(str(path)).read(OF)
     assert found is not None
-    assert to_tree(found, OF) == to_tree(aged(LEARNED, 0.0, OF), OF)
+    assert to_tree(found, OF) == to_tree(decay_to_prior(LEARNED, 0.0, OF), OF)
 
 
 def test_forget_keeps_the_file_of_another_vehicle(path: Path) -> None:
     written(path)
     first = path.read_bytes()
     kept = StateFile(str(path))
-    other = meaning(parameters(**{"vehicle.kinematics.tread": 0.8}))
+    other = learned_context(parameters(**{"vehicle.kinematics.tread": 0.8}))
     assert kept.read(other) is None
     kept.forget(other)
     (aside,) = path.parent.iterdir()

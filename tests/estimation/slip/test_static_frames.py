@@ -20,8 +20,8 @@ from trackslip_bags.writer import BagWriter
 from trackslip_common.config_files import parameters_text
 from trackslip_common.parameters import to_flat
 from trackslip_estimation.nodes.measurement_sources import StaticMountings
-from trackslip_estimation.slip.learned import meaning
-from trackslip_estimation.slip.mounting import quaternion_of, rotation
+from trackslip_estimation.slip.learned import learned_context
+from trackslip_estimation.slip.mounting import quaternion_from_angles, rotation
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.static_frames import StaticFrames
 
@@ -33,14 +33,16 @@ IMU = "imu/data_raw"
 def test_angles_are_composed_over_links_in_both_directions(mast: Any, plate: Any, imu: Any) -> None:
     """base_link ← chassis → …: base_link is the child of a frame that carries the IMU too."""
     frames = StaticFrames()
-    frames.add("chassis", "base_link", quaternion_of(*mast))
-    frames.add("/chassis", "plate", quaternion_of(*plate))
-    frames.add("plate", "/imu_link", quaternion_of(*imu))
-    up = np.array(quaternion_of(*mast)) * (-1.0, -1.0, -1.0, 1.0)
-    whole = product(product(up, np.array(quaternion_of(*plate))), np.array(quaternion_of(*imu)))
+    frames.add("chassis", "base_link", quaternion_from_angles(*mast))
+    frames.add("/chassis", "plate", quaternion_from_angles(*plate))
+    frames.add("plate", "/imu_link", quaternion_from_angles(*imu))
+    up = np.array(quaternion_from_angles(*mast)) * (-1.0, -1.0, -1.0, 1.0)
+    whole = product(
+        product(up, np.array(quaternion_from_angles(*plate))), np.array(quaternion_from_angles(*imu))
+    )
     found = frames.angles("base_link", "imu_link")
     assert found is not None
-    assert abs(np.dot(quaternion_of(*found), whole)) == pytest.approx(1.0, abs=1e-9)
+    assert abs(np.dot(quaternion_from_angles(*found), whole)) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_frames_without_a_connection_have_no_angles() -> None:
@@ -56,7 +58,7 @@ def test_frames_without_a_connection_have_no_angles() -> None:
 
 
 def tf(parent: str, child: str, roll: float, pitch: float, yaw: float) -> Any:
-    turn = SimpleNamespace(**dict(zip("xyzw", quaternion_of(roll, pitch, yaw), strict=True)))
+    turn = SimpleNamespace(**dict(zip("xyzw", quaternion_from_angles(roll, pitch, yaw), strict=True)))
     link = SimpleNamespace(
         header=SimpleNamespace(frame_id=parent),
         child_frame_id=child,
@@ -101,4 +103,4 @@ def test_mounting_of_a_bag_is_that_of_its_later_parameters(tmp_path: Path) -> No
         values = bag_parameters(opened)
     assert values["sources.imu_data_raw.mounting_yaw"] == 0.2
     assert values["gate_probability"] == asked.gate_probability
-    assert meaning(asked).machine == meaning(found).machine
+    assert learned_context(asked).machine == learned_context(found).machine

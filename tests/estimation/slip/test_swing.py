@@ -66,7 +66,7 @@ def test_sensors_below_the_cab_give_the_same_bits() -> None:
         (f"vehicle.sensors.mounts.{name}" for name in ("box", "antenna", "imu")), "undercarriage"
     )
     p, plain = load_slip_parameters(WITH, below), load_slip_parameters()
-    assert (p.swings, p.angles(), p.initial_pose()[0][2]) == (False, {}, 0.0)
+    assert (p.swings, p.swing_encoders(), p.initial_pose()[0][2]) == (False, {}, 0.0)
     assert config_of(WITH, below)[0]["size"] == SENSOR_ERRORS + 2  # an offset
     assert config_of(WITH)[0]["size"] == SENSOR_ERRORS + 3  # and that of the encoder
     given = record(dig(), Cab(encoder=False)).measurements
@@ -249,16 +249,18 @@ def test_imu_on_the_cab_gives_no_tilt_while_the_swing_is_unknown() -> None:
 
 def test_mounts_of_sensors_are_those_of_the_vehicle() -> None:
     p = load_slip_parameters(ANTENNA, {"heading_sources": ["heading"]})
-    assert {name: source.above for name, source in p.mounted().items()} == {
+    assert {name: source.above for name, source in p.mountable_sources().items()} == {
         "gnss_pose": True,
         GYRO: True,
         "heading": True,
     }
-    assert p.angles()[ENCODER].stddev == 0.002
+    assert p.swing_encoders()[ENCODER].stddev == 0.002
     assert of_cab(sources__box_pose__mount="undercarriage").poses()[FIX].above is False
-    assert load_slip_parameters({"sources.box_pose.mount": "upper"}).angles() == {}  # the file has no encoder
+    assert (
+        load_slip_parameters({"sources.box_pose.mount": "upper"}).swing_encoders() == {}
+    )  # the file has no encoder
     other = {name: value for name, value in vehicle_layer(CAB).items() if "swing_encoder" not in name}
-    assert load_slip_parameters(other).angles() == {}
+    assert load_slip_parameters(other).swing_encoders() == {}
 
 
 @pytest.mark.parametrize(

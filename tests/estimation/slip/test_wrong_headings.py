@@ -187,5 +187,5 @@ def test_the_source_of_a_heading_that_is_off_is_named(source: str) -> None:
     for m in measurements:
         estimator.process(m)
         if abs(m.stamp_ns - 46 * S) < S // 50:
-            texts = [e.text for e in estimator.explained.found]
+            texts = [e.text for e in estimator.competing_explanations.explanations]
     assert any(text.startswith(f"{source} is ") and text.endswith(" ° off") for text in texts)

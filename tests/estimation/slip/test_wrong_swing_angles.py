@@ -108,8 +108,8 @@ def test_angle_jump_at_a_still_cab_is_attributed_to_the_encoder() -> None:
     found = [e for _, e in estimator.process_all(measurements) if e is not None]
     angles = [e.outputs.swing.angle for e in found if e.outputs.swing is not None]
     assert abs(angles[-1]) < 0.02
-    assert estimator.explained.competing == 1
-    assert ENCODER in estimator.explained.text
+    assert estimator.competing_explanations.number_competing == 1
+    assert ENCODER in estimator.competing_explanations.text
 
 
 def test_encoder_with_a_persistent_offset_is_used_again() -> None:

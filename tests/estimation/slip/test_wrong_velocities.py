@@ -85,6 +85,6 @@ def test_wrong_velocity_is_named_and_sound_again_afterwards() -> None:
     for m in measurements:
         running.process(m)
         if abs(m.stamp_ns - 50 * S) < S // 50:
-            texts = [e.text for e in running.explained.found]
+            texts = [e.text for e in running.competing_explanations.explanations]
     assert any(text.startswith(f"{SOURCE} is 0.") and text.endswith(" m/s off") for text in texts)
     assert [e.source for e in running.read_events() if e.event is Event.RECOVERED] == [SOURCE]

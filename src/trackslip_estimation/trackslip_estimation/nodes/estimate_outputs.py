@@ -46,7 +46,7 @@ class EstimateOutputs:
         if self._swing is not None and swing is not None:
             conversions.fill_swing(self._swing.message, estimate, swing)
             self._swing.publish()
-        local = self._local.after(estimate)
+        local = self._local.estimate_in_odom(estimate)
         conversions.fill_odometry(self._local_odometry.message, local)
         self._local_odometry.publish()
         if self._tf is not None:

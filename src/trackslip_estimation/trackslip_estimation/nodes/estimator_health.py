@@ -7,10 +7,10 @@ from typing import Any
 
 from trackslip_common.nodes.health import ERROR, OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.explanations import EXPLANATIONS, recent
-from trackslip_estimation.slip.learned_text import findings
+from trackslip_estimation.slip.explanations import EXPLANATIONS, recent_events_text
+from trackslip_estimation.slip.learned_text import learned_quantities
 from trackslip_estimation.slip.source_watch import SourceWatch
-from trackslip_estimation.slip.sources import named
+from trackslip_estimation.slip.sources import nonempty_names
 
 _PATIENCE = 0.2  # s, shortest silence that is reported
 
@@ -23,13 +23,19 @@ def estimator_health(
     values = {**counts, "restarts": estimator.restarts, "divergences": estimator.divergences}
     values["attitude"] = estimator.attitude
     values |= {f"{source} nis": text for source, text in watch.innovations(now_ns).items()}
-    values |= {found.form.label: found.sentence for found in findings(estimator.learned, estimator.meaning)}
-    may_be = estimator.explained.text
-    values |= {EXPLANATIONS: may_be or "none needed", "last events": recent(estimator.read_events())}
+    values |= {
+        found.form.label: found.sentence
+        for found in learned_quantities(estimator.learned, estimator.learned_context)
+    }
+    may_be = estimator.competing_explanations.text
+    values |= {
+        EXPLANATIONS: may_be or "none needed",
+        "last events": recent_events_text(estimator.read_events()),
+    }
     if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:
-        requested = "sprockets" if silent is None else "a fix on " + ", ".join(named(p.pose_sources))
+        requested = "sprockets" if silent is None else "a fix on " + ", ".join(nonempty_names(p.pose_sources))
         return Health(WARN, f"{_diverged(watch, now_ns)}waiting for {requested}", values)
     if estimator.frozen:
         return Health(WARN, "frozen: poses are ignored", values)
@@ -37,7 +43,7 @@ def estimator_health(
         return Health(WARN, f"{_diverged(watch, now_ns)}running again", values)
     if may_be:
         return Health(WARN, may_be, values)
-    lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost(now_ns).items()]
+    lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost_sources(now_ns).items()]
     return (
         Health(WARN, f"nothing accepted of {', '.join(lost)}", values)
         if lost

@@ -28,7 +28,7 @@ from trackslip_estimation.slip.sources import (
     VelocitySource,
     YawRateSource,
     group_name,
-    named,
+    nonempty_names,
 )
 from trackslip_estimation.slip.static_frames import StaticFrames
 
@@ -93,12 +93,12 @@ class MeasurementSources:
         self._mountings = StaticMountings(node, conversions.Frames(*p.frames).base, p.gyros())
         for source in p.gyros():
             self._listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
-        for source in named(p.pose_sources):
+        for source in nonempty_names(p.pose_sources):
             self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, compass=compass)
             self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading, packed=False)
-        for source, angle in p.angles().items():
+        for source, angle in p.swing_encoders().items():
             on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
             self._listen(topic_class("swing"), source, on_swing)
         for source, stated in p.odometries().items():
@@ -107,7 +107,7 @@ class MeasurementSources:
         for source, velocity in p.velocities().items():
             on_velocity = partial(self._on_velocity, source=source, stated=velocity)
             self._listen(topic_class(FIX_VELOCITY), source, on_velocity)
-        for source in named(p.slip_sources):
+        for source in nonempty_names(p.slip_sources):
             self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
     @property

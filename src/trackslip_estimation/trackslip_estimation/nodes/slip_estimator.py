@@ -73,7 +73,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self._process(Reload(values))
         else:
             self._estimator = SlipEstimator(self.settings, learned=self._kept.learned)
-        self._watch.expect(self.settings.timeouts_ns())
+        self._watch.set_timeouts(self.settings.timeouts_ns())
 
     def started_from(self) -> dict[str, Any]:
         """Return the states learned before this run, for the bag."""

@@ -10,7 +10,7 @@ from rclpy.clock import Clock, ClockType
 from trackslip_common.nodes.base import TrackslipNode
 from trackslip_common.nodes.health import OK, WARN, Health
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import meaning, to_tree
+from trackslip_estimation.slip.learned import learned_context, to_tree
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.state_file import StateFile
 
@@ -25,9 +25,9 @@ class StateKeeper:
         self, node: TrackslipNode[SlipEstimatorParameters], estimator: Callable[[], SlipEstimator]
     ) -> None:
         self._node, self._estimator = node, estimator
-        self._meaning = meaning(node.settings)
+        self._learned_context = learned_context(node.settings)
         self._file = StateFile(node.settings.state_file)
-        self.learned = self._file.read(self._meaning)  # before this run
+        self.learned = self._file.read(self._learned_context)  # before this run
         if self._file:
             log = node.get_logger()
             log.info(self._file.note) if self._file.used else log.warning(self._file.note)
@@ -35,11 +35,11 @@ class StateKeeper:
 
     def started_from(self) -> dict[str, Any]:
         """Return the states learned before this run, as they are stored in a bag."""
-        return {} if self.learned is None else {"learned": to_tree(self.learned, self._meaning)}
+        return {} if self.learned is None else {"learned": to_tree(self.learned, self._learned_context)}
 
     def forget(self) -> None:
         """Delete the file."""
-        self._file.forget(self._meaning)
+        self._file.forget(self._learned_context)
 
     def finish(self) -> None:
         """Write the file for the last time."""
@@ -63,4 +63,4 @@ class StateKeeper:
     def _write(self) -> None:
         estimator = self._estimator()
         if not estimator.started or estimator.certainty >= _CERTAIN:
-            self._file.write(estimator.learned, self._meaning)
+            self._file.write(estimator.learned, self._learned_context)

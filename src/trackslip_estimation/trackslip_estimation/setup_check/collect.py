@@ -128,7 +128,7 @@ def _log(
     machine = p.vehicle.kinematics
     gyros, fixes, compasses, swing = [], [], [], None
     tracks, counts = Tracks(np.empty(0), np.empty((0, 2)), np.empty((0, 2))), Counts()
-    poses, stated, headings, angles = p.poses(), p.gyros(), p.compasses(), p.angles()
+    poses, stated, headings, angles = p.poses(), p.gyros(), p.compasses(), p.swing_encoders()
     for (kind, name), (t, values) in ready.items():
         if kind == SPROCKETS:
             tracks = Tracks(t, values[:, :2], angles_of(t, values[:, :2], values[:, 2:4]))

@@ -201,14 +201,14 @@ def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, in
         k = numbers[name]
         c["heading_offset"][k], c["heading_floor"][k] = compass.offset, compass.heading_floor
         c["stamp_errors"][k] = compass.stamp_error
-    for name, angle in p.angles().items():
+    for name, angle in p.swing_encoders().items():
         k = numbers[name]
         c["heading_offset"][k], c["of_swing"][k] = angle.offset, 1
     for name, velocity in p.velocities().items():
         k = numbers[name]
         c["levers"][k], c["velocity_floor"][k] = velocity.lever, velocity.velocity_floor
         c["body_axes"][k], c["heading_offset"][k] = velocity.axes == "body", velocity.mounting_yaw
-    above = [numbers[name] for name, source in p.mounted().items() if source.above]
+    above = [numbers[name] for name, source in p.mountable_sources().items() if source.above]
     c["above"][above] = 1
     for name, pose in p.poses().items():
         if pose.above:
@@ -230,7 +230,7 @@ def _set_rates(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]
     """Set the rates of events by source; a source without own rates uses 1/s for its faults and jumps."""
     by_name = {name: (pose.fault_rate, pose.jump_rate) for name, pose in p.poses().items()}
     by_name |= {name: (compass.fault_rate, compass.jump_rate) for name, compass in p.compasses().items()}
-    by_name |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.angles().items()}
+    by_name |= {name: (angle.fault_rate, angle.jump_rate) for name, angle in p.swing_encoders().items()}
     by_name |= {name: (velocity.fault_rate, 1.0) for name, velocity in p.velocities().items()}
     by_number = {numbers[name]: rates for name, rates in by_name.items()}
     c["log_rates"] = -np.inf
@@ -267,7 +267,7 @@ def _set_source_states(c: Config, p: SlipEstimatorParameters, numbers: Mapping[s
             c["prior_variance"][place] = c["prior_covariance"][place, place] = variance
             c["process_noise"][..., place] = walk
             place += 1
-    if p.leans:
+    if p.has_tilt_states:
         c["lean_errors"], c["lean_stddev"] = place, p.attitude.accelerometer_bias_stddev / GRAVITY
         for axis in (place, place + 1):
             c["prior_variance"][axis] = c["prior_covariance"][axis, axis] = 1.0

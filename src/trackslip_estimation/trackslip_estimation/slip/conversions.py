@@ -44,7 +44,7 @@ from trackslip_estimation.slip.measurements import (
     VelocityFix,
     YawRate,
 )
-from trackslip_estimation.slip.mounting import quaternion_of, turned, turned_variances, up_by
+from trackslip_estimation.slip.mounting import quaternion_from_angles, rotate, rotate_variances, vertical_axis
 from trackslip_estimation.slip.sources import (
     ODOMETRY_FIELDS,
     HeadingSource,
@@ -89,20 +89,20 @@ def yaw_rate(message: Any, source: str, imu: YawRateSource) -> YawRate | Refusal
         return Refusal.NO_RATE
     R, unknown = imu.mounting, imu.stddev**2
     stated = (m.variance_x, m.variance_y, m.variance_z)
-    p, q, r = turned(R, (m.rate_x, m.rate_y, m.rate_z))
-    of_p, of_q, of_r = turned_variances(R, [v if v != 0.0 else unknown for v in stated])
+    p, q, r = rotate(R, (m.rate_x, m.rate_y, m.rate_z))
+    of_p, of_q, of_r = rotate_variances(R, [v if v != 0.0 else unknown for v in stated])
     a, of_a = (math.nan,) * 3, math.nan
     if m.acceleration_variance_x != ABSENT:
-        x, y, z = turned(R, (m.acceleration_x, m.acceleration_y, m.acceleration_z))
+        x, y, z = rotate(R, (m.acceleration_x, m.acceleration_y, m.acceleration_z))
         a = (x, y, z)
         mean = (m.acceleration_variance_x + m.acceleration_variance_y + m.acceleration_variance_z) / 3.0
         of_a = mean if mean != 0.0 else imu.acceleration_stddev**2
     found = YawRate(source, m.stamp_ns, r, of_r, (p, q), (of_p, of_q), a, of_a)
     if not imu.use_orientation:
         return found
-    up_x, up_y, up_z = turned(R, up_by(m.qx, m.qy, m.qz, m.qw))
+    up_x, up_y, up_z = rotate(R, vertical_axis(m.qx, m.qy, m.qz, m.qw))
     of_up = [m.orientation_variance_x, m.orientation_variance_y, m.orientation_variance_z]
-    of_x, of_y, _ = turned_variances(R, of_up) if m.orientation_variance_x != ABSENT else (ABSENT,) * 3
+    of_x, of_y, _ = rotate_variances(R, of_up) if m.orientation_variance_x != ABSENT else (ABSENT,) * 3
     return replace(found, up=(up_x, up_y, up_z), up_variances=(of_x, of_y))
 
 
@@ -190,7 +190,7 @@ def fill_odometry(message: Any, estimate: Estimate) -> None:
     pose.position.x, pose.position.y, heading = estimate.pose.tolist()
     roll, pitch, pose.position.z = (0.0, 0.0, 0.0) if tilt is None else tilt.tilt.tolist()
     turn = pose.orientation
-    turn.x, turn.y, turn.z, turn.w = quaternion_of(roll, pitch, heading)
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_angles(roll, pitch, heading)
     twist.linear.x, twist.linear.y, twist.angular.z = estimate.outputs.twist.tolist()
     message.pose.covariance[_PLANE_IN_36] = estimate.pose_covariance.ravel()
     message.twist.covariance[_PLANE_IN_36] = estimate.outputs.twist_covariance.ravel()
@@ -218,7 +218,7 @@ def fill_attitude(message: Any, estimate: Estimate, tilt: Tilt) -> None:
     set_stamp(message, estimate.stamp_ns)
     roll, pitch, _ = tilt.tilt.tolist()
     turn, yaw = message.orientation, float(estimate.pose[2])
-    turn.x, turn.y, turn.z, turn.w = quaternion_of(roll, pitch, yaw)
+    turn.x, turn.y, turn.z, turn.w = quaternion_from_angles(roll, pitch, yaw)
     covariance = np.zeros((3, 3))
     covariance[:2, :2], covariance[2, 2] = tilt.covariance[:2, :2], estimate.pose_covariance[2, 2]
     message.orientation_covariance = covariance.ravel()
@@ -309,7 +309,7 @@ def fill_machine_state(message: Any, estimate: Estimate) -> None:
 
 def pose_with_covariance(make: Make, fix: PoseFix, frame: str) -> Any:
     """geometry_msgs/PoseWithCovarianceStamped of a fix."""
-    pose, covariance = planar_pose_message(make, fix.pose), in_six(fix.covariance)
+    pose, covariance = planar_pose_message(make, fix.pose), covariance_6x6(fix.covariance)
     pose.position.z, covariance[_ALTITUDE_IN_36] = fix.altitude, fix.altitude_variance
     return make(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -347,7 +347,7 @@ def planar_pose_message(make: Make, pose: FloatArray) -> Any:
     return make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
 
 
-def in_six(covariance: FloatArray) -> FloatArray:
+def covariance_6x6(covariance: FloatArray) -> FloatArray:
     """(36,) row-major 6×6 covariance of a planar (3, 3); the other variances are ``UNOBSERVED``."""
     six = _BLANK_36.copy()
     six[_PLANE_IN_36] = covariance.ravel()

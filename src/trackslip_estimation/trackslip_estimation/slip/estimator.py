@@ -17,8 +17,14 @@ from trackslip_estimation.attitude.records import AttitudeRefusal
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.bank.rows import probability_of_best
 from trackslip_estimation.slip.config import make_config
-from trackslip_estimation.slip.explanations import AcceptedEvent, Explained, Sources, explanations, history
-from trackslip_estimation.slip.learned import Learned, learned_of, meaning, start_from
+from trackslip_estimation.slip.explanations import (
+    AcceptedEvent,
+    CompetingExplanations,
+    Sources,
+    accepted_events,
+    describe_branches,
+)
+from trackslip_estimation.slip.learned import Learned, extract_learned, learned_context, set_learned_priors
 from trackslip_estimation.slip.measurements import (
     FORGET,
     FREEZE,
@@ -119,12 +125,12 @@ class SlipEstimator:
     ) -> None:
         """``window_ns``: largest delay of a measurement; None: the history window of the parameters.
 
-        ``learned``: states learned before on this machine, with parameters of the same ``Meaning.machine``.
+        ``learned``: states learned before, with parameters of the same ``LearnedContext.machine``.
         ``script``: (n,) of ``EVENT``, the only events of a single branch.
         """
         self._window_ns, self._start = window_ns, learned
-        self._happened: list[AcceptedEvent] = []
-        self._use(parameters)
+        self._accepted_events: list[AcceptedEvent] = []
+        self._set_parameters(parameters)
         self.window: Window = make_window(_CAPACITY, int(self.config["poses"][0]), script)
         self.process_records(to_records((), self.sources))  # compiles now, not at the first measurement
 
@@ -166,14 +172,14 @@ class SlipEstimator:
         """Learned states of machine and ground; None before the first."""
         if not self.started:
             return self._start
-        found = learned_of(self.window.best[self.window.count - 1], self.meaning, self.sources)
+        found = extract_learned(self.window.best[self.window.count - 1], self.learned_context, self.sources)
         return found if found.is_finite else self._start
 
     @property
-    def explained(self) -> Explained:
+    def competing_explanations(self) -> CompetingExplanations:
         """Competing explanations, the most probable first; none without an estimate."""
-        found = explanations(self.window, self._named) if self.started else []
-        return Explained(self.newest_ns or 0, found)
+        found = describe_branches(self.window, self._named_sources) if self.started else []
+        return CompetingExplanations(self.newest_ns or 0, found)
 
     @property
     def certainty(self) -> float:
@@ -184,8 +190,10 @@ class SlipEstimator:
         """Events of the most probable branch: its latest 16, and older ones of earlier calls."""
         if self.started:
             branch = self.window.branches[0, self.window.count - 1]
-            self._happened = history(branch, self._named, self._happened, self.certainty)
-        return self._happened
+            self._accepted_events = accepted_events(
+                branch, self._named_sources, self._accepted_events, self.certainty
+            )
+        return self._accepted_events
 
     def apply_command(self, command: Command | Reload) -> Report:
         """Reset, forget, freeze or unfreeze, or use new values of parameters.
@@ -196,11 +204,11 @@ class SlipEstimator:
             InputError: a new value is invalid; nothing changes then.
         """
         if isinstance(command, Reload):
-            self._use(self.parameters.changed(command.values))
+            self._set_parameters(self.parameters.changed(command.values))
         elif command.source in (RESET, FORGET):
             self._start = self.learned if command.source == RESET else None
             clear(self.window)
-            self._use(self.parameters)
+            self._set_parameters(self.parameters)
         else:
             self.window.status["frozen"] = command.source == FREEZE
         return Report(command.source, command.stamp_ns, Outcome.ACCEPTED)
@@ -242,17 +250,17 @@ class SlipEstimator:
         fill_last_estimate(self.window, self.config, records)
         return make_estimate(records[0].item())
 
-    def _use(self, p: SlipEstimatorParameters) -> None:
+    def _set_parameters(self, p: SlipEstimatorParameters) -> None:
         self.parameters = p
         self.sources = {name: number for number, name in enumerate(p.timeouts_ns())}
         self.config = make_config(p, self._window_ns)
-        self.meaning = meaning(p)
+        self.learned_context = learned_context(p)
         names = {number: name for name, number in self.sources.items()} | {TRACKS: "sprockets", GYROS: "gyro"}
         c = self.config[0]
         places = c["offsets"].tolist(), c["yaw_offsets"].tolist()
-        self._named = Sources(names, *places, set(p.velocities()), set(p.angles()))
+        self._named_sources = Sources(names, *places, set(p.velocities()), set(p.swing_encoders()))
         if self._start is not None:
-            start_from(self._start, self.config, self.meaning, self.sources)
+            set_learned_priors(self._start, self.config, self.learned_context, self.sources)
 
 
 def make_step(result: ResultFields, source: str) -> Step:
@@ -267,9 +275,9 @@ def make_estimate(fields: EstimateFields) -> Estimate:
     """The estimate of a record of ``ESTIMATE``, given as a tuple."""
     stamp_ns, pose, pose_covariance, twist, twist_covariance, horizontal, tilt = fields[:7]
     rise, rise_variance, slips, slip_covariance, motion, swing = fields[7:]
-    leans = Tilt(*tilt[1:]) if tilt[0] else None
-    swung = Swing(*swing[1:]) if swing[0] else None
+    tilt_ = Tilt(*tilt[1:]) if tilt[0] else None
+    swing_ = Swing(*swing[1:]) if swing[0] else None
     outputs = Outputs(
-        twist, twist_covariance, horizontal, leans, rise, rise_variance, slips, slip_covariance, swung
+        twist, twist_covariance, horizontal, tilt_, rise, rise_variance, slips, slip_covariance, swing_
     )
     return Estimate(stamp_ns, pose, pose_covariance, outputs, Motion(motion))

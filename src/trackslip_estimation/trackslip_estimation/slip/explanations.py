@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import Branch, EventRecord, State
 
 _RECENT_NS = 30_000_000_000  # age up to which an event is an explanation
-_LEAST = 0.005  # smallest probability of an explanation
-_CALM = 0.9  # probability of no event from which on no explanations compete
-_MOST = 3  # largest number of explanations by name
+_LEAST_PROBABILITY = 0.005  # smallest probability of an explanation
+_CALM_PROBABILITY = 0.9  # probability of no event from which on no explanations compete
+_MOST_NAMED = 3  # largest number of explanations by name
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
-_LISTED = 8  # latest events on /diagnostics
-AS_BEFORE = "nothing happened"
+_MOST_LISTED = 8  # latest events on /diagnostics
+NOTHING_HAPPENED = "nothing happened"
 EXPLANATIONS = "explanations"  # key of a sentence on /diagnostics
 
 
@@ -38,28 +38,30 @@ class Explanation(NamedTuple):
     is_ongoing: bool = True  # False: an event at that time
 
 
-class Explained(NamedTuple):
+class CompetingExplanations(NamedTuple):
     """Competing explanations at one time."""
 
     stamp_ns: int
-    found: Sequence[Explanation]  # most probable first
+    explanations: Sequence[Explanation]  # most probable first
 
     @property
-    def competing(self) -> int:
-        """Number of competing explanations; 0 if most probably nothing happened."""
-        calm = sum(e.probability for e in self.found if e.text == AS_BEFORE)
-        return len(self.found) if self.found and calm < _CALM else 0
+    def number_competing(self) -> int:
+        """Number of explanations that compete; 0 if most probably nothing happened."""
+        calm = sum(e.probability for e in self.explanations if e.text == NOTHING_HAPPENED)
+        return len(self.explanations) if self.explanations and calm < _CALM_PROBABILITY else 0
 
     @property
     def seconds(self) -> float:
         """Time since the latest measurement that an event explains, s."""
-        since_ns = max((e.since_ns for e in self.found if e.text != AS_BEFORE), default=self.stamp_ns)
+        since_ns = max(
+            (e.since_ns for e in self.explanations if e.text != NOTHING_HAPPENED), default=self.stamp_ns
+        )
         return max(self.stamp_ns - since_ns, 0) * 1e-9
 
     @property
     def text(self) -> str:
         """``sentence`` of the explanations; empty if none compete."""
-        return sentence(self.found, self.seconds) if self.competing else ""
+        return sentence(self.explanations, self.seconds) if self.number_competing else ""
 
 
 class AcceptedEvent(NamedTuple):
@@ -75,7 +77,7 @@ class AcceptedEvent(NamedTuple):
     @property
     def text(self) -> str:
         """The event in the user's words."""
-        return _BEGAN if self.begins else _text(self.event, self.source, self.swings)
+        return _HEADING_WAS_UNKNOWN if self.begins else _event_text(self.event, self.source, self.swings)
 
 
 class Sources(NamedTuple):
@@ -88,13 +90,13 @@ class Sources(NamedTuple):
     swings: Collection[str]  # names of sources of swing angles
 
 
-_BEGINS, _BEGAN = "the heading is being found from fixes", "the heading was unknown"
+_FINDING_HEADING, _HEADING_WAS_UNKNOWN = "the heading is being found from fixes", "the heading was unknown"
 _JUMPS = (Event.MOVED, Event.BECAME_JUMP, Event.TURNED, Event.SWUNG)
 _OFFSETS = (Event.OFFSET, Event.HEADING_OFF, Event.HEADING_WANDERS)
 _FAULTS = (*_OFFSETS, Event.WANDERS, Event.REPEATS, Event.STAYS, Event.SCATTERS, Event.FAILED)
 _FAILURES = "{source} and motion disagree"
 _WORDS = {
-    Event.NONE: AS_BEFORE,
+    Event.NONE: NOTHING_HAPPENED,
     Event.OUTLIER: "one measurement of {source} is an outlier",
     Event.OFFSET: "{source} is off",
     Event.HEADING_OFF: "angles of {source} are off",
@@ -116,22 +118,22 @@ _WORDS = {
     Event.NOISE: "{source} is noisier than before",
     Event.BECAME_JUMP: "the machine was moved",
 }
-_OFF_FOR_GOOD = "angles of {source} have a permanent offset"
+_PERMANENT_OFFSET = "angles of {source} have a permanent offset"
 
 
-def explanations(window: Window, sources: Sources) -> list[Explanation]:
+def describe_branches(window: Window, sources: Sources) -> list[Explanation]:
     """Explanations of the newest row, most probable first; those that differ in numbers only are merged."""
     last = window.count - 1
     weights = np.exp(window.branches["weight"][: int(window.counts[last]), last])
     probabilities = weights / weights.sum()
     branches = window.branches[:, last]
-    is_found = len({_share(branches[s]) for s in range(len(weights))}) == 1  # heading known
+    is_found = len({_sector_number(branches[s]) for s in range(len(weights))}) == 1  # heading known
     found: dict[str, Explanation] = {}
     for s in np.argsort(-probabilities, kind="stable").tolist():
-        kind, own = _of_branch(window.states[s, last], branches[s], sources, is_found)
-        known = found.get(kind, own)
+        kind, explanation = _branch_explanation(window.states[s, last], branches[s], sources, is_found)
+        known = found.get(kind, explanation)
         found[kind] = known._replace(probability=known.probability + float(probabilities[s]))
-    likely = [e for e in found.values() if e.probability >= _LEAST]
+    likely = [e for e in found.values() if e.probability >= _LEAST_PROBABILITY]
     return sorted(likely, key=lambda e: -e.probability)
 
 
@@ -142,22 +144,22 @@ def sentence(found: Sequence[Explanation], seconds: float) -> str:
             f"for {seconds:.1f} s" if found[0].is_ongoing else f"{seconds:.1f} s ago"
         )
     count = _COUNTS[len(found)] if len(found) < len(_COUNTS) else str(len(found))
-    named = [(e.text, e.probability) for e in found[:_MOST]]
-    named += [("others", sum(e.probability for e in found[_MOST:]))] if len(found) > _MOST else []
+    named = [(e.text, e.probability) for e in found[:_MOST_NAMED]]
+    named += [("others", sum(e.probability for e in found[_MOST_NAMED:]))] if len(found) > _MOST_NAMED else []
     listed = ", ".join(f"{text} ({100.0 * probability:.0f} %)" for text, probability in named)
     return f"{count} explanations for {seconds:.1f} s: {listed}"
 
 
-def recent(events: Sequence[AcceptedEvent]) -> str:
+def recent_events_text(events: Sequence[AcceptedEvent]) -> str:
     """The latest events, without outliers, with stamps of the explained measurements, for /diagnostics."""
-    ongoing = [h for h in events if h.event is not Event.OUTLIER][-_LISTED:]
+    ongoing = [h for h in events if h.event is not Event.OUTLIER][-_MOST_LISTED:]
     if not ongoing:
         return "none"
     listed = "; ".join(f"{h.stamp_ns * 1e-9:.2f} {h.text}" for h in ongoing)
     return f"{listed}; probability {100.0 * ongoing[-1].probability:.0f} %"
 
 
-def history(
+def accepted_events(
     branch: Branch, sources: Sources, known: list[AcceptedEvent], probability: float
 ) -> list[AcceptedEvent]:
     """Events of a record of ``BRANCH``: the latest ones from the record, earlier ones from ``known``.
@@ -169,28 +171,30 @@ def history(
     for n in range(max(count - HISTORY, 0), count):
         e = branch["history"][n % HISTORY]
         name = sources.names.get(int(e["source"]), "")
-        of_source = name, probability, _begins(e), name in sources.swings
+        of_source = name, probability, _is_sector_event(e), name in sources.swings
         found.append(AcceptedEvent(int(e["decided_ns"]), Event(e["event"]), *of_source))
     return found
 
 
-def _text(event: Event, source: str, swings: bool) -> str:
-    words = _OFF_FOR_GOOD if swings and event is Event.BECAME_JUMP else _WORDS[event]
+def _event_text(event: Event, source: str, swings: bool) -> str:
+    words = _PERMANENT_OFFSET if swings and event is Event.BECAME_JUMP else _WORDS[event]
     return words.format(source=source)
 
 
-def _begins(e: EventRecord) -> bool:
+def _is_sector_event(e: EventRecord) -> bool:
     """Whether a record of ``EVENT`` assigned a sector of an unknown heading to the branch."""
     return bool(e["event"] == Event.TURNED and e["after"] == 1)
 
 
-def _share(branch: Branch) -> int:
+def _sector_number(branch: Branch) -> int:
     """Number of a branch's sector of an unknown heading; −1: none in its history."""
     events = branch["history"][: int(branch["events"])]
-    return next((int(e["part"]) for e in events if _begins(e)), -1)
+    return next((int(e["part"]) for e in events if _is_sector_event(e)), -1)
 
 
-def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -> tuple[str, Explanation]:
+def _branch_explanation(
+    state: State, branch: Branch, sources: Sources, is_found: bool
+) -> tuple[str, Explanation]:
     """Kind of a branch's explanation without numbers, and the explanation, of probability 0.
 
     ``is_found``: whether an initially unknown heading is known.
@@ -212,26 +216,26 @@ def _of_branch(state: State, branch: Branch, sources: Sources, is_found: bool) -
         elif event is Event.SLIPPED:
             text = f"both tracks slip {100.0 * state['mean'][COMMON_SLIP]:.0f} %"
             return event.name, Explanation(text, 0.0, stamp_ns)
-        elif _begins(e):
+        elif _is_sector_event(e):
             if not is_found:
-                return _BEGINS, Explanation(_BEGINS, 0.0, stamp_ns)
+                return _FINDING_HEADING, Explanation(_FINDING_HEADING, 0.0, stamp_ns)
         elif event is not Event.OUTLIER and not (event in _FAULTS and source in healthy):
             name = sources.names.get(source, "")
-            text = _text(event, name, name in sources.swings)
+            text = _event_text(event, name, name in sources.swings)
             if event is Event.BECAME_JUMP:
-                stamp_ns = _begin_of_offset(events[:n], source, stamp_ns)
+                stamp_ns = _offset_start_ns(events[:n], source, stamp_ns)
             return text, Explanation(text, 0.0, stamp_ns, event not in _JUMPS)
-    return AS_BEFORE, Explanation(AS_BEFORE, 0.0, int(state["stamp_ns"]))
+    return NOTHING_HAPPENED, Explanation(NOTHING_HAPPENED, 0.0, int(state["stamp_ns"]))
 
 
-def _begin_of_offset(events: Sequence[Any], source: int, stamp_ns: int) -> int:
+def _offset_start_ns(events: Sequence[Any], source: int, stamp_ns: int) -> int:
     """Stamp at the start of an offset that became a jump at ``stamp_ns``."""
-    own = (e for e in reversed(events) if e["source"] == source and e["event"] in _OFFSETS)
-    return int(next(own, {"decided_ns": stamp_ns})["decided_ns"])
+    starts = (e for e in reversed(events) if e["source"] == source and e["event"] in _OFFSETS)
+    return int(next(starts, {"decided_ns": stamp_ns})["decided_ns"])
 
 
 def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources) -> str:
-    name, own = sources.names[number], sources.offsets[number]
+    name, first = sources.names[number], sources.offsets[number]
     if fault is SourceFault.FAILED:
         return _FAILURES.format(source=name)
     if fault is SourceFault.MISCOUNTS:
@@ -241,7 +245,7 @@ def _fault_text(state: State, number: int, fault: SourceFault, sources: Sources)
     if fault in (SourceFault.HEADING_OFF, SourceFault.HEADING_WANDERS):
         off = abs(math.degrees(math.remainder(state["mean"][sources.yaw_offsets[number]], math.tau)))
         return f"{name} is {off:.0f} ° off"
-    if fault is not SourceFault.OFFSET or own < 0:
+    if fault is not SourceFault.OFFSET or first < 0:
         return f"{name} scatters"
     unit = "m/s" if name in sources.velocities else "m"
-    return f"{name} is {math.hypot(*state['mean'][own : own + 2]):.1f} {unit} off"
+    return f"{name} is {math.hypot(*state['mean'][first : first + 2]):.1f} {unit} off"

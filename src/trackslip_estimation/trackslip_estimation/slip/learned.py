@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Trackslip authors
 # SPDX-License-Identifier: Apache-2.0
-"""Learned values of a machine and its ground, without its pose: extract, age, and start from them.
+"""Learned values of a machine and its ground, without its pose: extract, decay, and start from them.
 
     x, P     means and covariance of the states that are kept            (n,), (n, n)
     μ, Σ     prior of the states by the parameters                       (n,), (n, n)
@@ -8,8 +8,8 @@
     φ        e^(−age/T)
 
 Each state ages as a first-order Gauss–Markov process about its prior: x ← μ + φ (x − μ), P ← φ P φᵀ +
-(1 − φ φᵀ) Σ, by elements. ln of the weights of point masses decays to its prior by φ too. The aged values are
-the prior of the next run. The bag records them beside the parameters, and a replay starts from them.
+(1 − φ φᵀ) Σ, by elements. ln of the weights of point masses decays to its prior by φ too. The decayed
+values are the prior of the next run. The bag records them with the parameters; a replay starts from them.
 """
 
 from __future__ import annotations
@@ -29,21 +29,23 @@ from trackslip_common.parameters import to_flat
 from trackslip_estimation.slip.config import ConfigRecord, make_config
 from trackslip_estimation.slip.models.dispatch import MODELS
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.sources import Mounted
+from trackslip_estimation.slip.sources import MountableSource
 
 if TYPE_CHECKING:
     from trackslip_estimation.slip.records import State
 
 
-_PASSING = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not kept
+_UNLEARNED_PARTS = ("pose", "velocity_errors", "slips", "slip_angle")  # parts of a state that are not kept
 _HOURS, _DAYS = 3600.0, 86400.0
-_OF_GROUND = 8.0 * _HOURS  # T of ground states and of all noise: the ground and the GNSS conditions change
-_OF_MACHINE = 180.0 * _DAYS
+_GROUND_LIFETIME = (
+    8.0 * _HOURS
+)  # T of ground states and of all noise: the ground and the GNSS conditions change
+_MACHINE_LIFETIME = 180.0 * _DAYS
 _LIFETIMES = {
     "gyro_bias": 4.0 * _HOURS,  # temperature
-    "gyro_scale": _OF_MACHINE,
-    "fix_delay": _OF_MACHINE,
-    "asymmetry": _OF_MACHINE,
+    "gyro_scale": _MACHINE_LIFETIME,
+    "fix_delay": _MACHINE_LIFETIME,
+    "asymmetry": _MACHINE_LIFETIME,
 }
 _ROUNDING = 1e-6  # of eigenvalues of correlations
 
@@ -53,7 +55,7 @@ class Learned:
     """Kept states and noise weights of one estimator."""
 
     machine: str  # digest of vehicle, sources and model
-    mean: FloatArray  # (n,) in the order of ``Meaning.places``
+    mean: FloatArray  # (n,) in the order of ``LearnedContext.places``
     stddev: FloatArray  # (n,)
     correlations: FloatArray  # (n, n)
     track_weights: FloatArray  # (TRACK_ERRORS, RATE_FACTORS) ln of the weights of s and a
@@ -63,7 +65,7 @@ class Learned:
     def is_finite(self) -> bool:
         """Whether all numbers are finite: only then they may be stored or used."""
         numbers = (self.mean, self.stddev, self.correlations, self.track_weights, *self.fix_weights.values())
-        return all(bool(np.isfinite(own).all()) for own in numbers)
+        return all(bool(np.isfinite(array).all()) for array in numbers)
 
     @property
     def covariance(self) -> FloatArray:
@@ -71,7 +73,7 @@ class Learned:
         return np.asarray(self.correlations * np.outer(self.stddev, self.stddev))
 
 
-class OtherMachine(InputError):
+class OtherMachineError(InputError):
     """Learned values belong to another machine; the second argument is its digest."""
 
     @property
@@ -83,7 +85,7 @@ class OtherMachine(InputError):
         return str(self.args[0])
 
 
-class Meaning(NamedTuple):
+class LearnedContext(NamedTuple):
     """Context of learned numbers, by the parameters; read-only."""
 
     machine: str  # digest of the vehicle, its sources and the model
@@ -94,16 +96,16 @@ class Meaning(NamedTuple):
     stamp_errors: Mapping[str, float]  # σ_t of each source of poses, s
 
 
-def meaning(p: SlipEstimatorParameters) -> Meaning:
-    """``Meaning`` of the values that an estimator with these parameters learns."""
+def learned_context(p: SlipEstimatorParameters) -> LearnedContext:
+    """Context of the values that an estimator with these parameters learns."""
     c, places, machine = make_config(p)[0], _kept_states(p), _machine_digest(p)
     kept, n = list(places.values()), c["adaptation"]
     weights = np.tile(n["rate_prior"], (len(n["track_variances"]), 1))
-    stddev, correlations = _deviations(c["prior_covariance"][np.ix_(kept, kept)])
+    stddev, correlations = _stddev_and_correlations(c["prior_covariance"][np.ix_(kept, kept)])
     prior = Learned(machine, c["prior_mean"][kept], stddev, correlations, weights, {})
     has_track_error = hasattr(MODELS[p.model], "velocity_error_constants")
     stamp_errors = {name: source.stamp_error for name, source in p.poses().items()}
-    return Meaning(machine, places, prior, n, has_track_error, stamp_errors)
+    return LearnedContext(machine, places, prior, n, has_track_error, stamp_errors)
 
 
 def _machine_digest(p: SlipEstimatorParameters) -> str:
@@ -111,7 +113,7 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
         "vehicle": to_flat(p.vehicle),
         "model": p.model,
         "poses": {
-            name: (source.lever[:2], source.stamp_error, *_mount(source))
+            name: (source.lever[:2], source.stamp_error, *_mount_for_digest(source))
             for name, source in p.poses().items()
         },
         "gyros": {
@@ -119,7 +121,7 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
                 imu.sign,
                 imu.scale,
                 *((imu.mounting,) if imu.mounting and not imu.mounting_from_tf else ()),
-                *_mount(imu),
+                *_mount_for_digest(imu),
             )
             for name, imu in p.gyros().items()
         },
@@ -128,7 +130,7 @@ def _machine_digest(p: SlipEstimatorParameters) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _mount(source: Mounted) -> tuple[str, ...]:
+def _mount_for_digest(source: MountableSource) -> tuple[str, ...]:
     """Part of the digest for a sensor on the upper structure; else ()."""
     return (source.mount,) if source.above else ()
 
@@ -137,46 +139,50 @@ def _kept_states(p: SlipEstimatorParameters) -> dict[str, int]:
     found: dict[str, int] = {}
     for part in MODELS[p.model].PARTS:
         places = range(part.at.start, part.at.stop)
-        if part.name not in _PASSING:
+        if part.name not in _UNLEARNED_PARTS:
             names = [f"{part.name}_{k + 1}" for k in range(len(places))] if len(places) > 1 else [part.name]
             found |= dict(zip(names, places, strict=True))
     return found
 
 
-def learned_of(state: State, of: Meaning, sources: Mapping[str, int]) -> Learned:
+def extract_learned(state: State, context: LearnedContext, sources: Mapping[str, int]) -> Learned:
     """Extract learned values from a record of ``STATE``; ``sources``: name → number."""
     adaptation = state["adaptation"]
-    kept = list(of.places.values())
-    weights = {name: adaptation["fix_log_weights"][sources[name]] for name in of.stamp_errors}
+    kept = list(context.places.values())
+    weights = {name: adaptation["fix_log_weights"][sources[name]] for name in context.stamp_errors}
     return Learned(
-        of.machine,
+        context.machine,
         state["mean"][kept],
-        *_deviations(state["covariance"][np.ix_(kept, kept)]),
+        *_stddev_and_correlations(state["covariance"][np.ix_(kept, kept)]),
         adaptation["log_weights"].copy(),
-        {name: own.copy() for name, own in weights.items() if own.any()},
+        {name: log_weights.copy() for name, log_weights in weights.items() if log_weights.any()},
     )
 
 
-def aged(learned: Learned, age_s: float, of: Meaning) -> Learned:
+def decay_to_prior(learned: Learned, age_s: float, context: LearnedContext) -> Learned:
     """Decay learned values towards the prior over ``age_s`` seconds, at least 0."""
-    prior, of_fixes = of.prior, of.constants["fix_prior"]
-    lifetimes = np.array([_LIFETIMES.get(name, _OF_GROUND) for name in of.places])
-    phi, left = np.exp(-age_s / lifetimes), math.exp(-age_s / _OF_GROUND)
+    prior, of_fixes = context.prior, context.constants["fix_prior"]
+    lifetimes = np.array([_LIFETIMES.get(name, _GROUND_LIFETIME) for name in context.places])
+    phi, kept = np.exp(-age_s / lifetimes), math.exp(-age_s / _GROUND_LIFETIME)
     forgotten = -np.expm1(-age_s * np.add.outer(1.0 / lifetimes, 1.0 / lifetimes))
-    stddev, correlations = _deviations(np.outer(phi, phi) * learned.covariance + forgotten * prior.covariance)
+    stddev, correlations = _stddev_and_correlations(
+        np.outer(phi, phi) * learned.covariance + forgotten * prior.covariance
+    )
     return replace(
         learned,
         mean=prior.mean + phi * (learned.mean - prior.mean),
         stddev=stddev,
         correlations=correlations,
-        track_weights=prior.track_weights + left * (learned.track_weights - prior.track_weights),
-        fix_weights={name: of_fixes + left * (w - of_fixes) for name, w in learned.fix_weights.items()},
+        track_weights=prior.track_weights + kept * (learned.track_weights - prior.track_weights),
+        fix_weights={name: of_fixes + kept * (w - of_fixes) for name, w in learned.fix_weights.items()},
     )
 
 
-def start_from(learned: Learned, config: ConfigRecord, of: Meaning, sources: Mapping[str, int]) -> None:
+def set_learned_priors(
+    learned: Learned, config: ConfigRecord, context: LearnedContext, sources: Mapping[str, int]
+) -> None:
     """Set the priors of ``config``, (1,) of ``CONFIG``, to learned values instead of the parameters' ones."""
-    c, kept = config[0], list(of.places.values())
+    c, kept = config[0], list(context.places.values())
     c["prior_mean"][kept] = learned.mean
     c["prior_covariance"][np.ix_(kept, kept)] = learned.covariance
     c["prior_variance"] = np.diag(c["prior_covariance"])
@@ -198,9 +204,9 @@ def weights_of(log_weights: FloatArray) -> FloatArray:
     return np.asarray(masses / masses.sum())
 
 
-def to_tree(learned: Learned, of: Meaning) -> dict[str, Any]:
+def to_tree(learned: Learned, context: LearnedContext) -> dict[str, Any]:
     """Convert to nested mappings and lists of numbers, for YAML; ``from_tree`` restores the same bits."""
-    numbers = zip(of.places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
+    numbers = zip(context.places, learned.mean.tolist(), learned.stddev.tolist(), strict=True)
     return {
         "machine": learned.machine,
         "states": {name: {"value": value, "stddev": deviation} for name, value, deviation in numbers},
@@ -210,7 +216,7 @@ def to_tree(learned: Learned, of: Meaning) -> dict[str, Any]:
     }
 
 
-def from_tree(tree: Any, of: Meaning) -> Learned:
+def from_tree(tree: Any, context: LearnedContext) -> Learned:
     """Restore the output of ``to_tree`` of the same machine.
 
     Raises:
@@ -218,9 +224,11 @@ def from_tree(tree: Any, of: Meaning) -> Learned:
     """
     if not isinstance(tree, Mapping) or not isinstance(tree.get("machine"), str):
         raise InputError("it contains no learned values")
-    if tree["machine"] != of.machine:
-        raise OtherMachine("it is of another vehicle, or of other sources or another model", tree["machine"])
-    names, prior = list(of.places), of.prior
+    if tree["machine"] != context.machine:
+        raise OtherMachineError(
+            "it is of another vehicle, or of other sources or another model", tree["machine"]
+        )
+    names, prior = list(context.places), context.prior
     try:
         states, n = tree["states"], len(names)
         if list(states) != names:
@@ -232,9 +240,9 @@ def from_tree(tree: Any, of: Meaning) -> Learned:
             correlations[k, :k] = correlations[:k, k] = np.array(row, np.float64).reshape(k)
         track = np.array(tree["track_error_ln_weights"], np.float64).reshape(prior.track_weights.shape)
         fixes = {
-            name: np.array(own, np.float64).reshape(of.constants["fix_prior"].shape)
-            for name, own in tree["fix_noise_ln_weights"].items()
-            if name in of.stamp_errors
+            name: np.array(log_weights, np.float64).reshape(context.constants["fix_prior"].shape)
+            for name, log_weights in tree["fix_noise_ln_weights"].items()
+            if name in context.stamp_errors
         }
         everything = (mean, stddev, correlations, track, *fixes.values())
         if not all(np.all(np.abs(numbers) < 1e9) for numbers in everything) or np.any(stddev < 0.0):
@@ -246,7 +254,7 @@ def from_tree(tree: Any, of: Meaning) -> Learned:
     return Learned(tree["machine"], mean, stddev, correlations, track, fixes)
 
 
-def _deviations(P: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _stddev_and_correlations(P: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Standard deviations (n,) and correlations (n, n) of a covariance (n, n)."""
     stddev = np.sqrt(np.diag(P))
     over = np.where(stddev > 0.0, stddev, 1.0)

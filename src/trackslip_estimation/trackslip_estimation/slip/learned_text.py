@@ -13,14 +13,14 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.slip.adaptation import unknown_fix_factor
-from trackslip_estimation.slip.learned import Learned, Meaning, weights_of
+from trackslip_estimation.slip.learned import Learned, LearnedContext, weights_of
 
 NOT_OBSERVED = "not observed yet"
-_NARROWED, _MOVED, _SHIFTED = 0.9, 3.0, 0.1
+_OBSERVED_STDDEV, _OBSERVED_MEAN, _OBSERVED_WEIGHTS = 0.9, 3.0, 0.1
 _DEGREES = 180.0 / math.pi
 
 
-class Form(NamedTuple):
+class DisplayForm(NamedTuple):
     """Display of a quantity: (value − zero) · scale, in ``unit``."""
 
     label: str
@@ -31,27 +31,33 @@ class Form(NamedTuple):
     directions: tuple[str, str] = ("", "")  # above zero, below
     least: float = -math.inf  # lower bound of the displayed value
 
-    def shown(self, value: float) -> float:
+    def displayed_value(self, value: float) -> float:
         """Displayed value, in ``unit``."""
         return (value - self.zero) * self.scale
 
 
 _FORMS = {
-    "gyro_scale": Form("gyro scale", "gyro reads {a} % {direction} ± {s}", "%", 100.0, 1.0, ("high", "low")),
-    "gyro_bias": Form("gyro bias", "gyro shows {v} °/s at rest ± {s}", "°/s", _DEGREES),
-    "gyro_noise_factor": Form("gyro noise", "gyro variance {v} times what it states ± {s}", least=0.0),
-    "asymmetry": Form(
+    "gyro_scale": DisplayForm(
+        "gyro scale", "gyro reads {a} % {direction} ± {s}", "%", 100.0, 1.0, ("high", "low")
+    ),
+    "gyro_bias": DisplayForm("gyro bias", "gyro shows {v} °/s at rest ± {s}", "°/s", _DEGREES),
+    "gyro_noise_factor": DisplayForm("gyro noise", "gyro variance {v} times what it states ± {s}", least=0.0),
+    "asymmetry": DisplayForm(
         "side asymmetry ε", "turns {a} rad/m to the {direction} ± {s}", "rad/m", directions=("left", "right")
     ),
-    "fix_delay": Form(
+    "fix_delay": DisplayForm(
         "delay of {of}", "{of} fixes {a} s {direction} ± {s}", "s", directions=("late", "early")
     ),
-    "fix_noise_factor": Form("noise of {of}", "{of} variance {v} times what it states ± {s}", least=0.0),
-    "track_error": Form("track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0, least=0.0),
-    "efficiency": Form("turning efficiency κ", "turning efficiency κ {v} ± {s}"),
-    "loss": Form("speed lost in turns η", "speed lost in turns η {v} ± {s}"),
-    "common_slip": Form("common slip i₀", "both tracks slip {v} % ± {s}", "%", 100.0),
-    "rotation_offset": Form(
+    "fix_noise_factor": DisplayForm(
+        "noise of {of}", "{of} variance {v} times what it states ± {s}", least=0.0
+    ),
+    "track_error": DisplayForm(
+        "track error", "tracks err by {v} % of their speed ± {s}", "%", 100.0, least=0.0
+    ),
+    "efficiency": DisplayForm("turning efficiency κ", "turning efficiency κ {v} ± {s}"),
+    "loss": DisplayForm("speed lost in turns η", "speed lost in turns η {v} ± {s}"),
+    "common_slip": DisplayForm("common slip i₀", "both tracks slip {v} % ± {s}", "%", 100.0),
+    "rotation_offset": DisplayForm(
         "centre of rotation x_I",
         "turns about {a} m {direction} its middle ± {s}",
         "m",
@@ -60,7 +66,7 @@ _FORMS = {
 }
 
 
-class Finding(NamedTuple):
+class LearnedQuantity(NamedTuple):
     """One quantity; value and standard deviation in SI units."""
 
     name: str  # with ``.`` and the source if it belongs to one
@@ -69,11 +75,11 @@ class Finding(NamedTuple):
     observed: bool
 
     @property
-    def form(self) -> Form:
+    def form(self) -> DisplayForm:
         """Display form; a state without an entry in ``_FORMS`` is displayed by its name."""
         kind, _, source = self.name.partition(".")
         plain = kind.replace("_", " ")
-        form = _FORMS.get(kind, Form(plain, f"{plain} {{v}} ± {{s}}"))
+        form = _FORMS.get(kind, DisplayForm(plain, f"{plain} {{v}} ± {{s}}"))
         return form._replace(label=form.label.format(of=source))
 
     @property
@@ -82,13 +88,13 @@ class Finding(NamedTuple):
         if not self.observed:
             return NOT_OBSERVED
         form = self.form
-        shown, stddev = form.shown(self.value), form.scale * self.stddev
+        value, stddev = form.displayed_value(self.value), form.scale * self.stddev
         digits = decimals(stddev)
         return form.text.format(
-            v=f"{round(shown, digits) + 0.0:.{digits}f}",  # no −0
-            a=f"{abs(shown):.{digits}f}",
+            v=f"{round(value, digits) + 0.0:.{digits}f}",  # no −0
+            a=f"{abs(value):.{digits}f}",
             of=self.name.partition(".")[2],
-            direction=form.directions[int(shown < 0.0)],
+            direction=form.directions[int(value < 0.0)],
             s=f"{stddev:.{digits}f}",
         )
 
@@ -98,73 +104,79 @@ def decimals(stddev: float) -> int:
     return min(max(-math.floor(math.log10(max(stddev, 1e-9) / 2.0)), 0), 9)
 
 
-def findings(learned: Learned | None, of: Meaning) -> list[Finding]:
+def learned_quantities(learned: Learned | None, context: LearnedContext) -> list[LearnedQuantity]:
     """All learned quantities of an estimator; the priors if nothing was learned."""
-    known = of.prior if learned is None else learned
-    found = [finding for name in of.places for finding in _of_state(name, known, of)]
-    if of.has_track_error:
-        found += _noise(known, of)
+    known = context.prior if learned is None else learned
+    found = [quantity for name in context.places for quantity in _state_quantities(name, known, context)]
+    if context.has_track_error:
+        found += _noise_quantities(known, context)
     order = {kind: k for k, kind in enumerate(_FORMS)}
-    return sorted(found, key=lambda finding: order.get(finding.name.partition(".")[0], len(order)))
+    return sorted(found, key=lambda quantity: order.get(quantity.name.partition(".")[0], len(order)))
 
 
-def lines_of(found: list[Finding]) -> list[str]:
+def quantity_lines(found: list[LearnedQuantity]) -> list[str]:
     """One line for each observed quantity, and one for all others."""
     lines = [f.sentence for f in found if f.observed]
     unseen = [f.form.label for f in found if not f.observed]
     return lines + ([f"{NOT_OBSERVED}: {', '.join(unseen)}"] if unseen else [])
 
 
-def _of_state(name: str, known: Learned, of: Meaning) -> list[Finding]:
-    """Findings of one state: of the delay one for each source, none if the parameters fix the state."""
-    k = list(of.places).index(name)
-    value, stddev, before = known.mean[k], known.stddev[k], of.prior.stddev[k]
+def _state_quantities(name: str, known: Learned, context: LearnedContext) -> list[LearnedQuantity]:
+    """Quantities of one state: of the delay one for each source, none if the parameters fix the state."""
+    k = list(context.places).index(name)
+    value, stddev, before = known.mean[k], known.stddev[k], context.prior.stddev[k]
     if before == 0.0:
         return []
-    moved = abs(value - of.prior.mean[k])
-    observed = bool(stddev < _NARROWED * before or moved > _MOVED * before)
+    moved = abs(value - context.prior.mean[k])
+    observed = bool(stddev < _OBSERVED_STDDEV * before or moved > _OBSERVED_MEAN * before)
     if name == "fix_delay":
         return [
-            Finding(f"{name}.{source}", float(value * error), float(stddev * error), observed)
-            for source, error in of.stamp_errors.items()
+            LearnedQuantity(f"{name}.{source}", float(value * error), float(stddev * error), observed)
+            for source, error in context.stamp_errors.items()
             if error > 0.0
         ]
     zero = _FORMS[name].zero if name in _FORMS else 0.0  # the state is the difference from it
-    return [Finding(name, float(value) + zero, float(stddev), observed)]
+    return [LearnedQuantity(name, float(value) + zero, float(stddev), observed)]
 
 
-def _noise(known: Learned, of: Meaning) -> list[Finding]:
-    """Findings of the track error, and of the factors of the variances stated by gyro and fixes."""
-    n, joint, before = of.constants, weights_of(known.track_weights), weights_of(of.prior.track_weights)
+def _noise_quantities(known: Learned, context: LearnedContext) -> list[LearnedQuantity]:
+    """Quantities of the track error, and of the factors of the variances stated by gyro and fixes."""
+    n, joint, before = (
+        context.constants,
+        weights_of(known.track_weights),
+        weights_of(context.prior.track_weights),
+    )
     masses, variances = (joint.sum(axis=1), before.sum(axis=1)), n["track_variances"]
-    squared = _of_masses("", variances, *masses)
+    squared = _point_mass_quantity("", variances, *masses)
     error = math.sqrt(squared.value)
     found = [
-        Finding("track_error", error, squared.stddev / (2.0 * error), squared.observed),
-        _of_masses("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), before.sum(axis=0)),
+        LearnedQuantity("track_error", error, squared.stddev / (2.0 * error), squared.observed),
+        _point_mass_quantity("gyro_noise_factor", n["rate_factors"], joint.sum(axis=0), before.sum(axis=0)),
     ]
     unknown = unknown_fix_factor()
-    for source in of.stamp_errors:
-        name, own = f"fix_noise_factor.{source}", known.fix_weights.get(source)
-        masses_of = unknown if own is None else weights_of(own)
-        finding = _of_masses(name, n["fix_factors"], masses_of, unknown)
-        found.append(finding if own is not None else finding._replace(value=1.0))  # as stated
+    for source in context.stamp_errors:
+        name, log_weights = f"fix_noise_factor.{source}", known.fix_weights.get(source)
+        masses_of = unknown if log_weights is None else weights_of(log_weights)
+        quantity = _point_mass_quantity(name, n["fix_factors"], masses_of, unknown)
+        found.append(quantity if log_weights is not None else quantity._replace(value=1.0))  # as stated
     return found
 
 
-def _of_masses(name: str, points: FloatArray, masses: FloatArray, before: FloatArray) -> Finding:
+def _point_mass_quantity(
+    name: str, points: FloatArray, masses: FloatArray, before: FloatArray
+) -> LearnedQuantity:
     """Mean and standard deviation of point masses, each spread uniformly to the next point."""
     mean = float(masses @ points)
     between = mean * math.log(points[1] / points[0]) / math.sqrt(12.0)
     variance = float(masses @ np.square(points - mean)) + between**2
-    return Finding(name, mean, math.sqrt(variance), _shifted(masses, before))
+    return LearnedQuantity(name, mean, math.sqrt(variance), _have_weights_changed(masses, before))
 
 
-def _shifted(masses: FloatArray, before: FloatArray) -> bool:
-    """Whether the total variation between the weights exceeds ``_SHIFTED``."""
-    return bool(np.abs(masses - before).sum() / 2.0 > _SHIFTED)
+def _have_weights_changed(masses: FloatArray, before: FloatArray) -> bool:
+    """Whether the total variation between the weights exceeds ``_OBSERVED_WEIGHTS``."""
+    return bool(np.abs(masses - before).sum() / 2.0 > _OBSERVED_WEIGHTS)
 
 
-def to_json(found: list[Finding]) -> dict[str, dict[str, Any]]:
+def to_json(found: list[LearnedQuantity]) -> dict[str, dict[str, Any]]:
     """Convert to name → value, stddev, observed."""
     return {f.name: {"value": f.value, "stddev": f.stddev, "observed": f.observed} for f in found}

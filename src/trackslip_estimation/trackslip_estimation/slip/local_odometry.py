@@ -73,7 +73,7 @@ class LocalOdometry:
         integrate(self._known, twists, found)
         return found
 
-    def after(self, estimate: Estimate) -> Estimate:
+    def estimate_in_odom(self, estimate: Estimate) -> Estimate:
         """The estimate with its pose in ``odom``."""
         twist, outputs = np.zeros(1, TWIST), estimate.outputs
         twist["stamp_ns"], twist["horizontal"] = estimate.stamp_ns, outputs.horizontal
@@ -81,14 +81,14 @@ class LocalOdometry:
         twist["rise"], twist["rise_variance"] = outputs.rise, outputs.rise_variance
         local = self.advance(twist)[0]
         if outputs.tilt is not None:
-            tilt = _at_height(outputs.tilt, local["height"], local["height_stddev"])
+            tilt = _replace_height(outputs.tilt, local["height"], local["height_stddev"])
             outputs = replace(outputs, tilt=tilt)
         return replace(
             estimate, pose=local["pose"], pose_covariance=local["pose_covariance"], outputs=outputs
         )
 
 
-def _at_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
+def _replace_height(tilt: Tilt, height: float, stddev: float) -> Tilt:
     """The tilt with the height in ``odom``."""
     place, covariance = tilt.tilt.copy(), tilt.covariance.copy()
     place[HEIGHT], covariance[HEIGHT], covariance[:, HEIGHT] = height, 0.0, 0.0
@@ -104,7 +104,7 @@ def integrate(known: Table[LocalRecord], twists: Table[TwistRecord], found: Tabl
         given = twists[k]
         dt = (given.stamp_ns - local.stamp_ns) * 1e-9
         if local.begun == 1 and 0.0 < dt <= _LONGEST:
-            _move(local, given, dt)
+            _integrate_interval(local, given, dt)
         local.begun, local.stamp_ns = 1, given.stamp_ns
         local.horizontal[:], local.rise = given.horizontal, given.rise
         found[k].begun, found[k].stamp_ns = 1, given.stamp_ns
@@ -114,7 +114,7 @@ def integrate(known: Table[LocalRecord], twists: Table[TwistRecord], found: Tabl
 
 
 @compiled
-def _move(local: LocalRecord, given: TwistRecord, dt: float) -> None:
+def _integrate_interval(local: LocalRecord, given: TwistRecord, dt: float) -> None:
     """Integrate one interval."""
     v_x = 0.5 * (local.horizontal[0] + given.horizontal[0])
     v_y = 0.5 * (local.horizontal[1] + given.horizontal[1])

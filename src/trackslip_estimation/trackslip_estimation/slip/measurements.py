@@ -166,7 +166,7 @@ class Outcome(IntEnum):
     DIVERGED = 11  # the estimate was not finite: it restarts
 
     @property
-    def refused(self) -> bool:
+    def is_rejected(self) -> bool:
         """Whether the measurement left the state unchanged."""
         return self not in (Outcome.ACCEPTED, Outcome.JUMPED, Outcome.RESTARTED)
 

@@ -29,8 +29,8 @@ def rotation(roll: float, pitch: float, yaw: float) -> Rotation | None:
     """R; None where it is the identity. Angles in rad."""
     if roll == pitch == yaw == 0.0:
         return None
-    cr, cp, cy = (_snapped(math.cos(angle)) for angle in (roll, pitch, yaw))
-    sr, sp, sy = (_snapped(math.sin(angle)) for angle in (roll, pitch, yaw))
+    cr, cp, cy = (_round_near_integer(math.cos(angle)) for angle in (roll, pitch, yaw))
+    sr, sp, sy = (_round_near_integer(math.sin(angle)) for angle in (roll, pitch, yaw))
     return (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
@@ -38,13 +38,15 @@ def rotation(roll: float, pitch: float, yaw: float) -> Rotation | None:
     )
 
 
-def quaternion_of(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
     """x, y, z, w of ZYX angles in rad."""
-    x, y, z, w = quaternion_by([(math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw)])
+    x, y, z, w = quaternion_from_half_angles(
+        [(math.sin(a / 2.0), math.cos(a / 2.0)) for a in (roll, pitch, yaw)]
+    )
     return x, y, z, w
 
 
-def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any]:
+def quaternion_from_half_angles(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any]:
     """x, y, z, w of the sines and cosines of half of each angle: numbers, or columns."""
     (sr, cr), (sp, cp), (sy, cy) = halves
     return (
@@ -55,29 +57,29 @@ def quaternion_by(halves: Sequence[tuple[Any, Any]]) -> tuple[Any, Any, Any, Any
     )
 
 
-def up_by(x: Number, y: Number, z: Number, w: Number) -> list[Number]:
-    """Vertical along the axes of the frame of the quaternion, times its norm squared."""
+def vertical_axis(x: Number, y: Number, z: Number, w: Number) -> list[Number]:
+    """Vertical in the frame of the quaternion, times its norm squared."""
     return [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w + z * z - x * x - y * y]
 
 
-def turned(R: Rotation | None, vector: Sequence[Number]) -> list[Number]:
+def rotate(R: Rotation | None, vector: Sequence[Number]) -> list[Number]:
     """R times a vector: numbers, or columns (n,)."""
-    return list(vector) if R is None else [_sum(row, vector) for row in R]
+    return list(vector) if R is None else [_weighted_sum(row, vector) for row in R]
 
 
-def turned_variances(R: Rotation | None, variances: Sequence[Number]) -> list[Number]:
+def rotate_variances(R: Rotation | None, variances: Sequence[Number]) -> list[Number]:
     """Diagonal of R diag(variances) Rᵀ."""
     if R is None:
         return list(variances)
-    return [_sum([share * share for share in row], variances) for row in R]
+    return [_weighted_sum([share * share for share in row], variances) for row in R]
 
 
-def _sum(shares: Sequence[float], vector: Sequence[Number]) -> Number:
+def _weighted_sum(shares: Sequence[float], vector: Sequence[Number]) -> Number:
     first, *rest = [share * value for share, value in zip(shares, vector, strict=True) if share != 0.0]
     for value in rest:
         first = first + value
     return first
 
 
-def _snapped(value: float) -> float:
+def _round_near_integer(value: float) -> float:
     return round(value) + 0.0 if abs(value - round(value)) < _ROUNDING else value

@@ -30,7 +30,7 @@ from trackslip_estimation.slip.sources import (
     KINDS,
     SWINGS,
     HeadingSource,
-    Mounted,
+    MountableSource,
     OdometrySource,
     PoseSource,
     Source,
@@ -38,7 +38,7 @@ from trackslip_estimation.slip.sources import (
     VelocitySource,
     YawRateSource,
     group_name,
-    named,
+    nonempty_names,
     source_groups,
 )
 
@@ -166,7 +166,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             accepted = f"at least history_window, {self.history_window:g} s"
             raise InputError(f"{NODE}: max_gap: {self.max_gap:g} is out of range; accepted: {accepted}")
         if self.swings and self.model == "free_slips":
-            above = ", ".join(topic for topic, source in self.mounted().items() if source.above)
+            above = ", ".join(topic for topic, source in self.mountable_sources().items() if source.above)
             raise InputError(
                 f"{NODE}: model: 'free_slips' knows no swing, and {above} sits above; accepted: turning, icr"
             )
@@ -176,7 +176,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         odometries, gyros = len(self.odometries()), max(len(self.gyros()) - 1, 0)
         turned = len(self.yaw_offsets())
         offsets = len(self.poses()) + len(self.velocities())
-        states = odometries + gyros + turned + 2 * offsets + 2 * self.leans
+        states = odometries + gyros + turned + 2 * offsets + 2 * self.has_tilt_states
         if odometries > MOST_ODOMETRIES:
             raise InputError(
                 f"{NODE}: odometry_sources: {odometries} sources; accepted: at most {MOST_ODOMETRIES}"
@@ -184,7 +184,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         if states > MOST_SENSOR_ERRORS:
             parts = f"{gyros} gyros after the first one, {odometries} odometries, {turned} sources of"
             parts += f" headings or swing angles; {offsets} sources of poses and velocities and"
-            parts += f" {int(self.leans)} tilt of a high antenna, which count twice"
+            parts += f" {int(self.has_tilt_states)} tilt of a high antenna, which count twice"
             raise InputError(f"{NODE}: {parts}; accepted: at most {MOST_SENSOR_ERRORS} together")
 
     @classmethod
@@ -218,7 +218,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         """
         values = super().overlaid(below, above)
         if names_vehicle(above) and "pose_sources" not in above and _is_located_by_receiver(values):
-            above = {**_receiver(), **above}
+            above = {**_receiver_defaults(), **above}
             values |= above
         if above.keys().isdisjoint(KINDS):
             return values
@@ -232,37 +232,37 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
             if name in above or not name.startswith("sources.") or name.split(".")[1] in there
         }
 
-    def of_kind(self, kind: str) -> dict[str, Any]:
+    def sources_of_kind(self, kind: str) -> dict[str, Any]:
         """Topic → parameters of the sources in use of one list of ``KINDS``."""
         if kind == SWINGS and not (self.swings and self.vehicle.has_swing_encoder):
             return {}
-        return {topic: self.sources[group_name(topic)] for topic in named(getattr(self, kind))}
+        return {topic: self.sources[group_name(topic)] for topic in nonempty_names(getattr(self, kind))}
 
     def poses(self) -> dict[str, PoseSource]:
         """Topic → pose source."""
-        return self.of_kind("pose_sources")
+        return self.sources_of_kind("pose_sources")
 
     def gyros(self) -> dict[str, YawRateSource]:
         """Topic → gyro."""
-        return self.of_kind("yaw_rate_sources")
+        return self.sources_of_kind("yaw_rate_sources")
 
-    def angles(self) -> dict[str, SwingSource]:
+    def swing_encoders(self) -> dict[str, SwingSource]:
         """Topic → sensor of the swing."""
-        return self.of_kind(SWINGS)
+        return self.sources_of_kind(SWINGS)
 
-    def mounted(self) -> dict[str, Mounted]:
+    def mountable_sources(self) -> dict[str, MountableSource]:
         """Topic → source that may be on the upper structure."""
         return {**self.poses(), **self.gyros(), **self.compasses(), **self.velocities()}
 
     @property
     def swings(self) -> bool:
         """Whether a sensor is on the upper structure, so that the swing angle is a state."""
-        return any(source.above for source in self.mounted().values())
+        return any(source.above for source in self.mountable_sources().values())
 
     def initial_swing(self) -> tuple[float, float]:
         """Mean and variance of the swing angle at the start; with a sensor of the swing it is uniform."""
         stddev = self.swing.initial_angle_stddev
-        return self.swing.initial_angle, (max(stddev, math.pi) if self.angles() else stddev) ** 2
+        return self.swing.initial_angle, (max(stddev, math.pi) if self.swing_encoders() else stddev) ** 2
 
     @property
     def measures_height(self) -> bool:
@@ -270,7 +270,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         return any(pose.use_altitude for pose in self.poses().values())
 
     @property
-    def leans(self) -> bool:
+    def has_tilt_states(self) -> bool:
         """Whether the tilt error affects a pose source, by the height of its lever arm."""
         return self.tilt_source is not None and any(pose.lever_arm_z for pose in self.poses().values())
 
@@ -284,21 +284,25 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
 
     def compasses(self) -> dict[str, HeadingSource]:
         """Topic → heading source."""
-        return self.of_kind("heading_sources")
+        return self.sources_of_kind("heading_sources")
 
     def yaw_offsets(self) -> dict[str, float]:
         """Topic of a source of headings or swing angles → standard deviation of its offset, rad."""
         compasses = {name: compass.yaw_offset_stddev for name, compass in self.compasses().items()}
         poses = {name: p.yaw_offset_stddev for name, p in self.poses().items() if p.has_yaw_offset}
-        return compasses | poses | {name: angle.yaw_offset_stddev for name, angle in self.angles().items()}
+        return (
+            compasses
+            | poses
+            | {name: angle.yaw_offset_stddev for name, angle in self.swing_encoders().items()}
+        )
 
     def odometries(self) -> dict[str, OdometrySource]:
         """Topic → odometry."""
-        return self.of_kind("odometry_sources")
+        return self.sources_of_kind("odometry_sources")
 
     def velocities(self) -> dict[str, VelocitySource]:
         """Topic → velocity source."""
-        return self.of_kind("velocity_sources")
+        return self.sources_of_kind("velocity_sources")
 
     def timeouts_ns(self) -> dict[str, int]:
         """Topic → timeout of each source but the sprockets, ns."""
@@ -309,7 +313,7 @@ class SlipEstimatorParameters(ModelParameters, WithVehicle):
         return {topic: source.frame_id for topic, source in self._by_topic().items() if source.frame_id}
 
     def _by_topic(self) -> dict[str, Source]:
-        return {topic: source for kind in KINDS for topic, source in self.of_kind(kind).items()}
+        return {topic: source for kind in KINDS for topic, source in self.sources_of_kind(kind).items()}
 
     def changed(self, values: Mapping[str, Any]) -> "SlipEstimatorParameters":
         """These parameters with other values; dotted names.
@@ -340,7 +344,7 @@ def _is_located_by_receiver(values: Mapping[str, Any]) -> bool:
     )
 
 
-def _receiver() -> dict[str, Any]:
+def _receiver_defaults() -> dict[str, Any]:
     """What ``config/gnss.yaml`` says of a receiver; of a second antenna a vehicle says nothing."""
     values = node_defaults(NODE, "gnss.yaml")
     of_pose = f"sources.{GNSS_POSE}."
@@ -353,6 +357,6 @@ def load_slip_parameters(*layers: Mapping[str, Any]) -> SlipEstimatorParameters:
     """The defaults of ``config/`` with layers of dotted names over them, the last one on top.
 
     Raises:
-        InputError: a name is unknown or a value refused.
+        InputError: a name is unknown or a value invalid.
     """
     return load_parameters(SlipEstimatorParameters, NODE, DEFAULT_FILES, *layers)

@@ -18,7 +18,7 @@ _PERIODS = 3.0
 _LATEST = 9  # number of latest intervals, so that P follows a changed rate
 
 
-def lost_after(timeout: float, period: float) -> float:
+def silence_limit(timeout: float, period: float) -> float:
     """T_l of T and P; the timeout where the period is nan."""
     return max(timeout, _PERIODS * period) if period > 0.0 else timeout
 
@@ -30,8 +30,8 @@ def usual_period(times: NDArray[np.float64]) -> float:
     return float(np.median(intervals)) if len(intervals) else float("nan")
 
 
-class Silence:
-    """Measures the period of one source from its messages; ``timeout``: of the source."""
+class SilenceMonitor:
+    """Measures the period of one source, and from it the silence after which the source is lost."""
 
     def __init__(self) -> None:
         self._last: float | None = None
@@ -47,4 +47,4 @@ class Silence:
         """T_l. After one message the period is unknown, and the timeout is taken for it."""
         if self._last is None:
             return timeout
-        return lost_after(timeout, float(np.median(self._intervals)) if self._intervals else timeout)
+        return silence_limit(timeout, float(np.median(self._intervals)) if self._intervals else timeout)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from trackslip_estimation.kalman import chi_square
 from trackslip_estimation.slip.measurements import Outcome, Report
-from trackslip_estimation.slip.silence import Silence
+from trackslip_estimation.slip.silence import SilenceMonitor
 
 _WINDOW_NS = 10_000_000_000
 
@@ -21,17 +21,17 @@ class SourceWatch:
     def __init__(self, timeouts_ns: Mapping[str, int]) -> None:
         """``timeouts_ns``: expected source → timeout."""
         self._diverged_ns: int | None = None
-        self.expect(timeouts_ns)
+        self.set_timeouts(timeouts_ns)
         self.clear()
 
-    def expect(self, timeouts_ns: Mapping[str, int]) -> None:
+    def set_timeouts(self, timeouts_ns: Mapping[str, int]) -> None:
         """Replace the timeouts."""
         self._timeouts_ns = timeouts_ns
 
     def clear(self) -> None:
         """Discard all reports, as the estimate restarts."""
-        self._taken_ns: dict[str, int] = {}
-        self._silences: dict[str, Silence] = defaultdict(Silence)
+        self._used_ns: dict[str, int] = {}
+        self._silences: dict[str, SilenceMonitor] = defaultdict(SilenceMonitor)
         self._innovations: dict[str, deque[Report]] = defaultdict(deque)
 
     def add(self, report: Report) -> None:
@@ -43,11 +43,11 @@ class SourceWatch:
         if report.stamp_ns == 0:  # commands have no stamp
             return
         self._silences[report.source].add(report.stamp_ns)
-        if report.outcome.refused:
+        if report.outcome.is_rejected:
             return
         for source in self._timeouts_ns:  # timeouts count from the first report
-            self._taken_ns.setdefault(source, report.stamp_ns)
-        self._taken_ns[report.source] = max(report.stamp_ns, self._taken_ns.get(report.source, 0))
+            self._used_ns.setdefault(source, report.stamp_ns)
+        self._used_ns[report.source] = max(report.stamp_ns, self._used_ns.get(report.source, 0))
         if report.dof:
             self._innovations[report.source].append(report)
 
@@ -55,9 +55,9 @@ class SourceWatch:
         """Whether the estimate diverged and restarted within the last ``_WINDOW_NS``."""
         return self._diverged_ns is not None and now_ns - self._diverged_ns < _WINDOW_NS
 
-    def lost(self, now_ns: int) -> dict[str, float]:
-        """Lost source (``silence``) → seconds since its latest measurement that was not refused."""
-        since = {source: now_ns - self._taken_ns.get(source, now_ns) for source in self._timeouts_ns}
+    def lost_sources(self, now_ns: int) -> dict[str, float]:
+        """Lost source (``silence``) → seconds since its latest measurement that was not rejected."""
+        since = {source: now_ns - self._used_ns.get(source, now_ns) for source in self._timeouts_ns}
         limits = {source: self._silences[source].limit(ns) for source, ns in self._timeouts_ns.items()}
         return {source: ns * 1e-9 for source, ns in since.items() if ns > limits[source]}
 

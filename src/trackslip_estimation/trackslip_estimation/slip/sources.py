@@ -21,7 +21,7 @@ from trackslip_common.config_files import config_file, read_yaml
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import Group, Parameters, parameter
 from trackslip_common.vehicle import MOUNTS, UPPER
-from trackslip_estimation.slip.mounting import Rotation, quaternion_of, rotation
+from trackslip_estimation.slip.mounting import Rotation, quaternion_from_angles, rotation
 
 A = TypeVar("A", float, NDArray[np.float64])
 
@@ -46,7 +46,7 @@ class Source(Parameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mounted(Source):
+class MountableSource(Source):
     """A sensor that may sit on the upper structure."""
 
     mount: str = parameter(_MOUNT, choices=MOUNTS)
@@ -58,7 +58,7 @@ class Mounted(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed(Mounted):
+class SourceWithLever(MountableSource):
     """A sensor with a lever arm."""
 
     lever_arm_x: float = parameter(
@@ -74,7 +74,7 @@ class Placed(Mounted):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseSource(Placed):
+class PoseSource(SourceWithLever):
     """Poses of one sensor."""
 
     use_heading: bool = parameter("whether its heading is a measurement too", basic=True)
@@ -111,7 +111,7 @@ class PoseSource(Placed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class YawRateSource(Mounted):
+class YawRateSource(MountableSource):
     """A gyro; its gate widens with each further timeout."""
 
     mounting_roll: float = parameter(
@@ -178,7 +178,7 @@ HEADING_MESSAGES = {"imu": "sensor_msgs/msg/Imu", "quaternion": "geometry_msgs/m
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadingSource(Mounted):
+class HeadingSource(MountableSource):
     """A pair of antennas, or another compass."""
 
     message: str = parameter(
@@ -232,7 +232,7 @@ class SwingSource(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VelocitySource(Placed):
+class VelocitySource(SourceWithLever):
     """Velocity over the ground: a GNSS receiver's, or a radar's."""
 
     axes: str = parameter(
@@ -301,7 +301,7 @@ class OdometrySource(Source):
     @property
     def mounting(self) -> tuple[float, float, float, float]:
         """Quaternion x, y, z, w of the rotation from its frame into base_link."""
-        return quaternion_of(self.mounting_roll, self.mounting_pitch, self.mounting_yaw)
+        return quaternion_from_angles(self.mounting_roll, self.mounting_pitch, self.mounting_yaw)
 
 
 KINDS: Mapping[str, type[Source]] = {
@@ -315,7 +315,7 @@ KINDS: Mapping[str, type[Source]] = {
 }
 
 
-def named(sources: Sequence[str]) -> list[str]:
+def nonempty_names(sources: Sequence[str]) -> list[str]:
     """The sources of a parameter list without empty names."""
     return [source for source in sources if source]
 
@@ -338,7 +338,7 @@ def source_groups(
     topics: dict[str, str] = {}
     groups: dict[str, Group] = {}
     for kind in KINDS:
-        for topic in named(lists.get(kind, ())):
+        for topic in nonempty_names(lists.get(kind, ())):
             name = group_name(topic)
             if name in groups:
                 both = (

@@ -21,33 +21,40 @@ from trackslip_common.errors import InputError
 from trackslip_common.kept_files import move_aside, own_file
 from trackslip_common.whole_file import replacing
 from trackslip_common.yaml_text import parse_yaml
-from trackslip_estimation.slip.learned import Learned, Meaning, OtherMachine, aged, from_tree, to_tree
-from trackslip_estimation.slip.learned_text import findings, lines_of
+from trackslip_estimation.slip.learned import (
+    Learned,
+    LearnedContext,
+    OtherMachineError,
+    decay_to_prior,
+    from_tree,
+    to_tree,
+)
+from trackslip_estimation.slip.learned_text import learned_quantities, quantity_lines
 
 _VERSION = 2
-_LARGEST = 1 << 18  # bytes
+_LARGEST_SIZE = 1 << 18  # bytes
 _UNKNOWN_AGE = 7 * 86400.0  # s, with a wrong clock: discards states of the ground, keeps those of the machine
 _EARLIEST, _OLDEST = -60.0, 10 * 365 * 86400.0  # bounds of a plausible age, s: some clocks start in 1970
-_END = 3.0  # longest wait for the last write, s
+_WRITE_TIMEOUT = 3.0  # longest wait for the last write, s
 CHECKSUM = "\nchecksum: "
-_HEAD = """\
+_HEADER = """\
 # What the slip estimator has learned of this machine and its ground; it starts from this the next time.
 # Not to be edited: then it is not used. To forget it, call ~/forget, or delete this file.
 # ± is one standard deviation.
 """
 
 
-def state_text(learned: Learned, of: Meaning, written_s: float) -> str:
+def state_text(learned: Learned, context: LearnedContext, written_s: float) -> str:
     """Text of the state file; ``written_s``: seconds since 1970."""
-    words = [f"#   {line}\n" for line in lines_of(findings(learned, of))]
+    words = [f"#   {line}\n" for line in quantity_lines(learned_quantities(learned, context))]
     written = datetime.fromtimestamp(written_s, timezone.utc).isoformat()
-    tree = {"version": _VERSION, "written": written, **to_tree(learned, of)}
-    body = _HEAD + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=95)
+    tree = {"version": _VERSION, "written": written, **to_tree(learned, context)}
+    body = _HEADER + "".join(words) + yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=95)
     body = body.rstrip("\n")
     return f"{body}{CHECKSUM}{digest(body)}\n"
 
 
-def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
+def parse_state(text: str, context: LearnedContext) -> tuple[Learned, float]:
     """Parse the text of a state file: learned values, and the time of writing, seconds since 1970.
 
     Raises:
@@ -63,7 +70,7 @@ def parse_state(text: str, of: Meaning) -> tuple[Learned, float]:
         written_s = datetime.fromisoformat(str(tree.get("written"))).timestamp()
     except (ValueError, OverflowError) as error:
         raise InputError("its time of writing is missing") from error
-    return from_tree(tree, of), written_s
+    return from_tree(tree, context), written_s
 
 
 class StateFile:
@@ -90,89 +97,89 @@ class StateFile:
     def __bool__(self) -> bool:
         return self._path is not None
 
-    def read(self, of: Meaning) -> Learned | None:
-        """Read the learned values, aged to now; None if no file is usable, see ``note``."""
+    def read(self, context: LearnedContext) -> Learned | None:
+        """Read the learned values, decayed to now; None if no file is usable, see ``note``."""
         if self._path is None:
             return None
         self._is_foreign, self._other, self._damaged, self.used = False, "", None, True
         try:
             if self._path.exists():
-                return self._used(self._path, of)
+                return self._read_decayed(self._path, context)
             self.note = f"no learned values: there is no file {self._path}"
         except (InputError, OSError) as error:
             self._is_foreign = True
-            self._other = error.machine if isinstance(error, OtherMachine) else ""
-            self.note = _refusal(self._path, error)
-        aside = _aside(self._path, of.machine)
+            self._other = error.machine if isinstance(error, OtherMachineError) else ""
+            self.note = _rejection_text(self._path, error)
+        aside = _path_for_machine(self._path, context.machine)
         if (self._other or not self._is_foreign) and aside.exists():
             try:
-                return self._used(aside, of)
+                return self._read_decayed(aside, context)
             except (InputError, OSError) as error:
                 self._damaged = aside
-                self.note += f"; {_refusal(aside, error)}"
+                self.note += f"; {_rejection_text(aside, error)}"
         self.used = not self._is_foreign and self._damaged is None
         return None
 
-    def _used(self, path: Path, of: Meaning) -> Learned:
-        """Read a file and age its values; set ``note``.
+    def _read_decayed(self, path: Path, context: LearnedContext) -> Learned:
+        """Read a file and decay its values to now; set ``note``.
 
         Raises:
             InputError: the file is invalid or of another machine.
             OSError: the file cannot be read.
         """
-        learned, written_s = parse_state(_content(path), of)
+        learned, written_s = parse_state(_read_text(path), context)
         age_s = time.time() - written_s
         known = _EARLIEST < age_s < _OLDEST
-        age = _words(max(age_s, 0.0)) if known else "at an unknown time"
+        age = _age_text(max(age_s, 0.0)) if known else "at an unknown time"
         self.note = f"starts from values learned {age} ({path})"
-        return aged(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, of)
+        return decay_to_prior(learned, max(age_s, 0.0) if known else _UNKNOWN_AGE, context)
 
-    def write(self, learned: Learned | None, of: Meaning) -> None:
+    def write(self, learned: Learned | None, context: LearnedContext) -> None:
         """Start writing; count a failure if the previous write is still running."""
         if self._path is None or learned is None:
             return
         if self._writer is not None and self._writer.is_alive():
-            self._fail("the disk is too slow")
+            self._count_failure("the disk is too slow")
             return
-        arguments = (self._path, learned, of)
+        arguments = (self._path, learned, context)
         self._writer = threading.Thread(target=self._write, args=arguments, name="state_file", daemon=True)
         self._writer.start()
 
-    def forget(self, of: Meaning) -> None:
+    def forget(self, context: LearnedContext) -> None:
         """Delete the files of this machine; a file that was not used is renamed instead."""
         self.finish()
         try:
             if self._path is not None:
                 self._move_aside(self._path)
                 self._path.unlink(missing_ok=True)
-                _aside(self._path, of.machine).unlink(missing_ok=True)
+                _path_for_machine(self._path, context.machine).unlink(missing_ok=True)
         except OSError as error:
-            self._fail(f"not deleted: {error.strerror}")
+            self._count_failure(f"not deleted: {error.strerror}")
 
     def finish(self) -> None:
         """Wait for a running write."""
         if self._writer is not None:
-            self._writer.join(_END)
+            self._writer.join(_WRITE_TIMEOUT)
             if self._writer.is_alive():
-                self._fail("the disk is too slow")
+                self._count_failure("the disk is too slow")
 
     def status(self) -> dict[str, str]:
         """Values for /diagnostics."""
         with self._lock:
-            ago = "not yet" if self._written_s is None else _words(time.time() - self._written_s)
+            ago = "not yet" if self._written_s is None else _age_text(time.time() - self._written_s)
             values = {"file": str(self._path), "read": self.note, "written": ago}
             return values | {"not written": str(self.failures), "last failure": self.failure or "none"}
 
-    def _write(self, path: Path, learned: Learned, of: Meaning) -> None:
+    def _write(self, path: Path, learned: Learned, context: LearnedContext) -> None:
         """Write the file; runs in the writer thread."""
         now_s = time.time()
         try:
-            text = state_text(learned, of, now_s)
+            text = state_text(learned, context, now_s)
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, text, sync=True):  # power may be switched off at any time
                 self._move_aside(path)
         except (OSError, ValueError) as error:  # ValueError: invalid path
-            self._fail(getattr(error, "strerror", None) or str(error))
+            self._count_failure(getattr(error, "strerror", None) or str(error))
             return
         with self._lock:
             self._written_s, self.failure = now_s, ""
@@ -183,27 +190,27 @@ class StateFile:
             move_aside(self._damaged)
             self._damaged = None
         if self._is_foreign and self._other and path.exists():
-            path.replace(_aside(path, self._other))  # replaces an older file of that machine
+            path.replace(_path_for_machine(path, self._other))  # replaces an older file of that machine
         elif self._is_foreign:
             move_aside(path)
         self._is_foreign = False
 
-    def _fail(self, reason: str) -> None:
+    def _count_failure(self, reason: str) -> None:
         with self._lock:
             self.failures += 1
             self.failure = reason
 
 
-def _aside(path: Path, machine: str) -> Path:
+def _path_for_machine(path: Path, machine: str) -> Path:
     """Path of a machine's file while the state file belongs to another machine."""
     return path.with_name(f"{path.name}.of-{digest(machine)[:8]}")
 
 
-def _refusal(path: Path, error: Exception) -> str:
+def _rejection_text(path: Path, error: Exception) -> str:
     return f"{path} is not used: {error.strerror if isinstance(error, OSError) else error}"
 
 
-def _content(path: Path) -> str:
+def _read_text(path: Path) -> str:
     """Text of a file.
 
     Raises:
@@ -213,9 +220,9 @@ def _content(path: Path) -> str:
     if not path.is_file():
         raise InputError("it is not a regular file")
     with path.open("rb") as file:
-        content = file.read(_LARGEST + 1)
-    if len(content) > _LARGEST:
-        raise InputError(f"it is larger than {_LARGEST >> 10} KiB")
+        content = file.read(_LARGEST_SIZE + 1)
+    if len(content) > _LARGEST_SIZE:
+        raise InputError(f"it is larger than {_LARGEST_SIZE >> 10} KiB")
     return content.decode("utf-8", errors="replace")
 
 
@@ -224,7 +231,7 @@ def digest(body: str) -> str:
     return hashlib.sha256(body.encode(errors="replace")).hexdigest()[:32]
 
 
-def _words(age_s: float) -> str:
+def _age_text(age_s: float) -> str:
     """Age as text, "2 h ago"."""
     for unit, seconds in (("days", 2 * 86400.0), ("h", 2 * 3600.0), ("min", 2 * 60.0)):
         if age_s >= seconds:

@@ -26,11 +26,11 @@ class StaticFrames:
         q = np.array(turn, np.float64)
         norm = float(np.linalg.norm(q))
         if math.isfinite(norm) and norm > 0.0:
-            self._parents[_plain(child)] = (_plain(parent), q / norm)
+            self._parents[_without_slash(child)] = (_without_slash(parent), q / norm)
 
     def angles(self, base: str, frame: str) -> tuple[float, float, float] | None:
         """Roll, pitch and yaw (ZYX) of ``frame`` in ``base``, rad; None: not connected."""
-        to_base, to_frame = dict(self._above(base)), dict(self._above(frame))
+        to_base, to_frame = dict(self._ancestors(base)), dict(self._ancestors(frame))
         common = next((name for name in to_frame if name in to_base), None)
         if common is None:
             return None
@@ -42,9 +42,9 @@ class StaticFrames:
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         return roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
-    def _above(self, frame: str) -> Iterator[tuple[str, FloatArray]]:
+    def _ancestors(self, frame: str) -> Iterator[tuple[str, FloatArray]]:
         """The frame and its ancestors, each with the rotation from the frame into it."""
-        name, q = _plain(frame), np.array((0.0, 0.0, 0.0, 1.0))
+        name, q = _without_slash(frame), np.array((0.0, 0.0, 0.0, 1.0))
         for _ in range(_LONGEST):
             yield name, q
             if name not in self._parents:
@@ -53,7 +53,7 @@ class StaticFrames:
             q = _product(step, q)
 
 
-def _plain(name: str) -> str:
+def _without_slash(name: str) -> str:
     return name.removeprefix("/")
 
 

@@ -11,7 +11,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.make import Make, header, set_stamp
 from trackslip_estimation.slip.conversions import Frames
 from trackslip_estimation.slip.estimator import Estimate
-from trackslip_estimation.slip.mounting import quaternion_of
+from trackslip_estimation.slip.mounting import quaternion_from_angles
 
 
 def blank_transforms(make: Make, frames: Frames) -> Any:
@@ -46,4 +46,4 @@ def _fill(message: Any, stamp_ns: int, pose: FloatArray, tilt: tuple[float, floa
     translation, rotation = message.transform.translation, message.transform.rotation
     x, y, heading = pose.tolist()
     translation.x, translation.y, translation.z = x, y, tilt[2]
-    rotation.x, rotation.y, rotation.z, rotation.w = quaternion_of(tilt[0], tilt[1], heading)
+    rotation.x, rotation.y, rotation.z, rotation.w = quaternion_from_angles(tilt[0], tilt[1], heading)

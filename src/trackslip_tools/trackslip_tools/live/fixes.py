@@ -10,7 +10,7 @@ from typing import Any
 
 from trackslip_common.config_files import node_parameters
 from trackslip_common.yaml_text import parse_mapping
-from trackslip_estimation.slip.silence import Silence
+from trackslip_estimation.slip.silence import SilenceMonitor
 from trackslip_estimation.slip.sources import group_name
 from trackslip_tools.live import inputs
 from trackslip_tools.report.events import Events
@@ -31,7 +31,7 @@ class Fixes:
         self.timeouts: dict[str, float] = {}  # source of the slip estimator → timeout, s
         self._news: deque[Place] = deque(maxlen=KEPT)
         self._came_s: dict[str, float] = {}
-        self._silences: dict[str, Silence] = defaultdict(Silence)
+        self._silences: dict[str, SilenceMonitor] = defaultdict(SilenceMonitor)
         self._lost: set[str] = set()
 
     def expect(self, timeouts: Mapping[str, float]) -> None:
@@ -39,7 +39,9 @@ class Fixes:
         self.timeouts = dict(list(timeouts.items())[:_MOST_SOURCES])
         known = {*inputs.POSES, *self.timeouts}
         self._came_s = {source: at_s for source, at_s in self._came_s.items() if source in known}
-        self._silences = defaultdict(Silence, {k: one for k, one in self._silences.items() if k in known})
+        self._silences = defaultdict(
+            SilenceMonitor, {k: one for k, one in self._silences.items() if k in known}
+        )
         self._lost &= known
 
     def add(self, source: str, x: float, y: float, now_s: float) -> None:

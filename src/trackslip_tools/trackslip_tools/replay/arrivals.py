@@ -34,7 +34,7 @@ from trackslip_common.message_fields import (
 from trackslip_common.message_reading import RecordClass
 from trackslip_common.orientations import headings_of, poses_of
 from trackslip_estimation.slip.measurements import SET_POSE
-from trackslip_estimation.slip.mounting import turned, turned_variances, up_by
+from trackslip_estimation.slip.mounting import rotate, rotate_variances, vertical_axis
 from trackslip_estimation.slip.records import (
     HEADING,
     MANUAL,
@@ -133,22 +133,22 @@ def _fill_yaw_rates(rows: Rows, read: Rows, imu: YawRateSource) -> None:
     """Fill yaw rates, equal to ``conversions.yaw_rate`` to the last bit."""
     R, unknown = imu.mounting, imu.stddev**2
     stated = [read[f"variance_{axis}"] for axis in "xyz"]
-    p, q, r = turned(R, [read[f"rate_{axis}"] for axis in "xyz"])
-    variances = turned_variances(R, [np.where(v != 0.0, v, unknown) for v in stated])
+    p, q, r = rotate(R, [read[f"rate_{axis}"] for axis in "xyz"])
+    variances = rotate_variances(R, [np.where(v != 0.0, v, unknown) for v in stated])
     rows["value"] = np.column_stack((r, p, q))
     for k, variance in enumerate((variances[2], *variances[:2])):
         rows["noise"][:, k, k] = variance
     x, y, z = (read[f"acceleration_variance_{axis}"] for axis in "xyz")
     present, mean = x != ABSENT, (x + y + z) / 3.0
-    a = np.column_stack(turned(R, [read[f"acceleration_{axis}"] for axis in "xyz"]))
+    a = np.column_stack(rotate(R, [read[f"acceleration_{axis}"] for axis in "xyz"]))
     rows["acceleration"] = np.where(present[:, None], a, np.nan)
     mean = np.where(mean != 0.0, mean, imu.acceleration_stddev**2)
     rows["acceleration_variance"] = np.where(present, mean, np.nan)
     rows["up"] = rows["up_variances"] = np.nan
     if imu.use_orientation:
-        rows["up"] = np.column_stack(turned(R, up_by(*(read[f"q{axis}"] for axis in "xyzw"))))
+        rows["up"] = np.column_stack(rotate(R, vertical_axis(*(read[f"q{axis}"] for axis in "xyzw"))))
         stated = [read[f"orientation_variance_{axis}"] for axis in "xyz"]
-        of_up = np.column_stack(turned_variances(R, stated)[:2])
+        of_up = np.column_stack(rotate_variances(R, stated)[:2])
         rows["up_variances"] = np.where(stated[0][:, None] != ABSENT, of_up, ABSENT)
 
 

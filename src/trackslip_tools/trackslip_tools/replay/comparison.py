@@ -18,7 +18,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray, IntArray, Rows
 from trackslip_common.orientations import headings_of, tilts_of, wrapped
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP
-from trackslip_estimation.slip.mounting import quaternion_by
+from trackslip_estimation.slip.mounting import quaternion_from_half_angles
 from trackslip_tools.replay.comparable import Comparability, ComparablePart
 from trackslip_tools.replay.live_order import HORIZON_NS, JournalCounts
 from trackslip_tools.replay.series import in_order
@@ -225,7 +225,7 @@ def carried(estimates: Rows, headings: FloatArray) -> Rows:
     halves = [(angles / 2.0).tolist() for angles in (tilts[:, 0], tilts[:, 1], headings)]
     columns = [(np.array(list(map(math.sin, h))), np.array(list(map(math.cos, h)))) for h in halves]
     quaternions = np.zeros(len(estimates), [(name, np.float64) for name in _QUATERNION])
-    for name, values in zip(_QUATERNION, quaternion_by(columns), strict=True):
+    for name, values in zip(_QUATERNION, quaternion_from_half_angles(columns), strict=True):
         quaternions[name] = values
     return quaternions
 

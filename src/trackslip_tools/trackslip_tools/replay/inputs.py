@@ -283,7 +283,7 @@ class _ParameterChanges:
 def _readers(p: SlipEstimatorParameters, types: Mapping[str, str]) -> dict[str, SourceReader]:
     """Source → reader; ``types``: topic → type of its messages in the bag."""
     readers = {SPROCKETS: SPROCKET_READER}
-    for stated in (p.gyros(), p.compasses(), p.angles(), p.odometries(), p.velocities()):
+    for stated in (p.gyros(), p.compasses(), p.swing_encoders(), p.odometries(), p.velocities()):
         readers |= {topic: reader_of(one, types.get(topic, "")) for topic, one in stated.items()}
     readers |= dict.fromkeys((SET_POSE, *filter(None, p.pose_sources)), POSE_READER)
     return readers | dict.fromkeys(filter(None, p.slip_sources), SLIP_READER)
@@ -303,7 +303,7 @@ def _require_types(
     expected = dict.fromkeys(p.yaw_rate_sources, "imu/data_raw")
     expected |= dict.fromkeys(("reference_pose", *p.pose_sources), "box_pose")
     expected |= dict.fromkeys(p.slip_sources, TRACK_SLIP)
-    expected |= dict.fromkeys(p.angles(), TRUE_SWING)
+    expected |= dict.fromkeys(p.swing_encoders(), TRUE_SWING)
     expected |= dict.fromkeys(p.odometry_sources, ODOMETRY)
     expected |= dict.fromkeys(p.velocity_sources, FIX_VELOCITY)
     require_one_type(bag, names)

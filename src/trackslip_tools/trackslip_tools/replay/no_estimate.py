@@ -15,7 +15,7 @@ from trackslip_common.topics import TOPICS
 from trackslip_estimation.slip.events import UNKNOWN_HEADING
 from trackslip_estimation.slip.measurements import SET_POSE, Outcome
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
-from trackslip_estimation.slip.sources import named
+from trackslip_estimation.slip.sources import nonempty_names
 from trackslip_tools.replay.inputs import SPROCKETS
 
 _WAITING = Outcome.WAITING.name.lower()
@@ -49,7 +49,7 @@ def why_no_estimate(bag: Bag, p: SlipEstimatorParameters, filters: InputFilters,
         return f"every sample of the sprockets was refused ({_reasons(processed, [SPROCKETS])})"
     if p.start != "first_fix":
         return "no sprocket sample could start it"
-    sources = named(p.pose_sources)
+    sources = nonempty_names(p.pose_sources)
     refused = processed.rejected.by_source()  # messages of another frame do not reach the estimator
     came = [source for source in (*sources, SET_POSE) if processed.given[source] or source in refused]
     if not sources:

@@ -26,8 +26,8 @@ from trackslip_common.vehicle_files import vehicle_text
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.estimator import Estimate, make_step
 from trackslip_estimation.slip.events import Event
-from trackslip_estimation.slip.learned import Learned, meaning, to_tree
-from trackslip_estimation.slip.learned_text import lines_of, to_json
+from trackslip_estimation.slip.learned import Learned, learned_context, to_tree
+from trackslip_estimation.slip.learned_text import quantity_lines, to_json
 from trackslip_estimation.slip.local_odometry import LocalOdometry
 from trackslip_estimation.slip.parameters import NODE as SLIP_NODE
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
@@ -87,7 +87,7 @@ class EstimateWriter:
                 if estimate.outputs.swing is not None:
                     message = message_of(SWING_ESTIMATE, estimate, self._p)
                     self._write(SWING_ESTIMATE, message, estimate.stamp_ns)
-                message = message_of(LOCAL_ODOMETRY, self._local.after(estimate), self._p)
+                message = message_of(LOCAL_ODOMETRY, self._local.estimate_in_odom(estimate), self._p)
                 self._write(LOCAL_ODOMETRY, message, estimate.stamp_ns)
 
     def add_soil(self, soil: SoilReplay) -> None:
@@ -116,7 +116,7 @@ class EstimateWriter:
 
 
 def _started_from(p: SlipEstimatorParameters, learned: Learned | None) -> dict[str, Any]:
-    return {} if learned is None else {"learned": to_tree(learned, meaning(p))}
+    return {} if learned is None else {"learned": to_tree(learned, learned_context(p))}
 
 
 def message_of(topic: str, estimate: Estimate, p: SlipEstimatorParameters) -> Any:
@@ -232,7 +232,7 @@ def _happened(result: Replay) -> list[str]:
 
 def _learned(result: Replay) -> list[str]:
     """One line for each observed quantity, and one for all others."""
-    lines = lines_of(result.learned[-1].findings) if result.learned else []
+    lines = quantity_lines(result.learned[-1].findings) if result.learned else []
     return ["learned values of the machine and its ground", *(f"  {line}" for line in lines)] if lines else []
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from trackslip_common.arrays import Rows
 from trackslip_common.errors import InputError
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.explanations import AcceptedEvent, Explained
-from trackslip_estimation.slip.learned import Learned, from_tree, meaning
-from trackslip_estimation.slip.learned_text import Finding, findings
+from trackslip_estimation.slip.explanations import AcceptedEvent, CompetingExplanations
+from trackslip_estimation.slip.learned import Learned, from_tree, learned_context
+from trackslip_estimation.slip.learned_text import LearnedQuantity, learned_quantities
 from trackslip_estimation.slip.measurements import Command
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.records import RESULT
@@ -27,7 +27,7 @@ class Known(NamedTuple):
     """Learned quantities of the machine and its ground at one time."""
 
     stamp_ns: int
-    findings: list[Finding]
+    findings: list[LearnedQuantity]
 
 
 class Begin(NamedTuple):
@@ -49,7 +49,7 @@ class Part(NamedTuple):
     happened: Sequence[
         AcceptedEvent
     ] = ()  # events of the most probable branch since the estimator was started
-    explained: Sequence[Explained] = ()  # explanations within the part
+    explained: Sequence[CompetingExplanations] = ()  # explanations within the part
 
     @property
     def estimates(self) -> Rows:
@@ -97,19 +97,19 @@ def _begin_again(p: SlipEstimatorParameters, stream: InputStream, number: int) -
     changed, tree = stream.starts[number]
     p = p.changed(changed)
     try:
-        return Begin(p, None if tree is None else from_tree(tree, meaning(p)))
+        return Begin(p, None if tree is None else from_tree(tree, learned_context(p)))
     except InputError:
         return Begin(p, None)
 
 
 def _process(
     stream: InputStream, estimator: SlipEstimator, rows: Rows
-) -> tuple[Rows, list[Known], list[Explained]]:
+) -> tuple[Rows, list[Known], list[CompetingExplanations]]:
     """(n,) RESULT of (n,) ARRIVAL of one run, with the learned quantities and explanations in between."""
     results = np.zeros(len(rows), RESULT)
     commands = np.flatnonzero(rows["kind"] >= IS_COMMAND)
     learned: list[Known] = []
-    explained: list[Explained] = []
+    explained: list[CompetingExplanations] = []
     begin = 0
     looks = np.flatnonzero(np.diff(rows["log_time_ns"] // _LOOK_NS)) + 1
     pieces = {*range(_PIECE, len(rows), _PIECE), len(rows)}
@@ -118,9 +118,13 @@ def _process(
         results[begin:end] = estimator.process_records(given)
         begin = end
         if estimator.started and end > 0:
-            explained.append(estimator.explained)
+            explained.append(estimator.competing_explanations)
         if estimator.started and end > 0 and (end in pieces or end in commands):
-            learned.append(Known(estimator.newest_ns or 0, findings(estimator.learned, estimator.meaning)))
+            learned.append(
+                Known(
+                    estimator.newest_ns or 0, learned_quantities(estimator.learned, estimator.learned_context)
+                )
+            )
             estimator.read_events()  # before the branch discards them
         if end in commands:
             is_reload = rows["kind"][end] == IS_RELOAD

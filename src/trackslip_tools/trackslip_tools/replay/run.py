@@ -14,7 +14,7 @@ from trackslip_common.errors import InputError
 from trackslip_common.topics import LOCAL_ODOMETRY, ODOMETRY, TRACK_SLIP, TRUE_ODOMETRY
 from trackslip_estimation.setup_check.collect import Collector as SetupCollector
 from trackslip_estimation.slip.estimator import SlipEstimator
-from trackslip_estimation.slip.learned import Learned, from_tree, meaning
+from trackslip_estimation.slip.learned import Learned, from_tree, learned_context
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.soil.records import HYDRAULICS
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
@@ -92,6 +92,6 @@ def learned_before(bag: Bag, p: SlipEstimatorParameters) -> tuple[Learned | None
     if tree is None:
         return None, ""
     try:
-        return from_tree(tree, meaning(p)), "starts from values learned before the bag begins"
+        return from_tree(tree, learned_context(p)), "starts from values learned before the bag begins"
     except InputError as error:
         return None, f"learned values from before the bag are not used: {error}"

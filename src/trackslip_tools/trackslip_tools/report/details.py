@@ -8,7 +8,7 @@ import numpy as np
 
 from trackslip_common.arrays import IntArray, Rows
 from trackslip_common.orientations import wrapped
-from trackslip_estimation.slip.explanations import Explained
+from trackslip_estimation.slip.explanations import CompetingExplanations
 from trackslip_estimation.slip.models.model import YAW
 from trackslip_estimation.slip.records import ESTIMATE, POSE
 from trackslip_tools.replay.arrivals import ARRIVAL
@@ -47,7 +47,7 @@ class Details:
         self._reports, self._fixes = GrowingRows(REPORT), GrowingRows(FIX)
         self._recent = np.empty(0, ESTIMATE)
         self.explained: list[
-            Explained
+            CompetingExplanations
         ] = []  # competing explanations at a time, and the first without after them
 
     def add(self, part: Part) -> None:
@@ -75,10 +75,10 @@ class Details:
             oldest_ns = known["stamp_ns"][-1] - _RECENT_NS
             self._recent = known[np.searchsorted(known["stamp_ns"], oldest_ns) :]
 
-    def add_explained(self, explained: Iterable[Explained]) -> None:
+    def add_explained(self, explained: Iterable[CompetingExplanations]) -> None:
         """Add explanations."""
         for one in explained:
-            if one.competing or (self.explained and self.explained[-1].competing):
+            if one.number_competing or (self.explained and self.explained[-1].number_competing):
                 self.explained.append(one)
 
     @property

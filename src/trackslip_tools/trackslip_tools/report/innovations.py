@@ -145,7 +145,7 @@ def whitened_fixes(run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
     time are left out.
     """
     fixes = run.details.fixes
-    refused = [outcome for outcome in Outcome if outcome.refused]
+    refused = [outcome for outcome in Outcome if outcome.is_rejected]
     compared = fixes["expected"] & ~np.isin(fixes["outcome"], refused)
     found = {}
     for source, stated in run.parameters.poses().items():

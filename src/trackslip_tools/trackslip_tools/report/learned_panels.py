@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trackslip_estimation.slip.learned_text import NOT_OBSERVED, Finding, decimals
+from trackslip_estimation.slip.learned_text import NOT_OBSERVED, LearnedQuantity, decimals
 from trackslip_tools.report.panel import BLUE, SIGMAS, Curve, Panel, colour_in, name_in, within
 from trackslip_tools.report.run import Run
 
@@ -21,7 +21,7 @@ def learned_rows(run: Run) -> list[Row]:
 
 def learned_panels(runs: Sequence[Run]) -> list[Panel]:
     """One panel for each quantity that some run has observed at its end."""
-    observed: dict[str, Finding] = {}
+    observed: dict[str, LearnedQuantity] = {}
     for run in runs:
         last = run.replay.learned[-1].findings if run.replay.learned else []
         observed |= {finding.name: finding for finding in last if finding.observed}
@@ -33,7 +33,7 @@ def learned_panels(runs: Sequence[Run]) -> list[Panel]:
     return panels
 
 
-def _row(finding: Finding) -> Row:
+def _row(finding: LearnedQuantity) -> Row:
     form = finding.form
     if not finding.observed:
         return (form.label, "–", "–", form.unit, NOT_OBSERVED)
@@ -44,7 +44,7 @@ def _row(finding: Finding) -> Row:
     return (form.label, f"{value:.{digits}f}", interval, form.unit, finding.sentence)
 
 
-def _as_stated(finding: Finding) -> float:
+def _as_stated(finding: LearnedQuantity) -> float:
     """The value that means no deviation from the parameters: 1 for factors, else 0."""
     return 1.0 if "factor" in finding.name else 0.0
 

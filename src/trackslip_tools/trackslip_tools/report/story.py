@@ -9,10 +9,10 @@ import numpy as np
 from trackslip_common.errors import printable
 from trackslip_common.topics import SOIL
 from trackslip_estimation.slip.events import Event as Explaining
-from trackslip_estimation.slip.explanations import Explained, sentence
+from trackslip_estimation.slip.explanations import CompetingExplanations, sentence
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.slip.silence import lost_after, usual_period
+from trackslip_estimation.slip.silence import silence_limit, usual_period
 from trackslip_estimation.soil.stall import Trouble
 from trackslip_tools.replay import troubles
 from trackslip_tools.replay.inputs import SPROCKETS
@@ -93,7 +93,7 @@ def measured_spell(run: Run) -> Spell:
 def explained_spells(run: Run) -> list[Spell]:
     """Intervals with one explanation or several competing ones, with their texts."""
     found: list[Spell] = []
-    group: list[Explained] = []
+    group: list[CompetingExplanations] = []
     for one in run.details.explained:
         if group and _kind(one) != _kind(group[0]):
             found += _explained_spell(run, group, one.stamp_ns)
@@ -102,19 +102,19 @@ def explained_spells(run: Run) -> list[Spell]:
     return found + (_explained_spell(run, group, group[-1].stamp_ns) if group else [])
 
 
-def _kind(one: Explained) -> tuple[int, str]:
+def _kind(one: CompetingExplanations) -> tuple[int, str]:
     """State and text that distinguish one interval from the next, without numbers in the text."""
-    if one.competing > 1:
+    if one.number_competing > 1:
         return _SEVERAL, ""
-    return one.competing, without_numbers(one.found[0].text) if one.competing else ""
+    return one.number_competing, without_numbers(one.explanations[0].text) if one.number_competing else ""
 
 
-def _explained_spell(run: Run, group: Sequence[Explained], end_ns: int) -> list[Spell]:
+def _explained_spell(run: Run, group: Sequence[CompetingExplanations], end_ns: int) -> list[Spell]:
     """(1,) interval of a group, or (0,) without a contradiction; its text is that of the group's middle."""
-    if not group[0].competing:
+    if not group[0].number_competing:
         return []
     start, stop = run.recording.seconds(np.array((group[0].stamp_ns, end_ns))).tolist()
-    found = group[len(group) // 2].found
+    found = group[len(group) // 2].explanations
     text = sentence(found, stop - start) if len(found) > 1 else found[0].text
     return [Spell(start, stop, _kind(group[0])[0], text)]
 
@@ -138,7 +138,7 @@ def silence_limits(run: Run) -> dict[str, float]:
     for number in np.unique(fixes["source"]).tolist():  # periods after thinning of the bag
         stamps_ns = fixes["stamp_ns"][fixes["source"] == number]
         periods[sources[number]] = usual_period(run.recording.seconds(stamps_ns))
-    limits = {name: lost_after(timeout, periods.get(name, np.nan)) for name, timeout in timeouts.items()}
+    limits = {name: silence_limit(timeout, periods.get(name, np.nan)) for name, timeout in timeouts.items()}
     return limits | {SPROCKETS: run.parameters.sprocket_timeout}  # longer silence: motion unknown
 
 

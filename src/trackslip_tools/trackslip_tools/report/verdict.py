@@ -20,7 +20,7 @@ from trackslip_tools.report.story import silence_limits, trouble_spells, trouble
 SECTION = "report"
 DEFAULT_FILES = ("report.yaml",)
 _WAITING = Outcome.WAITING.name.lower()
-_USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.refused)
+_USED = tuple(outcome.name.lower() for outcome in Outcome if not outcome.is_rejected)
 
 
 @dataclass(frozen=True, kw_only=True)

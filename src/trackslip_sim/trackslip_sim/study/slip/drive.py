@@ -172,7 +172,7 @@ def _fixes(p: StudyParameters, end: float, estimator: SlipEstimatorParameters) -
 def _angles(rate: float, end: float, estimator: SlipEstimatorParameters) -> Iterator[Measurement]:
     """Angles of the first swing encoder with placeholder values; none without an encoder."""
     stddev = mounting_of(estimator.vehicle).encoder_stddev
-    for source in list(estimator.angles())[:1]:
+    for source in list(estimator.swing_encoders())[:1]:
         for k in range(1, int(end * rate + 1e-6) + 1):
             yield SwingAngle(source, _ns(k / rate), 0.0, stddev**2)
 

@@ -143,7 +143,7 @@ class _Drives:
 
 def _above(p: StudyParameters, estimator: SlipEstimatorParameters, chosen: bool) -> StudyParameters:
     """Parameters for sensors on the upper structure, shear truth only; ``chosen``: truths were requested."""
-    topics = ", ".join(topic for topic, source in estimator.mounted().items() if source.above)
+    topics = ", ".join(topic for topic, source in estimator.mountable_sources().items() if source.above)
     above = f"cells with {topics} above are on"
     if others := [truth for truth in p.truths if truth != SHEAR and chosen]:
         raise InputError(f"{NODE}: truths: {others[0]}: {above} the {SHEAR} truth")
