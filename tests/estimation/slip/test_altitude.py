@@ -113,7 +113,7 @@ def true_height(estimate: Estimate) -> float:
     return BEGIN + 0.4 * max(estimate.stamp_ns / S - 5.05, 0.0) * math.sin(-PITCH)
 
 
-def refused(reports: list[Report]) -> list[AttitudeRefusal]:
+def rejections(reports: list[Report]) -> list[AttitudeRefusal]:
     return [report.attitude for report in reports if report.attitude is not None]
 
 
@@ -124,7 +124,7 @@ def test_height_follows_the_receiver() -> None:
     stddevs = np.array([height(e)[1] for e in tilted])
     assert np.sqrt(np.mean(errors**2)) < 0.015
     assert np.mean((errors / stddevs) ** 2) < 2.0
-    assert refused(reports) == []
+    assert rejections(reports) == []
     without, _ = run(drive(), **{"sources.box_pose.use_altitude": False})
     assert height(without[-1])[0] - (true_height(without[-1]) - BEGIN) == pytest.approx(0.3, abs=0.15)
 
@@ -134,7 +134,7 @@ def test_first_altitude_during_a_climb_sets_the_height() -> None:
     late = drive(lambda t, z: (z, STDDEV**2) if t > 20.0 else (0.0, UNOBSERVED), seconds=60.0)
     estimates, reports = run(late)
     found = [(*height(e), true_height(e)) for e in estimates if e.stamp_ns > 20.6 * S]
-    assert refused(reports) == []
+    assert rejections(reports) == []
     assert max(stddev for _, stddev, _ in found) < 0.05
     assert max(abs(at - truth) / stddev for at, stddev, truth in found) < 4.0
 
@@ -176,7 +176,7 @@ def test_one_wrong_altitude_moves_nothing() -> None:
 
     of_wrong, reports = run(drive(wrong))
     of_missing, _ = run(drive(missing))
-    assert refused(reports) == [AttitudeRefusal.ALTITUDE_GATED]
+    assert rejections(reports) == [AttitudeRefusal.ALTITUDE_GATED]
     for one, other in zip(of_wrong, of_missing, strict=True):
         np.testing.assert_array_equal(one.pose, other.pose)
         if other.outputs.tilt is not None:
@@ -187,8 +187,8 @@ def test_one_wrong_altitude_moves_nothing() -> None:
 def test_persistent_altitudes_are_accepted(step: float) -> None:
     """After the base station is moved, altitudes are rejected for three timeouts and accepted then."""
     estimates, reports = run(drive(lambda t, z: (z + step if t >= 50.0 else z, STDDEV**2)))
-    assert len(refused(reports)) == 6
-    assert set(refused(reports)) == {AttitudeRefusal.ALTITUDE_GATED}
+    assert len(rejections(reports)) == 6
+    assert set(rejections(reports)) == {AttitudeRefusal.ALTITUDE_GATED}
     after = [e for e in estimates if e.stamp_ns > 54 * S]
     assert max(abs(height(e)[0] - true_height(e) - step) for e in after) < 0.1
 
@@ -198,14 +198,14 @@ def test_altitudes_that_do_not_agree_are_never_accepted() -> None:
     wild, reports = run(
         drive(lambda t, z: (z + sign[round(2 * t) % 2 == 0] * 3.0, STDDEV**2) if t > 50.0 else (z, STDDEV**2))
     )
-    assert len(refused(reports)) > 80
+    assert len(rejections(reports)) > 80
     assert abs(height(wild[-1])[0] - true_height(wild[-1])) < 0.5
 
 
 @pytest.mark.parametrize("variance", [0.0, -1.0, math.nan])
 def test_altitudes_without_a_variance_are_counted(variance: float) -> None:
     estimates, reports = run(drive(lambda _, z: (z, variance), seconds=10.0))
-    assert set(refused(reports)) == {AttitudeRefusal.NO_ALTITUDE}
+    assert set(rejections(reports)) == {AttitudeRefusal.NO_ALTITUDE}
     assert height(estimates[-1])[1] > 100.0
 
 
@@ -229,7 +229,7 @@ def test_flat_pose_has_no_altitude() -> None:
     )
     assert (known.altitude, known.altitude_variance) == (3.0, 4.0)
     estimates, reports = run(drive(lambda *_: (0.0, UNOBSERVED), seconds=10.0))
-    assert refused(reports) == []
+    assert rejections(reports) == []
     assert height(estimates[-1])[1] > 100.0
 
 

@@ -105,8 +105,8 @@ def run(
     P = np.array([e.pose_covariance for e in estimates])
     nees = np.einsum("ki,kij,kj->k", off, np.linalg.inv(P), off)[times > 2.0].mean()
     place, heading = np.sqrt(np.mean(off[:, :2] ** 2) * 2.0), np.sqrt(np.mean(off[:, 2] ** 2))
-    refused = sum(report.outcome in (Outcome.JUMPED, Outcome.GATED) for report, _ in reports)
-    return float(place), float(heading), float(nees), refused
+    rejected = sum(report.outcome in (Outcome.JUMPED, Outcome.GATED) for report, _ in reports)
+    return float(place), float(heading), float(nees), rejected
 
 
 @pytest.mark.parametrize("counts", COUNTS)

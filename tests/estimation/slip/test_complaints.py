@@ -75,10 +75,10 @@ def test_complaint_2_nan_or_covariance_blow_up(log: Log) -> None:
 def test_complaint_3_the_gate_is_a_probability_and_lets_the_filter_recover(log: Log) -> None:
     """With a gate of 0.99 about one in a hundred consistent innovations is rejected; jumps are followed."""
     outcomes, _, _ = run(log.measurements, gate_probability=0.99)
-    refused = sum(o is Outcome.GATED for o in outcomes) / sum(
+    rejected = sum(o is Outcome.GATED for o in outcomes) / sum(
         not isinstance(m, Sprockets) for m in log.measurements
     )
-    assert refused < 0.05
+    assert rejected < 0.05
     middle = log.measurements[len(log.measurements) // 2].stamp_ns
     carried = [
         replace(m, pose=m.pose + np.array((2.0, 0.0, 0.0)))

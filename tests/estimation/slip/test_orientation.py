@@ -103,7 +103,7 @@ def off(estimate: Any) -> float:
     return math.degrees(float(np.hypot(*(estimate.outputs.tilt.tilt[:2] - (ROLL, PITCH)))))
 
 
-def refused(reports: list[Report]) -> list[AttitudeRefusal]:
+def rejections(reports: list[Report]) -> list[AttitudeRefusal]:
     return [report.attitude for report in reports if report.attitude is not None]
 
 
@@ -111,7 +111,7 @@ def test_orientation_corrects_the_tilt_beside_biased_accelerometers() -> None:
     measurements = drive()
     with_it, _, reports = run(measurements, **REQUESTED)
     without, _, _ = run(measurements)
-    assert refused(reports) == []
+    assert rejections(reports) == []
     assert off(with_it) < 0.4
     assert off(without) > 1.0
     errors = with_it.outputs.tilt.tilt[:2] - (ROLL, PITCH)
@@ -150,7 +150,7 @@ def test_malformed_orientation_is_refused_by_name(
     imus = [report for report in reports if report.source == IMU and not report.outcome.is_rejected]
     assert len(imus) > 100
     assert {report.attitude for report in imus[1:]} == {refusal}
-    assert refused(plain) == []
+    assert rejections(plain) == []
     np.testing.assert_array_equal(found.pose, expected.pose)
     np.testing.assert_array_equal(found.outputs.tilt.tilt, expected.outputs.tilt.tilt)
     assert f"is rejected: {refusal.name.lower().replace('_', ' ')}" in own.attitude
@@ -209,7 +209,7 @@ def test_orientation_of_a_swung_cab_is_rotated_to_the_undercarriage() -> None:
         measurements.append(m)
     given_ = {**REQUESTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
     found, _, reports = run(measurements, **given_)
-    assert refused(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first encoder reading
+    assert rejections(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first encoder reading
     assert found.outputs.swing.angle == pytest.approx(1.2, abs=0.02)
     assert off(found) < 0.3
 

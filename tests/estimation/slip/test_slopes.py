@@ -245,6 +245,6 @@ def test_slide_keeps_the_heading_of_the_compass() -> None:
     """Fixes move sideways while the tracks run; the compass headings are accepted."""
     own = estimator(heading_sources=["heading"], sources__box_pose__use_heading=False)
     reports = [report for report, _ in own.process_all(slide())]
-    refused = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]
-    assert len(refused) <= 3
+    rejected = [r for r in reports if r.source == "heading" and r.outcome is Outcome.GATED]
+    assert len(rejected) <= 3
     assert abs(own.estimate().pose[2]) < 0.06  # 0.05: expected error of a compass

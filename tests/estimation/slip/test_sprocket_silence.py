@@ -97,14 +97,14 @@ def test_variance_with_refused_samples_grows_as_in_silence(
     """A rejected sample must not end the silence."""
     driven = drive([(5.0, 2.0, 2.0, 0.05, 0.05, 0.0), (10.0, 1.0, 2.0, 0.0, 0.1, 0.0)])
     kept = without(driven.measurements, (PoseFix,), 6.0, 10.0)
-    refused = [
+    rejected = [
         replace(m, left_speed=99.0, right_speed=99.0, positions=None)
         if isinstance(m, Sprockets) and 6.0 * S < m.stamp_ns < 10.0 * S
         else m
         for m in kept
     ]
     spread = []
-    for found in (refused, without(kept, (Sprockets,), 6.0, 10.0)):
+    for found in (rejected, without(kept, (Sprockets,), 6.0, 10.0)):
         estimator = run([m for m in found if m.stamp_ns < 9.9 * S])[2]
         spread.append(np.sqrt(np.trace(estimator.estimate().pose_covariance[:2, :2])))
     assert spread[0] > 0.7 * spread[1]
