@@ -15,7 +15,7 @@ from trackslip_common.tally import Tally
 from trackslip_drivers.protocols.nmea import BITS_PER_CHAR
 from trackslip_drivers.protocols.nmea_stream import NmeaStream
 from trackslip_drivers.records import FixSample, VelocitySample
-from trackslip_estimation.gnss.localizer import Fix, GnssLocalizer, Place
+from trackslip_estimation.gnss.localizer import AntennaPosition, Fix, GnssLocalizer
 from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 from trackslip_sim.devices.line import BaudLine
 from trackslip_sim.devices.nmea_device import NmeaDevice
@@ -96,7 +96,7 @@ class Chain:
                 s.variances[2],
             )
         )
-        if not isinstance(found, Place):
+        if not isinstance(found, AntennaPosition):
             return []
         x, y, yaw = pose_at(s.stamp_ns)[:3]
         truth = x + 0.5 * np.cos(yaw), y + 0.5 * np.sin(yaw)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.attitude.filter import propagate_height, use_sample
+from trackslip_estimation.attitude.filter import propagate_height, update_with_sample
 from trackslip_estimation.attitude.parameters import CONSTANTS, constants
 from trackslip_estimation.attitude.records import ATTITUDE, BIAS_X, HEIGHT, IMU, PITCH, ROLL
 from trackslip_estimation.attitude.start import reset_attitude
@@ -30,7 +30,7 @@ def follow(attitude: Any, samples: Any, n: Any, found: FloatArray) -> None:
     for k in range(samples.size):
         propagate_height(attitude[0], samples[k].velocity[0], samples[k].velocity[1], 0.01)
         attitude[0].sample = samples[k]
-        use_sample(attitude[0], n[0])
+        update_with_sample(attitude[0], n[0])
         found[k] = attitude[0].mean
 
 

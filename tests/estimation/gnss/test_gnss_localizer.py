@@ -15,7 +15,7 @@ from trackslip_common.config_files import node_defaults
 from trackslip_common.errors import InputError
 from trackslip_common.parameters import from_flat
 from trackslip_estimation.gnss.conversions import pose
-from trackslip_estimation.gnss.localizer import Datum, Fix, GnssLocalizer, Place, Reason
+from trackslip_estimation.gnss.localizer import AntennaPosition, Datum, Fix, GnssLocalizer, Reason
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 from trackslip_estimation.slip.measurements import UNOBSERVED
 
@@ -48,7 +48,7 @@ def test_place_is_metres_east_north_and_up(latitude, longitude, altitude, at):
     there = pymap3d.enu2geodetic(*at, latitude, longitude, altitude)
     which = localizer(datum_latitude=latitude, datum_longitude=longitude, datum_altitude=altitude)
     place = which.locate(fix(*map(float, there)))
-    assert isinstance(place, Place)
+    assert isinstance(place, AntennaPosition)
     assert (place.east, place.north, place.up) == pytest.approx(at, abs=1e-5)
     np.testing.assert_array_equal(place.covariance, KNOWN)
     assert place.up_variance == UP
@@ -56,7 +56,7 @@ def test_place_is_metres_east_north_and_up(latitude, longitude, altitude, at):
 
 def test_unknown_altitude_is_that_of_the_datum():
     place = localizer(**DATUM).locate(fix(-33.888, 151.194, math.nan))
-    assert isinstance(place, Place)
+    assert isinstance(place, AntennaPosition)
     same = localizer(**DATUM).locate(fix(-33.888, 151.194, 60.0))
     assert (place.east, place.north) == pytest.approx((same.east, same.north), abs=1e-3)
     assert math.isnan(place.up)
@@ -88,14 +88,14 @@ def test_fix_is_refused_by_name(given, reason):
     which = localizer(**DATUM)
     assert which.locate(fix(**given)) is reason
     assert which.tally.by_source() == {"fix": {reason.value: 1}}
-    assert isinstance(which.locate(fix()), Place)
+    assert isinstance(which.locate(fix()), AntennaPosition)
 
 
 def test_equator_and_date_line_divide_nothing():
     for datum, there in (((0.0001, 30.0), (-0.0001, 30.0)), ((-17.0, 179.9999), (-17.0, -179.9999))):
         which = localizer(datum_latitude=datum[0], datum_longitude=datum[1], datum_altitude=60.0)
         place = which.locate(fix(*there))
-        assert isinstance(place, Place)
+        assert isinstance(place, AntennaPosition)
         assert math.hypot(place.east, place.north) < 30.0
 
 
@@ -105,7 +105,7 @@ def test_unknown_covariance_is_assumed_by_status(status, zeros):
     kind, covariance = (2, np.zeros((2, 2))) if zeros else (0, np.full((2, 2), 7.0))
     up = 0.0 if zeros else 7.0
     place = localizer(**DATUM).locate(fix(status=status, covariance=covariance, kind=kind, up=up))
-    assert isinstance(place, Place)
+    assert isinstance(place, AntennaPosition)
     assert place.up_variance == pytest.approx(4.0 * place.covariance[0, 0])
     assert place.covariance[0, 0] == (3.0**2, 1.0**2, 0.3**2, 0.3**2)[status]
 
@@ -118,7 +118,7 @@ def test_datum_is_the_first_of_the_fixes_that_agree():
     assert which.locate(fix(-33.8891, 151.193)) is Reason.NO_DATUM
     place = which.locate(fix(-33.8892, 151.193))
     assert which.datum == Datum(-33.8890, 151.193, 60.0)
-    assert isinstance(place, Place)
+    assert isinstance(place, AntennaPosition)
     assert (place.east, place.north) == pytest.approx((0.0, -22.18), abs=0.01)
     assert which.locate(fix(10.0, 10.0)) is Reason.HEMISPHERE
 
@@ -144,7 +144,7 @@ numbers = st.floats(allow_nan=True, allow_infinity=True)
 def test_any_fix_gives_a_position_or_a_rejection(latitude, longitude, altitude, status, covariance, kind):
     which = localizer(**DATUM)
     found = which.locate(fix(latitude, longitude, altitude, status, np.reshape(covariance, (2, 2)), kind))
-    if isinstance(found, Place):
+    if isinstance(found, AntennaPosition):
         assert math.hypot(found.east, found.north) <= 1e5
         assert np.linalg.eigvalsh(found.covariance).min() > 0.0
     else:

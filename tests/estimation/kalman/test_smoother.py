@@ -20,7 +20,7 @@ from fixtures.filter_steps import (
 )
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.kalman.smoother import step_back
+from trackslip_estimation.kalman.smoother import smooth_step
 from trackslip_estimation.slip.config import ConfigRecord
 from trackslip_estimation.slip.models.model import POSE, YAW
 from trackslip_estimation.slip.motion import Motion, MotionState, Speeds
@@ -91,7 +91,7 @@ def smooth_back(
     smoothed = (x[-1], P[-1])
     found = [smoothed]
     for k in range(len(x) - 1, 0, -1):
-        smoothed = step_back(
+        smoothed = smooth_step(
             (x[k - 1], P[k - 1]), (x_before[k], P_before[k]), smoothed, transitions[k], angle
         )
         found.append(smoothed)

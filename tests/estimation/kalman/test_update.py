@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.kalman.linear_algebra import (
-    apply,
     joseph,
     log_determinant,
+    multiply,
+    multiply_vector,
     root,
     sandwich,
     solve,
-    times,
     weighted_square,
     wrap,
 )
@@ -65,8 +65,8 @@ def test_compiled_algebra_is_that_of_numpy(seed: int) -> None:
     A, B, v = rng.normal(size=(3, 7)), rng.normal(size=(7, 4)), rng.normal(size=7)
     A[rng.random(A.shape) < 0.5] = 0.0
     P, S = spd(rng, 7), spd(rng, 3)
-    np.testing.assert_allclose(times(A, B), A @ B, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(apply(A, v), A @ v, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(multiply(A, B), A @ B, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(multiply_vector(A, v), A @ v, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(sandwich(A, P), A @ P @ A.T, rtol=0.0, atol=1e-12)
     np.testing.assert_array_equal(sandwich(A, P), sandwich(A, P).T)
     np.testing.assert_allclose(solve(root(S), A), np.linalg.solve(S, A), rtol=1e-9)

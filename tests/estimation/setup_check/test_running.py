@@ -12,7 +12,7 @@ from fixtures.setup_drives import make_drive
 
 from trackslip_common.errors import InputError
 from trackslip_common.nodes.health import OK, WARN
-from trackslip_estimation.nodes.setup_monitor import health_of
+from trackslip_estimation.nodes.setup_monitor import setup_health
 from trackslip_estimation.setup_check.finding import Result, Undetermined
 from trackslip_estimation.setup_check.log import Log
 from trackslip_estimation.setup_check.running import Background, RunningCheck
@@ -101,7 +101,7 @@ def test_before_anything_is_measured_there_is_no_cause(parameters: SlipEstimator
 @pytest.mark.parametrize(("is_wrong", "level"), [(True, WARN), (False, OK)])
 def test_a_mistake_that_is_certain_but_one_of_several_is_a_warning(is_wrong: bool, level: bytes) -> None:
     question = Undetermined("encoders without a direction, or a cab that swung", "drive in reverse", is_wrong)
-    found = health_of(Result(undetermined=(question,)))
+    found = setup_health(Result(undetermined=(question,)))
     assert found.level == level
     assert (
         found.message == "encoders without a direction, or a cab that swung: drive in reverse"

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from trackslip_bags.messages import make
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.attitude.records import HEIGHT, AttitudeRefusal
+from trackslip_estimation.attitude.records import HEIGHT, AttitudeRejection
 from trackslip_estimation.slip.conversions import Frames, pose_fix, pose_with_covariance
 from trackslip_estimation.slip.estimator import Estimate, SlipEstimator
 from trackslip_estimation.slip.local_odometry import LocalOdometry
@@ -113,7 +113,7 @@ def true_height(estimate: Estimate) -> float:
     return BEGIN + 0.4 * max(estimate.stamp_ns / S - 5.05, 0.0) * math.sin(-PITCH)
 
 
-def rejections(reports: list[Report]) -> list[AttitudeRefusal]:
+def rejections(reports: list[Report]) -> list[AttitudeRejection]:
     return [report.attitude for report in reports if report.attitude is not None]
 
 
@@ -176,7 +176,7 @@ def test_one_wrong_altitude_moves_nothing() -> None:
 
     of_wrong, reports = run(drive(wrong))
     of_missing, _ = run(drive(missing))
-    assert rejections(reports) == [AttitudeRefusal.ALTITUDE_GATED]
+    assert rejections(reports) == [AttitudeRejection.ALTITUDE_GATED]
     for one, other in zip(of_wrong, of_missing, strict=True):
         np.testing.assert_array_equal(one.pose, other.pose)
         if other.outputs.tilt is not None:
@@ -188,7 +188,7 @@ def test_persistent_altitudes_are_accepted(step: float) -> None:
     """After the base station is moved, altitudes are rejected for three timeouts and accepted then."""
     estimates, reports = run(drive(lambda t, z: (z + step if t >= 50.0 else z, STDDEV**2)))
     assert len(rejections(reports)) == 6
-    assert set(rejections(reports)) == {AttitudeRefusal.ALTITUDE_GATED}
+    assert set(rejections(reports)) == {AttitudeRejection.ALTITUDE_GATED}
     after = [e for e in estimates if e.stamp_ns > 54 * S]
     assert max(abs(height(e)[0] - true_height(e) - step) for e in after) < 0.1
 
@@ -205,7 +205,7 @@ def test_altitudes_that_do_not_agree_are_never_accepted() -> None:
 @pytest.mark.parametrize("variance", [0.0, -1.0, math.nan])
 def test_altitudes_without_a_variance_are_counted(variance: float) -> None:
     estimates, reports = run(drive(lambda _, z: (z, variance), seconds=10.0))
-    assert set(rejections(reports)) == {AttitudeRefusal.NO_ALTITUDE}
+    assert set(rejections(reports)) == {AttitudeRejection.NO_ALTITUDE}
     assert height(estimates[-1])[1] > 100.0
 
 

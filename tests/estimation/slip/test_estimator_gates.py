@@ -71,7 +71,7 @@ def test_silence_widens_no_gate(drive: Callable[..., Any], thesis_run: Run) -> N
     driven = drive([(12.0, 2.0, 2.0, 0.1, 0.1, 0.0)])
     outage = [m for m in driven.measurements if isinstance(m, Sprockets) or not 4 * S < m.stamp_ns < 8 * S]
     reports = thesis_run(outage, gate_relaxation=7.0, **{"sources.imu_data_raw.timeout": 1.0}).reports
-    closed, closed_pose = (chi_square.limit(dof, 1.0 - 0.9999) for dof in (1, 3))
+    closed, closed_pose = (chi_square.upper_limit(dof, 1.0 - 0.9999) for dof in (1, 3))
     after = [r.gate for r in reports if r.source == "imu/data_raw" and r.stamp_ns >= 8 * S]
     assert set(after) == {closed}
     assert {r.gate for r in reports if r.source == "box_pose" and r.dof} == {closed_pose}

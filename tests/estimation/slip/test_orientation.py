@@ -23,7 +23,7 @@ from trackslip_common.make import header
 from trackslip_common.nodes.messages import make
 from trackslip_common.units import GRAVITY
 from trackslip_common.vehicle_files import vehicle_layer
-from trackslip_estimation.attitude.records import AttitudeRefusal
+from trackslip_estimation.attitude.records import AttitudeRejection
 from trackslip_estimation.slip.conversions import yaw_rate
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Report, Sprockets, YawRate
@@ -103,7 +103,7 @@ def off(estimate: Any) -> float:
     return math.degrees(float(np.hypot(*(estimate.outputs.tilt.tilt[:2] - (ROLL, PITCH)))))
 
 
-def rejections(reports: list[Report]) -> list[AttitudeRefusal]:
+def rejections(reports: list[Report]) -> list[AttitudeRejection]:
     return [report.attitude for report in reports if report.attitude is not None]
 
 
@@ -133,15 +133,15 @@ def test_time_correlated_orientation_errors_do_not_average_out() -> None:
 @pytest.mark.parametrize(
     ("covariance", "size", "refusal"),
     [
-        (ABSENT, 1.0, AttitudeRefusal.NO_ORIENTATION),
-        (ZERO, 1.0, AttitudeRefusal.NO_COVARIANCE),
-        (np.full(9, math.nan), 1.0, AttitudeRefusal.NO_COVARIANCE),
-        (np.eye(3).ravel() * 1e-5, 0.0, AttitudeRefusal.NO_ROTATION),
-        (np.eye(3).ravel() * 1e-5, math.nan, AttitudeRefusal.NO_ROTATION),
+        (ABSENT, 1.0, AttitudeRejection.NO_ORIENTATION),
+        (ZERO, 1.0, AttitudeRejection.NO_COVARIANCE),
+        (np.full(9, math.nan), 1.0, AttitudeRejection.NO_COVARIANCE),
+        (np.eye(3).ravel() * 1e-5, 0.0, AttitudeRejection.NO_ROTATION),
+        (np.eye(3).ravel() * 1e-5, math.nan, AttitudeRejection.NO_ROTATION),
     ],
 )
 def test_malformed_orientation_is_refused_by_name(
-    covariance: FloatArray, size: float, refusal: AttitudeRefusal
+    covariance: FloatArray, size: float, refusal: AttitudeRejection
 ) -> None:
     """The rest of the message is used as if no orientation were requested, bit for bit."""
     measurements = drive(lambda _: (covariance, size), seconds=8.0)
@@ -164,7 +164,7 @@ def test_orientation_that_contradicts_gyro_and_gravity_is_gated() -> None:
             up = Rotation.from_rotvec((0.0, 0.4, 0.0)).apply(m.up)
             measurements[k] = YawRate(**{**vars(m), "up": tuple(up.tolist())})
     found, own, reports = run(measurements, **REQUESTED)
-    gated = [r for r in reports if r.attitude is AttitudeRefusal.ORIENTATION_GATED]
+    gated = [r for r in reports if r.attitude is AttitudeRejection.ORIENTATION_GATED]
     assert {r.stamp_ns > 10_000 * MS for r in gated} == {True}
     assert len(gated) == 200
     assert off(found) < 1.0
@@ -209,7 +209,7 @@ def test_orientation_of_a_swung_cab_is_rotated_to_the_undercarriage() -> None:
         measurements.append(m)
     given_ = {**REQUESTED, f"{GROUP}use_acceleration": False, **vehicle_layer(CAB)}
     found, _, reports = run(measurements, **given_)
-    assert rejections(reports) == [AttitudeRefusal.SWING_UNKNOWN]  # before the first encoder reading
+    assert rejections(reports) == [AttitudeRejection.SWING_UNKNOWN]  # before the first encoder reading
     assert found.outputs.swing.angle == pytest.approx(1.2, abs=0.02)
     assert off(found) < 0.3
 

@@ -74,20 +74,20 @@ def test_imu_is_used_once_its_mounting_arrives_and_keeps_it(monkeypatch: pytest.
     node = SimpleNamespace(create_subscription=lambda *given: asked.append(given[1]))
     mountings = StaticMountings(node, "base_link", p.gyros())
     assert asked == ["/tf_static"]
-    assert mountings.imu(IMU, "imu_link") == (None, {})
-    mountings.take(tf("base_link", "imu_link", math.pi, 0.0, 0.2))
-    imu, found = mountings.imu(IMU, "imu_link")
+    assert mountings.mounted_imu(IMU, "imu_link") == (None, {})
+    mountings.add_transforms(tf("base_link", "imu_link", math.pi, 0.0, 0.2))
+    imu, found = mountings.mounted_imu(IMU, "imu_link")
     assert imu is not None
     np.testing.assert_allclose(np.array(imu.mounting), np.array(rotation(math.pi, 0.0, 0.2)), atol=1e-12)
     assert found["sources.imu_data_raw.mounting_yaw"] == pytest.approx(0.2)
-    mountings.take(tf("base_link", "imu_link", 0.0, 0.0, 0.0))
-    assert mountings.imu(IMU, "imu_link") == (imu, {})
+    mountings.add_transforms(tf("base_link", "imu_link", 0.0, 0.0, 0.0))
+    assert mountings.mounted_imu(IMU, "imu_link") == (imu, {})
 
 
 def test_an_imu_whose_parameters_state_how_it_is_mounted_needs_no_tf() -> None:
     p = load_slip_parameters()
     mountings = StaticMountings(SimpleNamespace(), "base_link", p.gyros())
-    assert mountings.imu(IMU, "anything") == (p.gyros()[IMU], {})
+    assert mountings.mounted_imu(IMU, "anything") == (p.gyros()[IMU], {})
 
 
 def test_mounting_of_a_bag_is_that_of_its_later_parameters(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.config_files import load_parameters
 from trackslip_common.errors import InputError
-from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, why_far
+from trackslip_estimation.gnss.localizer import Datum, Reason, east_north_up, too_far_reason
 from trackslip_estimation.gnss.parameters import NODE, GnssLocalizerParameters
 
 _MOST_TRIED = 100  # positions that are tried as a datum
@@ -40,7 +40,7 @@ class LocalFrame:
             datum = self._datum_of(place[good], where)
             far = np.zeros(len(place), np.bool_)
             far[good] = self._far(datum, place[good])
-            why = [why_far(datum, *degrees) for degrees in np.degrees(place[far, :2]).tolist()]
+            why = [too_far_reason(datum, *degrees) for degrees in np.degrees(place[far, :2]).tolist()]
             for reason in (Reason.HEMISPHERE, Reason.FAR):
                 rows = far.copy()
                 rows[far] = [one is reason for one in why]

@@ -35,7 +35,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.units import GRAVITY
 from trackslip_estimation.attitude.level import set_level
-from trackslip_estimation.attitude.orientation import SWING_UNKNOWN, use_orientation
+from trackslip_estimation.attitude.orientation import SWING_UNKNOWN, update_with_orientation
 from trackslip_estimation.attitude.records import (
     BIAS_P,
     BIAS_Q,
@@ -47,8 +47,8 @@ from trackslip_estimation.attitude.records import (
     SIZE,
 )
 from trackslip_estimation.attitude.span import (
-    LONGEST,
-    SHORTEST,
+    LEAST_SPAN_TIME,
+    LONGEST_GAP,
     accumulate_rotation,
     add_sample,
     mean_acceleration,
@@ -65,10 +65,10 @@ if TYPE_CHECKING:
 
 
 GRAVITY_TOLERANCE = 1.0  # m/s², largest difference of the mean specific force from gravity
-UPRIGHT = 0.5 * GRAVITY  # m/s², least mean specific force along z
-_RATE_UNKNOWN = 1.0  # (rad/s)², least variance of an axis that was not measured
-_FORCE_UNKNOWN = 1e6  # (m/s²)², least variance of a force that was not measured
-_LEAST = 1e-12  # (m/s²)², least variance of a force
+LEAST_UPWARD_FORCE = 0.5 * GRAVITY  # m/s², least mean specific force along z
+_UNMEASURED_RATE_VARIANCE = 1.0  # (rad/s)², least variance of an axis that was not measured
+_UNMEASURED_FORCE_VARIANCE = 1e6  # (m/s²)², least variance of a force that was not measured
+_LEAST_VARIANCE = 1e-12  # (m/s²)², least variance of a force
 
 
 @compiled
@@ -76,14 +76,14 @@ def is_gravity(a: Attitude) -> bool:
     """Whether the mean specific force is gravity, from below."""
     x, y, z = a.mean_force
     size = math.sqrt(x * x + y * y + z * z)
-    return bool(abs(size - GRAVITY) <= GRAVITY_TOLERANCE and z >= UPRIGHT)
+    return bool(abs(size - GRAVITY) <= GRAVITY_TOLERANCE and z >= LEAST_UPWARD_FORCE)
 
 
 @compiled
-def use_sample(a: Attitude, n: AttitudeConstants) -> int:
+def update_with_sample(a: Attitude, n: AttitudeConstants) -> int:
     """Update the record ``a`` of ``ATTITUDE`` with its new ``sample``; ``n``: ``CONSTANTS``.
 
-    Returns the ``AttitudeRefusal`` of the sample's orientation; 0 if it was used or is not requested.
+    Returns the ``AttitudeRejection`` of the sample's orientation; 0 if it was used or is not requested.
     """
     imu = a.sample
     if imu.lost == 1 and a.seen == 0:
@@ -92,21 +92,21 @@ def use_sample(a: Attitude, n: AttitudeConstants) -> int:
     imu.cos, imu.sin = math.cos(imu.turn), math.sin(imu.turn)
     dt = (imu.stamp_ns - a.stamp_ns) * 1e-9 if a.seen == 1 else 0.0
     if a.known == 1 and dt > 0.0:
-        _turn(a, _rates(a), dt, n)
+        _propagate_tilt(a, _unbiased_rates(a), dt, n)
         if max(a.covariance[ROLL, ROLL], a.covariance[PITCH, PITCH]) > n.lost**2:
             a.known = 0
-    a.refusal = use_orientation(a, n) if imu.oriented == 1 else 0
+    a.refusal = update_with_orientation(a, n) if imu.oriented == 1 else 0
     if _filter_force(a, dt, n) and is_gravity(a):
         if a.known == 0:
             initialise_from_gravity(a, n)
-        rates = _rates(a)
-        u = _velocity_at(imu, rates)
-        force = force_of(imu)
+        rates = _unbiased_rates(a)
+        u = _imu_velocity(imu, rates)
+        force = specific_force(imu)
         add_sample(a, (force[0] + rates[2] * u[1], force[1] - rates[2] * u[0]), u)
-        if a.span.time >= SHORTEST or a.span.time == 0.0:
-            _level_by(a, mean_acceleration(a, u), n)
-            reset_span(a, _velocity_at(imu, _rates(a)))
-    a.rates[0], a.rates[1], a.rates[2] = _rates(a)
+        if a.span.time >= LEAST_SPAN_TIME or a.span.time == 0.0:
+            _update_tilt(a, mean_acceleration(a, u), n)
+            reset_span(a, _imu_velocity(imu, _unbiased_rates(a)))
+    a.rates[0], a.rates[1], a.rates[2] = _unbiased_rates(a)
     a.stamp_ns, a.seen = imu.stamp_ns, 1
     set_level(a)
     return int(a.refusal)
@@ -119,13 +119,13 @@ def _has_rates(imu: ImuSample) -> bool:
     return (
         imu.lost == 0
         and math.isfinite(p + q)
-        and 0.0 <= imu.rate_variances[0] < _RATE_UNKNOWN
-        and 0.0 <= imu.rate_variances[1] < _RATE_UNKNOWN
+        and 0.0 <= imu.rate_variances[0] < _UNMEASURED_RATE_VARIANCE
+        and 0.0 <= imu.rate_variances[1] < _UNMEASURED_RATE_VARIANCE
     )
 
 
 @compiled
-def _rates(a: Attitude) -> tuple[float, float, float]:
+def _unbiased_rates(a: Attitude) -> tuple[float, float, float]:
     """p, q, r without bias, rad/s; p and q are 0 if the IMU does not measure them."""
     imu, rates = a.sample, a.sample.rates
     if not _has_rates(imu):
@@ -135,7 +135,7 @@ def _rates(a: Attitude) -> tuple[float, float, float]:
 
 
 @compiled
-def force_of(imu: ImuSample) -> tuple[float, float, float]:
+def specific_force(imu: ImuSample) -> tuple[float, float, float]:
     """f along the axes of base_link, biases included, m/s²."""
     x, y, z = imu.force
     return imu.cos * x - imu.sin * y, imu.sin * x + imu.cos * y, z
@@ -145,23 +145,23 @@ def force_of(imu: ImuSample) -> tuple[float, float, float]:
 def has_force(imu: ImuSample) -> bool:
     """Whether the IMU measures a specific force, with a variance."""
     x, y, z = imu.force
-    return bool(math.isfinite(x + y + z) and 0.0 < imu.force_variance < _FORCE_UNKNOWN)
+    return bool(math.isfinite(x + y + z) and 0.0 < imu.force_variance < _UNMEASURED_FORCE_VARIANCE)
 
 
 @compiled
 def _filter_force(a: Attitude, dt: float, n: AttitudeConstants) -> bool:
     """Low-pass the force; return whether it may correct the tilt."""
-    force = force_of(a.sample)
+    force = specific_force(a.sample)
     if a.sample.levels == 0 or a.sample.lost == 1 or not has_force(a.sample):
         return False
-    share = 1.0 if a.seen == 0 or dt > LONGEST else -math.expm1(-dt / n.mean_time)
+    share = 1.0 if a.seen == 0 or dt > LONGEST_GAP else -math.expm1(-dt / n.mean_time)
     for i in range(3):
         a.mean_force[i] += share * (force[i] - a.mean_force[i])
     return True
 
 
 @compiled
-def _velocity_at(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[float, float]:
+def _imu_velocity(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[float, float]:
     """u along x and y, m/s."""
     p, q, r = rates
     l_x, l_y, l_z = imu.lever
@@ -169,10 +169,10 @@ def _velocity_at(imu: ImuSample, rates: tuple[float, float, float]) -> tuple[flo
 
 
 @compiled
-def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: AttitudeConstants) -> None:
+def _propagate_tilt(a: Attitude, rates: tuple[float, float, float], dt: float, n: AttitudeConstants) -> None:
     """Propagate roll and pitch over ``dt`` s with the mean of the rates at both ends."""
     x, P, imu = a.mean[:], a.covariance[:], a.sample
-    known = 0.5 if dt <= LONGEST else 0.0
+    known = 0.5 if dt <= LONGEST_GAP else 0.0
     p, q, r = (
         known * (rates[0] + a.rates[0]),
         known * (rates[1] + a.rates[1]),
@@ -208,30 +208,30 @@ def _turn(a: Attitude, rates: tuple[float, float, float], dt: float, n: Attitude
 
 
 @compiled
-def _level_by(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
+def _update_tilt(a: Attitude, motion: tuple[float, float], n: AttitudeConstants) -> None:
     """Update with both horizontal axes of a span that ends here; ``motion``: its u̇, m/s²."""
-    x, force, h, imu = a.mean, force_of(a.sample), np.zeros(SIZE), a.sample
+    x, force, h, imu = a.mean, specific_force(a.sample), np.zeros(SIZE), a.sample
     spread = 0.0 if a.span.known == 1 else n.unknown_acceleration**2
     spread += imu.turn_variance * (force[0] * force[0] + force[1] * force[1])
     pitch = mean_tilt(a)[1]
     h[PITCH], h[BIAS_X], h[BIAS_Y] = -GRAVITY * math.cos(pitch), imu.cos, -imu.sin
     bias = imu.cos * x[BIAS_X] - imu.sin * x[BIAS_Y]
-    _use(a, 0, a.span.force[0] - motion[0] + GRAVITY * math.sin(pitch) - bias, h, spread, n)
+    _update_axis(a, 0, a.span.force[0] - motion[0] + GRAVITY * math.sin(pitch) - bias, h, spread, n)
     roll, pitch = mean_tilt(a)
     up, aside = math.cos(roll), math.sin(roll)
     h[PITCH], h[BIAS_X] = -GRAVITY * aside * math.sin(pitch), imu.sin
     h[ROLL], h[BIAS_Y] = GRAVITY * up * math.cos(pitch), imu.cos
     bias = imu.sin * x[BIAS_X] + imu.cos * x[BIAS_Y]
-    _use(a, 1, a.span.force[1] - motion[1] - GRAVITY * aside * math.cos(pitch) - bias, h, spread, n)
+    _update_axis(a, 1, a.span.force[1] - motion[1] - GRAVITY * aside * math.cos(pitch) - bias, h, spread, n)
 
 
 @compiled
-def _use(
+def _update_axis(
     a: Attitude, axis: int, innovation: float, h: FloatArray, spread: float, n: AttitudeConstants
 ) -> None:
     """Update with one axis; its noise is adapted to the part of ν² that the tilt does not explain."""
     P, dt = a.covariance[:], a.span.time
-    stated = max(a.sample.force_variance, _LEAST) / a.span.samples
+    stated = max(a.sample.force_variance, _LEAST_VARIANCE) / a.span.samples
     H = h.reshape((1, SIZE))
     predicted = predicted_covariance(P, H)[0, 0]
     noise = max(a.noise[axis], stated)

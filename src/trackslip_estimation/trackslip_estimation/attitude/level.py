@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude, Level
 
 
-_ERROR_TIMES = 1.0, 10.0  # s, correlation times of the errors of tilt and gyro bias
+_CORRELATION_TIMES = 1.0, 10.0  # s, correlation times of the errors of tilt and gyro bias
 
 
 @compiled
@@ -31,7 +31,7 @@ def set_level(a: Attitude) -> None:
     level.lean_x, level.lean_y = cos * sin_pitch, -sin
     level.lean_variance = max(P[ROLL, ROLL], P[PITCH, PITCH]) if a.known == 1 else 0.0
     by_roll = (a.rates[1] * cos - a.rates[2] * sin) / cos_pitch
-    of_tilt, of_bias = _ERROR_TIMES
+    of_tilt, of_bias = _CORRELATION_TIMES
     level.turn_variance = 0.0
     if a.known == 1:
         level.turn_variance = by_roll**2 * P[ROLL, ROLL] * of_tilt

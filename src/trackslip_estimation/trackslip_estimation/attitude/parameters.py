@@ -22,8 +22,8 @@ from trackslip_estimation.attitude.records import (
     SIZE,
 )
 
-_TILT = 1.0  # rad, standard deviation before the first sample
-_HEIGHT = 1e3  # m, standard deviation before the first altitude, where fixes have altitudes
+_INITIAL_TILT_STDDEV = 1.0  # rad, standard deviation before the first sample
+_INITIAL_HEIGHT_STDDEV = 1e3  # m, standard deviation before the first altitude, where fixes have altitudes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,10 @@ def constants(p: AttitudeParameters, *, measures_height: bool) -> Any:
     """A record of ``CONSTANTS``; the height is 0 at the start unless fixes measure it."""
     found = np.zeros(1, CONSTANTS)[0]
     fill_record(found, p)
-    found["initial"][[ROLL, PITCH]], found["initial"][HEIGHT] = _TILT, _HEIGHT if measures_height else 0.0
+    found["initial"][[ROLL, PITCH]], found["initial"][HEIGHT] = (
+        _INITIAL_TILT_STDDEV,
+        _INITIAL_HEIGHT_STDDEV if measures_height else 0.0,
+    )
     found["initial"][[BIAS_P, BIAS_Q]] = p.initial_gyro_bias_stddev
     found["initial"][[BIAS_X, BIAS_Y]] = p.accelerometer_bias_stddev
     found["walk"][[BIAS_P, BIAS_Q]] = p.gyro_bias**2

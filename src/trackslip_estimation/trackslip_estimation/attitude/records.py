@@ -15,7 +15,7 @@ ROLL, PITCH, HEIGHT, BIAS_P, BIAS_Q, BIAS_X, BIAS_Y = range(7)  # rad, rad, m, r
 SIZE = 7
 
 
-class AttitudeRefusal(IntEnum):
+class AttitudeRejection(IntEnum):
     """Why a requested orientation or altitude is not used; 0 if it is."""
 
     NO_ORIENTATION = 1  # its covariance begins with −1
@@ -109,7 +109,7 @@ class Attitude(Record):
     noise: Annotated[FloatArray, 2]  # variance of both horizontal axes beyond the model, (m/s²)²
     noise_count: Annotated[FloatArray, 2]  # effective number of samples in ``noise``
     oriented_ns: int  # stamp of the last orientation that was used
-    refusal: int  # ``AttitudeRefusal`` of the last orientation; 0: used, or not requested
+    refusal: int  # ``AttitudeRejection`` of the last orientation; 0: used, or not requested
     climb: Climb
     level: Level
 

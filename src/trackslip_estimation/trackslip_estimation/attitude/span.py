@@ -21,8 +21,10 @@ from trackslip_estimation.attitude.records import PITCH, ROLL
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude
 
-LONGEST = 0.5  # s, longest gap between consecutive samples
-SHORTEST = 0.08  # s, least T: the pitch error is the same for 0.5, and three times as large without spans
+LONGEST_GAP = 0.5  # s, longest gap between consecutive samples
+LEAST_SPAN_TIME = (
+    0.08  # s, least T: the pitch error is the same for 0.5, and three times as large without spans
+)
 
 
 @compiled
@@ -47,7 +49,7 @@ def add_sample(a: Attitude, force: tuple[float, float], u: tuple[float, float]) 
     """Add f − ω × u of the new sample, m/s², to the span; after a gap begin a span of zero length."""
     span = a.span
     dt = (a.sample.stamp_ns - span.stamp_ns) * 1e-9
-    if span.begun == 0 or not 0.0 < dt <= LONGEST:
+    if span.begun == 0 or not 0.0 < dt <= LONGEST_GAP:
         reset_span(a, u)
         dt, span.known = 0.0, 0
     span.stamp_ns = a.sample.stamp_ns

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.attitude.parameters import AttitudeConstants
     from trackslip_estimation.attitude.records import Attitude
 
-_FIRST_NOISE = 1.0  # (m/s²)², noise of the accelerometers before the first sample
+_INITIAL_NOISE = 1.0  # (m/s²)², noise of the accelerometers before the first sample
 
 
 @compiled
@@ -48,7 +48,7 @@ def initialise_tilt(a: Attitude, roll: float, pitch: float, n: AttitudeConstants
     P[BIAS_X, BIAS_X] = max(P[BIAS_X, BIAS_X], n.initial[BIAS_X] ** 2)
     P[ROLL, ROLL], P[PITCH, PITCH] = n.initial[ROLL] ** 2, n.initial[PITCH] ** 2
     x[ROLL], x[PITCH] = roll, pitch
-    a.noise[:], a.noise_count[:], a.known = _FIRST_NOISE, 1.0, 1
+    a.noise[:], a.noise_count[:], a.known = _INITIAL_NOISE, 1.0, 1
 
 
 @compiled

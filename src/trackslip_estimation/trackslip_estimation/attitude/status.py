@@ -11,15 +11,15 @@ import numpy as np
 
 from trackslip_common.orientations import is_heading_known
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.attitude.filter import GRAVITY_TOLERANCE, UPRIGHT
-from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, AttitudeRefusal
+from trackslip_estimation.attitude.filter import GRAVITY_TOLERANCE, LEAST_UPWARD_FORCE
+from trackslip_estimation.attitude.records import BIAS_X, BIAS_Y, HEIGHT, PITCH, ROLL, AttitudeRejection
 
 if TYPE_CHECKING:
     from trackslip_estimation.attitude.records import Attitude
 
-_OFF = 0.1  # m/s², least bias that is reported, if significant
+_LEAST_BIAS = 0.1  # m/s², least bias that is reported, if significant
 _SIGNIFICANT = 3.0  # standard deviations
-_NO_HEIGHT = 100.0  # m, standard deviation of an unknown height
+_UNKNOWN_HEIGHT_STDDEV = 100.0  # m, standard deviation of an unknown height
 
 
 def attitude_text(a: Attitude, source: str | None) -> str:
@@ -27,20 +27,20 @@ def attitude_text(a: Attitude, source: str | None) -> str:
     if source is None:
         return "flat: no IMU is configured; set use_attitude and yaw_rate_sources"
     if int(a["known"]) == 0:
-        return f"flat: {_lacking(a, source)}{_refused(a, source)}"
+        return f"flat: {_unknown_reason(a, source)}{_rejection_text(a, source)}"
     roll, pitch, height = (float(a["mean"][k]) for k in (ROLL, PITCH, HEIGHT))
     of_roll, of_pitch, of_height = (math.sqrt(float(a["covariance"][k, k])) for k in (ROLL, PITCH, HEIGHT))
     tilt = f"roll {math.degrees(roll):.1f}° ± {math.degrees(of_roll):.1f}"
     tilt += f", pitch {math.degrees(pitch):.1f}° ± {math.degrees(of_pitch):.1f} (nose down positive)"
     rises = (
         f"{height:.2f} m ± {of_height:.2f}"
-        if of_height < _NO_HEIGHT
+        if of_height < _UNKNOWN_HEIGHT_STDDEV
         else "unknown until a fix has an altitude"
     )
-    return f"{tilt}, height {rises}{_tilted(a, source)}{_refused(a, source)}"
+    return f"{tilt}, height {rises}{_bias_text(a, source)}{_rejection_text(a, source)}"
 
 
-def _lacking(a: Attitude, source: str) -> str:
+def _unknown_reason(a: Attitude, source: str) -> str:
     """Why the attitude is unknown."""
     if int(a["sample"]["lost"]) == 1:
         variance = float(a["sample"]["turn_variance"])
@@ -56,25 +56,25 @@ def _lacking(a: Attitude, source: str) -> str:
     size = float(np.linalg.norm(force))
     if abs(size - GRAVITY) > GRAVITY_TOLERANCE:
         return f"accelerations of {source} are rejected: {size:.2f} m/s² on average, gravity is {GRAVITY:.2f}"
-    if force[2] < UPRIGHT:
+    if force[2] < LEAST_UPWARD_FORCE:
         x, y, z = (f"{value:.1f}" for value in force.tolist())
         where = f"{source} measures gravity along ({x}, {y}, {z}) m/s²"
         return f"accelerations are rejected: {where}, and not along z; set its mounting"
     return f"{source} is silent"
 
 
-def _refused(a: Attitude, source: str) -> str:
+def _rejection_text(a: Attitude, source: str) -> str:
     """Why the last orientation was rejected; empty if it was not."""
     refusal = int(a["refusal"])
-    words = AttitudeRefusal(refusal).name.lower().replace("_", " ") if refusal else ""
+    words = AttitudeRejection(refusal).name.lower().replace("_", " ") if refusal else ""
     return f"; the orientation of {source} is rejected: {words}" if words else ""
 
 
-def _tilted(a: Attitude, source: str) -> str:
+def _bias_text(a: Attitude, source: str) -> str:
     """Significant mounting error or accelerometer bias, as estimated in turns on the spot; else empty."""
     for k, name in ((BIAS_X, "pitch"), (BIAS_Y, "roll")):
         bias, stddev = float(a["mean"][k]), math.sqrt(float(a["covariance"][k, k]))
-        if abs(bias) > max(_OFF, _SIGNIFICANT * stddev):
+        if abs(bias) > max(_LEAST_BIAS, _SIGNIFICANT * stddev):
             degrees = math.degrees(abs(bias) / GRAVITY)
             return (
                 f"; {source} is tilted {degrees:.1f}° in {name}, or its accelerometer has a bias of that size"

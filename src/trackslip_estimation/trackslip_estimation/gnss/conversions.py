@@ -10,11 +10,11 @@ import numpy as np
 from trackslip_common.make import Make, header
 from trackslip_common.message_fields import NavSatFields
 from trackslip_common.message_reading import read
-from trackslip_estimation.gnss.localizer import Datum, Fix, Place
+from trackslip_estimation.gnss.localizer import AntennaPosition, Datum, Fix
 from trackslip_estimation.slip.conversions import pose_with_covariance
 from trackslip_estimation.slip.measurements import UNOBSERVED, PoseFix
 
-_DIAGONAL_KNOWN = 2
+_DIAGONAL_COVARIANCE = 2
 
 
 def fix(message: Any) -> Fix:
@@ -22,7 +22,7 @@ def fix(message: Any) -> Fix:
     return Fix(*read(NavSatFields, message))
 
 
-def pose(make: Make, place: Place, topic: str, frame: str) -> Any:
+def pose(make: Make, place: AntennaPosition, topic: str, frame: str) -> Any:
     """Return a geometry_msgs/PoseWithCovarianceStamped of an antenna, with unobserved heading."""
     covariance = np.diag((0.0, 0.0, UNOBSERVED))
     covariance[:2, :2] = place.covariance
@@ -41,5 +41,5 @@ def datum(make: Make, origin: Datum, stamp_ns: int, frame: str) -> Any:
         longitude=origin.longitude,
         altitude=origin.altitude,
         position_covariance=np.zeros(9),
-        position_covariance_type=_DIAGONAL_KNOWN,
+        position_covariance_type=_DIAGONAL_COVARIANCE,
     )

@@ -23,10 +23,10 @@ from trackslip_estimation.gnss.parameters import GnssLocalizerParameters
 Number = float | FloatArray
 
 FIX = "fix"
-_UNKNOWN = 0  # covariance type
+_UNKNOWN_COVARIANCE = 0  # covariance type
 _EARTH_RADIUS = 6.4e6  # m
-_AGREEING = 100.0  # m between fixes that agree on a datum
-_UP_SHARE = 2.0  # ratio of the altitude's standard deviation to that of the position
+_DATUM_TOLERANCE = 100.0  # m between fixes that agree on a datum
+_UP_STDDEV_RATIO = 2.0  # ratio of the altitude's standard deviation to that of the position
 
 
 class Reason(Enum):
@@ -64,7 +64,7 @@ class Datum(NamedTuple):
     altitude: float  # m above the ellipsoid
 
 
-class Place(NamedTuple):
+class AntennaPosition(NamedTuple):
     """Position of an antenna on the map."""
 
     stamp_ns: int
@@ -86,14 +86,14 @@ class GnssLocalizer:
         self._candidate: Datum | None = None
         self._agreeing = 0
 
-    def locate(self, fix: Fix) -> Place | Reason:
+    def locate(self, fix: Fix) -> AntennaPosition | Reason:
         """Return the position of the antenna, or why the fix is rejected; rejections are counted."""
-        found = self._refusal(fix) or self._place(fix)
+        found = self._rejection_reason(fix) or self._project(fix)
         if isinstance(found, Reason):
             self.tally.add(FIX, found)
         return found
 
-    def _refusal(self, fix: Fix) -> Reason | None:
+    def _rejection_reason(self, fix: Fix) -> Reason | None:
         """Return why a fix is rejected independently of the datum, or None."""
         position = fix.latitude, fix.longitude
         if fix.status < 0:
@@ -110,21 +110,21 @@ class GnssLocalizer:
         worst = max(covariance[0, 0], covariance[1, 1])
         return Reason.UNCERTAIN if worst > self._p.max_stddev**2 else None
 
-    def _place(self, fix: Fix) -> Place | Reason:
+    def _project(self, fix: Fix) -> AntennaPosition | Reason:
         if self.datum is None:
-            self._propose(fix)
+            self._propose_datum(fix)
         if self.datum is None:
             return Reason.NO_DATUM
         east, north, up = map(float, east_north_up(self.datum, fix.latitude, fix.longitude, fix.altitude))
         if math.hypot(east, north) > self._p.max_distance:
-            return why_far(self.datum, fix.latitude, fix.longitude)
+            return too_far_reason(self.datum, fix.latitude, fix.longitude)
         covariance = self._covariance(fix)
         up = math.nan if math.isnan(fix.altitude) else up
-        return Place(fix.stamp_ns, east, north, up, covariance, _up_variance(fix, covariance))
+        return AntennaPosition(fix.stamp_ns, east, north, up, covariance, _up_variance(fix, covariance))
 
-    def _propose(self, fix: Fix) -> None:
+    def _propose_datum(self, fix: Fix) -> None:
         """Set the datum from fixes in a row that agree: one wrong fix at the start must not shift the map."""
-        if self._candidate is None or math.hypot(*_offset(self._candidate, fix)) > _AGREEING:
+        if self._candidate is None or math.hypot(*_east_north(self._candidate, fix)) > _DATUM_TOLERANCE:
             altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
             self._candidate, self._agreeing = Datum(fix.latitude, fix.longitude, altitude), 0
         self._agreeing += 1
@@ -133,7 +133,7 @@ class GnssLocalizer:
 
     def _covariance(self, fix: Fix) -> FloatArray:
         """Return the covariance (2, 2) of a fix; if unknown or zero, the one assumed for its status."""
-        if fix.covariance_type != _UNKNOWN and fix.covariance.any():
+        if fix.covariance_type != _UNKNOWN_COVARIANCE and fix.covariance.any():
             return fix.covariance
         assumed = self._p.assumed_stddev
         stddev = (assumed.single, assumed.differential, assumed.rtk)[min(fix.status, 2)]
@@ -145,10 +145,10 @@ def _up_variance(fix: Fix, covariance: FloatArray) -> float:
 
     The altitude is less accurate because all satellites are above the antenna.
     """
-    stated = fix.altitude_variance if fix.covariance_type != _UNKNOWN else 0.0
+    stated = fix.altitude_variance if fix.covariance_type != _UNKNOWN_COVARIANCE else 0.0
     if math.isfinite(stated) and stated > 0.0:
         return stated
-    return _UP_SHARE**2 * float(np.max(np.diag(covariance)))
+    return _UP_STDDEV_RATIO**2 * float(np.max(np.diag(covariance)))
 
 
 def is_covariance(covariance: FloatArray) -> bool:
@@ -157,7 +157,7 @@ def is_covariance(covariance: FloatArray) -> bool:
     return all(map(math.isfinite, (a, b, c, d))) and a > 0.0 and d > 0.0 and a * d > b * c and b == c
 
 
-def why_far(datum: Datum, latitude: float, longitude: float) -> Reason:
+def too_far_reason(datum: Datum, latitude: float, longitude: float) -> Reason:
     """Return the reason to reject a position (°) that is too far from the datum."""
     other = latitude * datum.latitude < 0.0 or longitude * datum.longitude < 0.0
     return Reason.HEMISPHERE if other else Reason.FAR
@@ -176,7 +176,7 @@ def east_north_up(
     return np.where(near, east, math.inf), np.where(near, north, math.inf), np.asarray(up)
 
 
-def _offset(datum: Datum, fix: Fix) -> tuple[float, float]:
+def _east_north(datum: Datum, fix: Fix) -> tuple[float, float]:
     """Return E, N of a fix, m."""
     east, north, _ = east_north_up(datum, fix.latitude, fix.longitude, fix.altitude)
     return float(east), float(north)

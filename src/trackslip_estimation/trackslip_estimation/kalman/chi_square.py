@@ -9,7 +9,7 @@ imports.
 import math
 from collections.abc import Callable
 
-_BEYOND: dict[int, Callable[[float], float]] = {
+_TAIL_PROBABILITY: dict[int, Callable[[float], float]] = {
     1: lambda x: math.erfc(math.sqrt(x / 2.0)),
     2: lambda x: math.exp(-x / 2.0),
     3: lambda x: math.erfc(math.sqrt(x / 2.0)) + math.sqrt(2.0 * x / math.pi) * math.exp(-x / 2.0),
@@ -17,17 +17,17 @@ _BEYOND: dict[int, Callable[[float], float]] = {
 _BISECTIONS = 100  # to the last bit
 
 
-def limit(dof: int, tail: float) -> float:
+def upper_limit(dof: int, tail: float) -> float:
     """Value that χ² of 1, 2 or 3 degrees of freedom exceeds with the probability ``tail``, 0 < tail < 1."""
-    beyond = _BEYOND[dof]
+    tail_probability = _TAIL_PROBABILITY[dof]
     low, high = 0.0, 6.0 - 3.0 * math.log(tail)  # above all three limits (Laurent & Massart 2000, lemma 1)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if beyond(middle) > tail else (low, middle)
+        low, high = (middle, high) if tail_probability(middle) > tail else (low, middle)
     return high
 
 
-def interval(dof: int) -> tuple[float, float]:
+def confidence_interval(dof: int) -> tuple[float, float]:
     """The 95 % interval of χ² with ``dof`` degrees of freedom (1 or more).
 
     After Wilson & Hilferty (1931); both bounds are within 0.1 of the true ones.

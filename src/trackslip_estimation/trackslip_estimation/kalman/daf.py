@@ -23,7 +23,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import apply, root, sandwich, wrap
+from trackslip_estimation.kalman.linear_algebra import multiply_vector, root, sandwich, wrap
 
 
 @compiled
@@ -45,7 +45,7 @@ def moments(points: FloatArray, weights: FloatArray, angle: int) -> tuple[FloatA
     if departures.shape[0] > angle:
         for i in range(weights.size):
             departures[angle, i] = wrap(departures[angle, i])
-    shift = apply(departures, weights)
+    shift = multiply_vector(departures, weights)
     mean = points[0] + shift
     if mean.size > angle:
         mean[angle] = wrap(mean[angle])

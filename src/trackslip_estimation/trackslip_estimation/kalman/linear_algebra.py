@@ -14,7 +14,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 
-_LOST = 1e-14  # a pivot below this share of its diagonal is rounding
+_PIVOT_ROUNDING = 1e-14  # a pivot below this share of its diagonal is rounding
 
 
 @compiled
@@ -40,7 +40,7 @@ def copy_square(A: FloatArray, B: FloatArray, n: int) -> None:
 
 
 @compiled
-def times(A: FloatArray, B: FloatArray) -> FloatArray:
+def multiply(A: FloatArray, B: FloatArray) -> FloatArray:
     """A B; zeros of A, frequent in Jacobians, are skipped."""
     product = np.zeros((A.shape[0], B.shape[1]))
     for i in range(A.shape[0]):
@@ -53,7 +53,7 @@ def times(A: FloatArray, B: FloatArray) -> FloatArray:
 
 
 @compiled
-def apply(A: FloatArray, v: FloatArray) -> FloatArray:
+def multiply_vector(A: FloatArray, v: FloatArray) -> FloatArray:
     """(m,) A v."""
     product = np.zeros(A.shape[0])
     for i in range(A.shape[0]):
@@ -65,7 +65,7 @@ def apply(A: FloatArray, v: FloatArray) -> FloatArray:
 @compiled
 def sandwich(A: FloatArray, P: FloatArray) -> FloatArray:
     """A P Aᵀ, exactly symmetric."""
-    whole = times(A, np.ascontiguousarray(times(A, P).T))
+    whole = multiply(A, np.ascontiguousarray(multiply(A, P).T))
     for i in range(whole.shape[0]):
         for j in range(i):
             whole[i, j] = whole[j, i] = (whole[i, j] + whole[j, i]) / 2.0
@@ -81,7 +81,7 @@ def root(P: FloatArray) -> FloatArray:
         pivot = P[j, j]
         for k in range(j):
             pivot -= L[j, k] * L[j, k]
-        if pivot <= _LOST * P[j, j]:
+        if pivot <= _PIVOT_ROUNDING * P[j, j]:
             continue
         L[j, j] = math.sqrt(pivot)
         for i in range(j + 1, n):
@@ -131,7 +131,7 @@ def weighted_square(L: FloatArray, v: FloatArray) -> float:
 @compiled
 def joseph(P: FloatArray, K: FloatArray, H: FloatArray, R: FloatArray) -> FloatArray:
     """(I − K H) P (I − K H)ᵀ + K R Kᵀ."""
-    keep = times(K, H)
+    keep = multiply(K, H)
     for i in range(keep.shape[0]):
         for j in range(keep.shape[1]):
             keep[i, j] = (1.0 if i == j else 0.0) - keep[i, j]

@@ -20,8 +20,8 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.kalman.linear_algebra import used_size
 
-_OF_VARIANCE = 1e-12  # ε_k, as a share of a state's variance
-_OF_BEFORE = 1e-14  # ε_k, as a share of its variance before the update
+_LEAST_PIVOT_SHARE = 1e-12  # ε_k, as a share of a state's variance
+_LEAST_PRIOR_SHARE = 1e-14  # ε_k, as a share of its variance before the update
 
 
 @compiled
@@ -38,7 +38,7 @@ def make_positive(P: FloatArray, before: FloatArray, n: int) -> None:
             P[i, j] = P[j, i] = U[i, j] = both
     for k in range(n):
         variance = P[k, k]
-        least = max(_OF_VARIANCE * variance, _OF_BEFORE * before[k, k])
+        least = max(_LEAST_PIVOT_SHARE * variance, _LEAST_PRIOR_SHARE * before[k, k])
         if not U[k, k] > least:
             P[k, k] += least - U[k, k]
             for j in range(k + 1, n):

@@ -19,20 +19,28 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.linear_algebra import apply, joseph, root, sandwich, solve, times, wrap
+from trackslip_estimation.kalman.linear_algebra import (
+    joseph,
+    multiply,
+    multiply_vector,
+    root,
+    sandwich,
+    solve,
+    wrap,
+)
 
 Gaussian = tuple[FloatArray, FloatArray]
 
 
 @compiled
-def step_back(
+def smooth_step(
     filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, F: FloatArray, angle: int
 ) -> Gaussian:
     """x̂_{k−1} and P̂_{k−1} from (x_{k−1}, P_{k−1}), (x⁻_k, P⁻_k), (x̂_k, P̂_k); ``angle`` as in ``daf``."""
     (x, P), (x_before, P_before), (x_after, P_after) = filtered, predicted, smoothed
-    G = np.ascontiguousarray(solve(root(P_before), times(F, P)).T)
+    G = np.ascontiguousarray(solve(root(P_before), multiply(F, P)).T)
     news = x_after - x_before
     news[angle] = wrap(news[angle])
-    x = x + apply(G, news)
+    x = x + multiply_vector(G, news)
     x[angle] = wrap(x[angle])
     return x, joseph(P, G, F, P_after + (P_before - sandwich(F, P)))

@@ -78,21 +78,21 @@ def correct(x: FloatArray, P: FloatArray, o: Observation) -> None:
     K = B.copy()
     if shares:
         K += o.shared
-    _to_gain(P, K, o)
+    _compute_gain(P, K, o)
     for i in range(m):
         for k in range(n):
             x[k] += K[i, k] * o.innovation[i]
         for j in range(n):
             for k in range(n):
                 P[j, k] -= K[i, k] * B[i, j]
-    _complete(P, K, o)
+    _complete_covariance(P, K, o)
 
 
 @inlined
-def _to_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
+def _compute_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """K (m, n), which is H P + C, becomes the gain, transposed."""
     H, shares, S = o.jacobian, o.shared.shape[0] > 0, o.noise.copy()
-    _condition_on_known(P, K, o.known)
+    _condition_on_known_states(P, K, o.known)
     for i in range(S.shape[0]):
         for k in range(K.shape[1]):
             h = H[i, k]
@@ -102,15 +102,15 @@ def _to_gain(P: FloatArray, K: FloatArray, o: Observation) -> None:
                     if shares:
                         S[j, i] += h * o.shared[j, k]
     solve_in_place(root(S), K)
-    held = o.considered | o.known
+    unchanged = o.considered | o.known
     for k in range(K.shape[1]):
-        if held >> k & 1:
+        if unchanged >> k & 1:
             for i in range(K.shape[0]):
                 K[i, k] = 0.0
 
 
 @inlined
-def _condition_on_known(P: FloatArray, B: FloatArray, known: int) -> None:
+def _condition_on_known_states(P: FloatArray, B: FloatArray, known: int) -> None:
     """B (m, n), which is H P, becomes H P given that some states are known."""
     n, used, most = B.shape[1], 0, 0
     for a in range(n):
@@ -138,7 +138,7 @@ def _condition_on_known(P: FloatArray, B: FloatArray, known: int) -> None:
 
 
 @inlined
-def _complete(P: FloatArray, K: FloatArray, o: Observation) -> None:
+def _complete_covariance(P: FloatArray, K: FloatArray, o: Observation) -> None:
     """P, which is ((I − K H) P)ᵀ, becomes the covariance after the update."""
     m, n = K.shape
     rest, D, shares = _times_covariance(P, o.jacobian, n), o.shared, o.shared.shape[0] > 0

@@ -23,7 +23,9 @@ from trackslip_estimation.box.track_file import TrackFile
 from trackslip_estimation.slip import conversions
 from trackslip_estimation.slip.measurements import PoseFix
 
-UNCERTAIN = "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
+UNCERTAIN_TEXT = (
+    "box not certain, no pose is published: drive on, or clear the site of what looks like the box"
+)
 
 
 class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
@@ -49,13 +51,13 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
     def health(self) -> list[Health]:
         """Return the numbers of scans and fixes, and why scans gave no fix."""
         (fixes, scans), self._news = self._news, (self._fixes, self._scans)
-        refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
+        rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         restarts = self._localizer.restarts
         values: dict[str, object] = {
             "scans": self._scans,
             "fixes": self._fixes,
             "restarts": restarts,
-            **refused,
+            **rejected,
         }
         values["track of the run before"] = "gone on with" if self._localizer.resumed else "not used"
         if self._file.failure:
@@ -64,7 +66,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
             return [Health(WARN, "no scans: check the laser driver", values)]
         if self._fixes == fixes and self._is_uncertain:
             values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.places)
-            return [Health(WARN, UNCERTAIN, values)]
+            return [Health(WARN, UNCERTAIN_TEXT, values)]
         if self._fixes == fixes:
             return [Health(WARN, "box not found; clear the view of the laser", values)]
         return [Health(OK, "running", values)]

@@ -12,7 +12,7 @@ from trackslip_estimation.slip.learned_text import learned_quantities
 from trackslip_estimation.slip.source_watch import SourceWatch
 from trackslip_estimation.slip.sources import nonempty_names
 
-_PATIENCE = 0.2  # s, shortest silence that is reported
+_SILENCE_TIMEOUT = 0.2  # s, shortest silence that is reported
 
 
 def estimator_health(
@@ -32,15 +32,15 @@ def estimator_health(
         EXPLANATIONS: may_be or "none needed",
         "last events": recent_events_text(estimator.read_events()),
     }
-    if silent is not None and silent > max(p.sprocket_timeout, _PATIENCE):
+    if silent is not None and silent > max(p.sprocket_timeout, _SILENCE_TIMEOUT):
         return Health(ERROR, f"sprockets silent for {silent:.1f} s", values)
     if not estimator.started:
         requested = "sprockets" if silent is None else "a fix on " + ", ".join(nonempty_names(p.pose_sources))
-        return Health(WARN, f"{_diverged(watch, now_ns)}waiting for {requested}", values)
+        return Health(WARN, f"{_divergence_prefix(watch, now_ns)}waiting for {requested}", values)
     if estimator.frozen:
         return Health(WARN, "frozen: poses are ignored", values)
     if watch.has_diverged(now_ns):
-        return Health(WARN, f"{_diverged(watch, now_ns)}running again", values)
+        return Health(WARN, f"{_divergence_prefix(watch, now_ns)}running again", values)
     if may_be:
         return Health(WARN, may_be, values)
     lost = [f"{source} for {seconds:.1f} s" for source, seconds in watch.lost_sources(now_ns).items()]
@@ -51,6 +51,6 @@ def estimator_health(
     )
 
 
-def _diverged(watch: SourceWatch, now_ns: int) -> str:
+def _divergence_prefix(watch: SourceWatch, now_ns: int) -> str:
     """Return the prefix of the message after a recent divergence, else an empty string."""
     return "re-initialised, the estimate was not finite; " if watch.has_diverged(now_ns) else ""

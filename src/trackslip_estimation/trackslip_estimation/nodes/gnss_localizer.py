@@ -40,16 +40,16 @@ class GnssLocalizerNode(TrackslipNode[GnssLocalizerParameters]):
     def health(self) -> list[Health]:
         """Return the numbers of fixes and poses, the datum, and why fixes gave no pose."""
         (poses, fixes), self._news = self._news, (self._poses, self._fixes)
-        refused = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
+        rejected = {f"{source}: {why}": n for (source, why), n in sorted(self._localizer.tally.total.items())}
         datum = self._localizer.datum
         known = "none yet" if datum is None else "{:.9f}° {:.9f}° {:.3f} m".format(*datum)
-        values = {"fixes": self._fixes, "poses": self._poses, "datum": known, **refused}
+        values = {"fixes": self._fixes, "poses": self._poses, "datum": known, **rejected}
         news = self._localizer.tally.since_last_look()
         if self._fixes == fixes:
             return [Health(WARN, "no fixes", values)]
         if self._poses == poses:
             return [Health(WARN, f"all fixes rejected: {', '.join(why for _, why in news)}", values)]
-        return [Health(WARN if news else OK, f"{sum(news.values())} refused" if news else "running", values)]
+        return [Health(WARN if news else OK, f"{sum(news.values())} rejected" if news else "running", values)]
 
     def _on_fix(self, message: Any) -> None:
         self._fixes += 1

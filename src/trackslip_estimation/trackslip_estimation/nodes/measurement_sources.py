@@ -53,15 +53,15 @@ class StaticMountings:
                 kind = topic_class("tf")
             except ModuleNotFoundError as error:
                 raise InputError("mounting_from_tf: tf2_msgs is not installed") from error
-            node.create_subscription(kind, "/tf_static", self.take, latched(_DEPTH))
+            node.create_subscription(kind, "/tf_static", self.add_transforms, latched(_DEPTH))
 
-    def take(self, message: Any) -> None:
+    def add_transforms(self, message: Any) -> None:
         """Add the transforms of one message of /tf_static."""
         for link in message.transforms:
             q = link.transform.rotation
             self._frames.add(link.header.frame_id, link.child_frame_id, (q.x, q.y, q.z, q.w))
 
-    def imu(self, source: str, frame: str) -> tuple[YawRateSource | None, dict[str, float]]:
+    def mounted_imu(self, source: str, frame: str) -> tuple[YawRateSource | None, dict[str, float]]:
         """Return an IMU with its mounting, None while that is unknown, and newly determined parameters."""
         known = self._imus[source]
         if known is not None:
@@ -92,53 +92,57 @@ class MeasurementSources:
         node.subscribe(topic_class(SET_POSE), SET_POSE, self._on_set_pose)
         self._mountings = StaticMountings(node, conversions.Frames(*p.frames).base, p.gyros())
         for source in p.gyros():
-            self._listen(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
+            self._subscribe(topic_class("imu/data_raw"), source, partial(self._on_imu, source=source))
         for source in nonempty_names(p.pose_sources):
-            self._listen(topic_class("box_pose"), source, partial(self._on_pose, source=source))
+            self._subscribe(topic_class("box_pose"), source, partial(self._on_pose, source=source))
         for source, compass in p.compasses().items():
             on_heading = partial(self._on_heading, source=source, compass=compass)
-            self._listen(message_class(HEADING_MESSAGES[compass.message]), source, on_heading, packed=False)
+            self._subscribe(
+                message_class(HEADING_MESSAGES[compass.message]), source, on_heading, packed=False
+            )
         for source, angle in p.swing_encoders().items():
             on_swing = partial(self._on_swing, source=source, variance=angle.stddev**2)
-            self._listen(topic_class("swing"), source, on_swing)
+            self._subscribe(topic_class("swing"), source, on_swing)
         for source, stated in p.odometries().items():
             on_odometry = partial(self._on_odometry, source=source, stated=stated)
-            self._listen(topic_class("odometry"), source, on_odometry)
+            self._subscribe(topic_class("odometry"), source, on_odometry)
         for source, velocity in p.velocities().items():
             on_velocity = partial(self._on_velocity, source=source, stated=velocity)
-            self._listen(topic_class(FIX_VELOCITY), source, on_velocity)
+            self._subscribe(topic_class(FIX_VELOCITY), source, on_velocity)
         for source in nonempty_names(p.slip_sources):
-            self._listen(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
+            self._subscribe(topic_class("slip_seed"), source, partial(self._on_slips, source=source))
 
     @property
     def sprocket_silence_s(self) -> float | None:
         """Time since the last sprocket sample, s; None before the first one."""
         return None if self._received_s is None else time.monotonic() - self._received_s
 
-    def _listen(
+    def _subscribe(
         self, kind: type, source: str, callback: Callable[[Any], None], *, packed: bool = True
     ) -> None:
         """Subscribe to a source; reject messages in another frame than the configured one."""
 
-        def when_in_frame(message: Any) -> None:
+        def process_in_frame(message: Any) -> None:
             if self._frames.get(source) in (None, read(FrameFields, message).frame):
                 callback(message)
             else:
                 self._node.tally.add(source, Refusal.OTHER_FRAME)
 
         subscribe = self._node.subscribe_packed if packed else self._node.subscribe
-        subscribe(kind, source, when_in_frame)
+        subscribe(kind, source, process_in_frame)
 
     def _on_sprockets(self, message: Any) -> None:
         self._received_s = time.monotonic()
         self._process(conversions.sprockets(message, "sprockets"))
 
     def _on_imu(self, message: Any, source: str) -> None:
-        imu, found = self._mountings.imu(source, read(FrameFields, message).frame)
+        imu, found = self._mountings.mounted_imu(source, read(FrameFields, message).frame)
         if found:  # published, so that a bag contains them
             self._node.settings = self._node.settings.changed(found)
             self._node.publish_parameters()
-        self._use(source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu))
+        self._process_converted(
+            source, Refusal.NO_MOUNTING if imu is None else conversions.yaw_rate(message, source, imu)
+        )
 
     def _on_pose(self, message: Any, source: str) -> None:
         self._process(conversions.pose_fix(message, source))
@@ -149,21 +153,21 @@ class MeasurementSources:
         self._on_pose(message, SET_POSE)
 
     def _on_heading(self, message: Any, source: str, compass: HeadingSource) -> None:
-        self._use(source, conversions.heading_fix(message, source, compass))
+        self._process_converted(source, conversions.heading_fix(message, source, compass))
 
     def _on_swing(self, message: Any, source: str, variance: float) -> None:
         self._process(conversions.swing_angle(message, source, variance))
 
     def _on_odometry(self, message: Any, source: str, stated: OdometrySource) -> None:
-        self._use(source, conversions.odometry_pose(message, source, stated))
+        self._process_converted(source, conversions.odometry_pose(message, source, stated))
 
     def _on_velocity(self, message: Any, source: str, stated: VelocitySource) -> None:
-        self._use(source, conversions.velocity_fix(message, source, stated))
+        self._process_converted(source, conversions.velocity_fix(message, source, stated))
 
     def _on_slips(self, message: Any, source: str) -> None:
         self._process(conversions.slip_fix(message, source))
 
-    def _use(self, source: str, given: Measurement | Refusal) -> None:
+    def _process_converted(self, source: str, given: Measurement | Refusal) -> None:
         if isinstance(given, Refusal):
             self._node.tally.add(source, given)
         else:

@@ -15,7 +15,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 
 PART = "setup"
 _PERIOD = 15.0  # s between evaluations
-_MOST_WORDS = 3  # causes named in one message
+_MOST_CAUSES = 3  # causes named in one message
 
 
 class SetupMonitor:
@@ -29,7 +29,7 @@ class SetupMonitor:
         self._background = Background(self._running, failed)
         node.create_timer(_PERIOD, self._evaluate, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def see(self, given: Input) -> None:
+    def add_input(self, given: Input) -> None:
         """Add an input of the estimator; a reload restarts the check."""
         if isinstance(given, Command | Reload):
             if isinstance(given, Reload):
@@ -43,14 +43,14 @@ class SetupMonitor:
 
     def health(self) -> list[Health]:
         """The entry of the setup check."""
-        return [health_of(self._running.result)]
+        return [setup_health(self._running.result)]
 
     def _evaluate(self) -> None:
         if self._node.active:
             self._background.start()
 
 
-def health_of(result: Result) -> Health:
+def setup_health(result: Result) -> Health:
     """Plausible, or the causes with their remedies, or mistakes that are certain but one of several."""
     values = {c.cause: f"{c.evidence}. {c.remedy}" for c in result.causes}
     values |= {f"not decided: {one.what}": one.needed for one in result.undetermined}
@@ -60,5 +60,5 @@ def health_of(result: Result) -> Health:
         return Health(WARN, result.headline, values, PART)
     first, *others = result.causes
     words = [f"{first.cause} ({first.source}): {first.evidence}. {first.remedy}"]
-    words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_WORDS - 1]]
+    words += [f"also {c.cause} ({c.source}): {c.evidence}" for c in others[: _MOST_CAUSES - 1]]
     return Health(WARN, "; ".join(words), values, PART)

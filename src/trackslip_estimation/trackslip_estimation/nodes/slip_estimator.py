@@ -86,8 +86,8 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
 
     def health(self) -> list[Health]:
         """Return the entries of estimator, setup check and state file, with counts of rejected inputs."""
-        refused = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
-        counts = {"measurements": self._processed, "estimates": self._estimates, **refused}
+        rejected = {f"{source} {reason}": n for (source, reason), n in sorted(self.tally.total.items())}
+        counts = {"measurements": self._processed, "estimates": self._estimates, **rejected}
         silence = self._sources.sprocket_silence_s
         return [
             estimator_health(self._estimator, self._watch, silence, counts),
@@ -123,7 +123,7 @@ class SlipEstimatorNode(TrackslipNode[SlipEstimatorParameters]):
             self._estimates += 1
         self._publish_report(report)
         self._processed += 1
-        self._setup.see(given)
+        self._setup.add_input(given)
         self._watch.add(report)
         if report.outcome is not Outcome.ACCEPTED:
             self.tally.add(report.source, report.outcome)

@@ -22,35 +22,37 @@ from trackslip_estimation.soil.soil_parameters import (
     SoilEstimatorParameters,
 )
 
-_PATIENCE = 1.0  # s of silence
-NOTHING = "no forces and no soil are estimated"
+_SILENCE_TIMEOUT = 1.0  # s of silence
+NO_OUTPUT_TEXT = "no forces and no soil are estimated"
 _NICENESS = 5  # soils change slowly; odometry has priority
 
 
 def soil_health(estimator: SoilEstimator, silent: float | None, counts: Mapping[str, Any]) -> Health:
     """Return the entry; ``silent``: seconds since the last machine state, None before the first one."""
-    values = {**counts, "restarts": estimator.restarts, **_findings(estimator)}
+    values = {**counts, "restarts": estimator.restarts, **_soil_texts(estimator)}
     if silent is None:
         return Health(WARN, "waiting for machine_state", values)
-    if silent > _PATIENCE:
+    if silent > _SILENCE_TIMEOUT:
         return Health(ERROR, f"slip estimator silent for {silent:.1f} s", values)
     if estimator.faults:
         names = ", ".join(fault.value for fault in estimator.faults)
         return Health(ERROR, f"{names}: the estimates are held", values)
     if any(estimator.stalled):
-        text = f"stalled: {_sides(estimator.stalled)} commanded and under pressure, but not turning"
+        text = f"stalled: {_side_names(estimator.stalled)} commanded and under pressure, but not turning"
         return Health(WARN, text, values)
     if any(estimator.is_stuck):
-        return Health(WARN, f"getting stuck: {_sides(estimator.is_stuck)} at the limit of the soil", values)
+        return Health(
+            WARN, f"getting stuck: {_side_names(estimator.is_stuck)} at the limit of the soil", values
+        )
     return Health(OK, "running", values)
 
 
-def _sides(are_so: tuple[bool, bool]) -> str:
+def _side_names(flags: tuple[bool, bool]) -> str:
     """Return the names of the sides whose flag is set."""
-    return " and ".join(side for side, is_so in zip(("left", "right"), are_so, strict=True) if is_so)
+    return " and ".join(side for side, flag in zip(("left", "right"), flags, strict=True) if flag)
 
 
-def _findings(estimator: SoilEstimator) -> dict[str, Any]:
+def _soil_texts(estimator: SoilEstimator) -> dict[str, Any]:
     """Return K, F_max, their identifiability and η_V of the flow check, as texts."""
     found = estimator.strength
     (k_low, k_high), (f_low, f_high) = found.shear_modulus_interval, found.thrust_limit_interval
@@ -80,7 +82,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
         outputs = (conversions.FORCES, conversions.SOIL, conversions.SEED)
         self._outputs = {topic: self.advertise(topic_class(topic), topic) for topic in outputs}
         if self._estimator is None:
-            self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NOTHING}")
+            self.get_logger().warning(f"{self.settings.vehicle.lacks}: {NO_OUTPUT_TEXT}")
             return
         self.subscribe_packed(topic_class(HYDRAULICS), HYDRAULICS, self._on_hydraulics)
         self.subscribe_packed(topic_class(MACHINE_STATE), MACHINE_STATE, self._on_machine_state)
@@ -93,7 +95,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def health(self) -> list[Health]:
         """Return waiting, running, or what is wrong, with unused inputs by source and reason."""
         if self._estimator is None:
-            return [Health(WARN, f"{self.settings.vehicle.lacks}: {NOTHING}")]
+            return [Health(WARN, f"{self.settings.vehicle.lacks}: {NO_OUTPUT_TEXT}")]
         total = self._estimator.tally.total
         rejected = {f"{source}: {reason}": n for (source, reason), n in sorted(total.items())}
         counts = {"inputs": self._inputs, "messages": self._published, **rejected}

@@ -15,7 +15,7 @@ from trackslip_estimation.slip.parameters import SlipEstimatorParameters
 from trackslip_estimation.slip.state_file import StateFile
 
 _PERIOD = 60.0  # s
-_CERTAIN = 0.99  # probability of the most probable branch, below which nothing is written
+_LEAST_CERTAINTY = 0.99  # probability of the most probable branch, below which nothing is written
 
 
 class StateKeeper:
@@ -62,5 +62,5 @@ class StateKeeper:
 
     def _write(self) -> None:
         estimator = self._estimator()
-        if not estimator.started or estimator.certainty >= _CERTAIN:
+        if not estimator.started or estimator.certainty >= _LEAST_CERTAINTY:
             self._file.write(estimator.learned, self._learned_context)

@@ -184,7 +184,7 @@ def _set_model(c: Config, p: SlipEstimatorParameters) -> None:
 def _set_sources(c: Config, p: SlipEstimatorParameters, numbers: Mapping[str, int]) -> None:
     """Set gates, levers and noise of sources; ``numbers``: name → number, in the order of ``timeouts_ns``."""
     tail = 1.0 - p.gate_probability
-    c["gate_limits"] = [np.inf, *(chi_square.limit(dof, tail) for dof in (1, 2, 3))]
+    c["gate_limits"] = [np.inf, *(chi_square.upper_limit(dof, tail) for dof in (1, 2, 3))]
     c["gate_relaxation"], c["gate_confirmations"] = p.gate_relaxation, p.gate_confirmations
     c["rate_scale"] = c["timeouts_ns"] = 1
     for name, timeout_ns in p.timeouts_ns().items():

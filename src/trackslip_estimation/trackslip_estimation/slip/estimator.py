@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.attitude.records import AttitudeRefusal
+from trackslip_estimation.attitude.records import AttitudeRejection
 from trackslip_estimation.attitude.status import attitude_text
 from trackslip_estimation.slip.bank.rows import probability_of_best
 from trackslip_estimation.slip.config import make_config
@@ -266,7 +266,7 @@ class SlipEstimator:
 def make_step(result: ResultFields, source: str) -> Step:
     """Report and estimate of a record of ``RESULT``, given as a tuple, which is faster to read."""
     stamp_ns, outcome, dof, nis, gate, attitude, fault, published, estimate = result
-    refusal, lack = AttitudeRefusal(attitude) if attitude else None, Fault(fault) if fault else None
+    refusal, lack = AttitudeRejection(attitude) if attitude else None, Fault(fault) if fault else None
     report = Report(source, stamp_ns, Outcome(outcome), nis, gate, dof, refusal, lack)
     return report, make_estimate(estimate) if published else None
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Any, TypeAlias
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.attitude.records import AttitudeRefusal
+from trackslip_estimation.attitude.records import AttitudeRejection
 
 # Names of commands in the journal, beside the topics of the sensors.
 SET_POSE = "slip_estimator/set_pose"
@@ -193,5 +193,5 @@ class Report:
     nis: float = float("nan")  # normalised innovation squared
     gate: float = float("nan")  # its limit
     dof: int = 0
-    attitude: AttitudeRefusal | None = None  # why orientation or altitude were rejected
+    attitude: AttitudeRejection | None = None  # why orientation or altitude were rejected
     fault: Fault | None = None  # of an invalid measurement

@@ -216,7 +216,7 @@ class Update(Record):
     squared_repeat_distance: float  # from the previous fix of the source, m²
     tied: int  # 0 or 1: takes the likelihood of the most probable branch that may use the fix
     opened: int  # latest ``events.Event`` in this step
-    attitude: int  # ``AttitudeRefusal`` of an IMU or a fix; 0: used, or not requested
+    attitude: int  # ``AttitudeRejection`` of an IMU or a fix; 0: used, or not requested
     follows: bool  # whether the prior is the prediction of the previous state
     reset_states: int  # bit i: state i was reset in this step
 

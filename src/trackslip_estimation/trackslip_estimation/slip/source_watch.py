@@ -69,7 +69,7 @@ class SourceWatch:
                 reports.popleft()
             if reports:
                 dof, n = sum(r.dof for r in reports), len(reports)
-                low, high = (bound / n for bound in chi_square.interval(dof))
+                low, high = (bound / n for bound in chi_square.confidence_interval(dof))
                 mean = sum(r.nis for r in reports) / n
                 found[source] = f"{mean:.2f} ({low:.2f} to {high:.2f} if consistent), n {n}"
         return found

@@ -16,7 +16,13 @@ import math
 from typing import TYPE_CHECKING
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.attitude.filter import climb_rate, force_of, has_force, propagate_height, use_sample
+from trackslip_estimation.attitude.filter import (
+    climb_rate,
+    has_force,
+    propagate_height,
+    specific_force,
+    update_with_sample,
+)
 from trackslip_estimation.attitude.level import climb_rate_variance
 from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL
 from trackslip_estimation.slip.levers import UNKNOWN_SWING, swing_lever
@@ -55,7 +61,7 @@ def update_attitude(state: State, measurement: MeasurementRecord, bias: int, c: 
         swing_lever(imu, state.mean[SWING_RATE], c)
         imu.rates[2] = rate  # the rate of the IMU contains the swing, before the state does
     imu.known_velocity = 0 if state.coasting else 1
-    return int(use_sample(a, c.attitude))
+    return int(update_with_sample(a, c.attitude))
 
 
 @compiled
@@ -107,7 +113,7 @@ def fill_tilt(state: State, estimate: EstimateRecord) -> None:
         tilt.force[:], tilt.force_variance = 0.0, 0.0
         estimate.rise, estimate.rise_variance = 0.0, 0.0
         return
-    force, feels = force_of(a.sample), has_force(a.sample)
+    force, feels = specific_force(a.sample), has_force(a.sample)
     for i in range(3):
         variance = a.sample.rate_variances[i]
         tilt.tilt[i], tilt.rates[i] = a.mean[ROLL + i], a.rates[i]

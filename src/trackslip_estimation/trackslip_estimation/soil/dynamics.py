@@ -31,7 +31,7 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_common.parameters import Parameters, parameter
 from trackslip_common.record_types import Record, Table, dtype_of, make_table
-from trackslip_estimation.kalman.linear_algebra import apply, sandwich
+from trackslip_estimation.kalman.linear_algebra import multiply_vector, sandwich
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.tracks import frame_speeds
 
@@ -173,7 +173,7 @@ def _predict(
         F[RATE, MU_L] = -sense * (N_left + N_right) * lever / vehicle.yaw_inertia * dt
         push[RATE] = half_tread * (thrust.force[1] - thrust.force[0]) / vehicle.yaw_inertia * dt
     before = dynamics.mean.copy()
-    after = apply(F, before)
+    after = multiply_vector(F, before)
     for i in range(_SIZE):
         after[i] += push[i]
     # An uncertain sign adds variance to the resistance.

@@ -122,23 +122,23 @@ def update_offsets(
     load. A far one inflates the variance of the offset, so that it is accepted if it persists.
     """
     offsets.stood = offsets.stood + dt if is_standing else 0.0
-    refused = False
+    rejected = False
     for k in range(2):
         variance = min(offsets.variance[k] + p.offset_drift**2 * dt, p.offset_stddev**2)
         if is_standing and offsets.stood >= p.settling_time:
             spread = variance + p.pressure_stddev**2
             far = (pressures[k] - offsets.mean[k]) ** 2 / p.far_offset**2
             if abs(pressures[k]) > p.offset_limit:
-                refused = True
+                rejected = True
             elif far > spread:
-                refused = True
+                rejected = True
                 variance += far * dt / p.persist_time
             else:
                 gain = variance / spread
                 offsets.mean[k] += gain * (pressures[k] - offsets.mean[k])
                 variance *= 1.0 - gain
         offsets.variance[k] = variance
-    return refused
+    return rejected
 
 
 @compiled

@@ -11,18 +11,18 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
 from trackslip_common.parameter_spec import Spec
 
-_HOLDS = MappingProxyType(
+_COMPARISONS = MappingProxyType(
     {"gt": np.greater, "ge": np.greater_equal, "lt": np.less, "le": np.less_equal}
 )  # by the name of a bound
 
 
-def checked(field: str, value: ArrayLike, unit: str = "", **bounds: float) -> FloatArray:
+def validate(field: str, value: ArrayLike, unit: str = "", **bounds: float) -> FloatArray:
     """Return ``value`` as an array of any shape; ``bounds``: gt, ge, lt, le.
 
     Raises:
         InputError: a number is missing, not finite or out of range; the message names the first one.
     """
-    gt, ge, lt, le = (bounds.get(name) for name in _HOLDS)
+    gt, ge, lt, le = (bounds.get(name) for name in _COMPARISONS)
     spec = Spec(field, unit, gt, ge, lt, le)
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -30,7 +30,7 @@ def checked(field: str, value: ArrayLike, unit: str = "", **bounds: float) -> Fl
         raise InputError(f"{field} = {value!r} is refused; accepted: numbers {spec.accepted()}") from error
     good = np.isfinite(array)
     for name, bound in bounds.items():
-        good = good & _HOLDS[name](array, bound)
+        good = good & _COMPARISONS[name](array, bound)
     if not np.all(good):
         first = float(array[~good].flat[0])
         raise InputError(f"{field} = {first:g} is refused; accepted: {spec.accepted()}")

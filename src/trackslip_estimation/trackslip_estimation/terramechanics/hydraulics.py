@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.terramechanics.domain import checked
+from trackslip_estimation.terramechanics.domain import validate
 
 
 def torque(pressure: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> FloatArray:
@@ -37,9 +37,9 @@ def torque(pressure: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> FloatArra
     Raises:
         InputError: an argument is not finite.
     """
-    dp = checked("pressure", pressure, "Pa")
-    omega = checked("speed", speed, "rad/s")
-    return dp * _swept(vehicle) * _efficiency(dp, omega, vehicle.motor_efficiency)
+    dp = validate("pressure", pressure, "Pa")
+    omega = validate("speed", speed, "rad/s")
+    return dp * _swept_volume(vehicle) * _efficiency(dp, omega, vehicle.motor_efficiency)
 
 
 def pressure_of_torque(moment: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> FloatArray:
@@ -53,9 +53,9 @@ def pressure_of_torque(moment: ArrayLike, speed: ArrayLike, vehicle: Vehicle) ->
     Raises:
         InputError: an argument is not finite.
     """
-    t = checked("torque", moment, "N m")
-    omega = checked("speed", speed, "rad/s")
-    return t / (_swept(vehicle) * _efficiency(t, omega, vehicle.motor_efficiency))
+    t = validate("torque", moment, "N m")
+    omega = validate("speed", speed, "rad/s")
+    return t / (_swept_volume(vehicle) * _efficiency(t, omega, vehicle.motor_efficiency))
 
 
 def thrust_of_pressure(pressure: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> FloatArray:
@@ -83,7 +83,7 @@ def pressure_of_thrust(force: ArrayLike, speed: ArrayLike, vehicle: Vehicle) -> 
     Raises:
         InputError: an argument is not finite.
     """
-    return pressure_of_torque(checked("force", force, "N") * vehicle.rolling_radius, speed, vehicle)
+    return pressure_of_torque(validate("force", force, "N") * vehicle.rolling_radius, speed, vehicle)
 
 
 def speed_of_flow(flow: ArrayLike, pressure: ArrayLike, vehicle: Vehicle) -> FloatArray:
@@ -97,9 +97,9 @@ def speed_of_flow(flow: ArrayLike, pressure: ArrayLike, vehicle: Vehicle) -> Flo
     Raises:
         InputError: an argument is not finite.
     """
-    q = checked("flow", flow, "m³/s")
-    dp = checked("pressure", pressure, "Pa")
-    return q / _swept(vehicle) * _efficiency(dp, q, vehicle.volumetric_efficiency)
+    q = validate("flow", flow, "m³/s")
+    dp = validate("pressure", pressure, "Pa")
+    return q / _swept_volume(vehicle) * _efficiency(dp, q, vehicle.volumetric_efficiency)
 
 
 def flow_of_speed(speed: ArrayLike, pressure: ArrayLike, vehicle: Vehicle) -> FloatArray:
@@ -113,9 +113,9 @@ def flow_of_speed(speed: ArrayLike, pressure: ArrayLike, vehicle: Vehicle) -> Fl
     Raises:
         InputError: an argument is not finite.
     """
-    omega = checked("speed", speed, "rad/s")
-    dp = checked("pressure", pressure, "Pa")
-    return omega * _swept(vehicle) / _efficiency(dp, omega, vehicle.volumetric_efficiency)
+    omega = validate("speed", speed, "rad/s")
+    dp = validate("pressure", pressure, "Pa")
+    return omega * _swept_volume(vehicle) / _efficiency(dp, omega, vehicle.volumetric_efficiency)
 
 
 def orifice_flow(
@@ -132,10 +132,10 @@ def orifice_flow(
     Raises:
         InputError: an argument is out of range.
     """
-    drop = checked("pressure_drop", pressure_drop, "Pa")
-    opening = checked("discharge", discharge, gt=0.0, le=1.0) * checked("area", area, "m²", ge=0.0)
+    drop = validate("pressure_drop", pressure_drop, "Pa")
+    opening = validate("discharge", discharge, gt=0.0, le=1.0) * validate("area", area, "m²", ge=0.0)
     return (
-        opening * np.sqrt(2.0 * np.abs(drop) / checked("density", density, "kg/m³", gt=0.0)) * np.sign(drop)
+        opening * np.sqrt(2.0 * np.abs(drop) / validate("density", density, "kg/m³", gt=0.0)) * np.sign(drop)
     )
 
 
@@ -153,9 +153,9 @@ def orifice_pressure_drop(
     Raises:
         InputError: an argument is out of range.
     """
-    q = checked("flow", flow, "m³/s")
-    jet = q / (checked("discharge", discharge, gt=0.0, le=1.0) * checked("area", area, "m²", gt=0.0))
-    return 0.5 * checked("density", density, "kg/m³", gt=0.0) * jet * np.abs(jet)
+    q = validate("flow", flow, "m³/s")
+    jet = q / (validate("discharge", discharge, gt=0.0, le=1.0) * validate("area", area, "m²", gt=0.0))
+    return 0.5 * validate("density", density, "kg/m³", gt=0.0) * jet * np.abs(jet)
 
 
 def relieved_pressure(pressure: ArrayLike, vehicle: Vehicle) -> FloatArray:
@@ -168,10 +168,10 @@ def relieved_pressure(pressure: ArrayLike, vehicle: Vehicle) -> FloatArray:
     Raises:
         InputError: an argument is not finite.
     """
-    return np.clip(checked("pressure", pressure, "Pa"), -vehicle.relief_pressure, vehicle.relief_pressure)
+    return np.clip(validate("pressure", pressure, "Pa"), -vehicle.relief_pressure, vehicle.relief_pressure)
 
 
-def _swept(vehicle: Vehicle) -> float:
+def _swept_volume(vehicle: Vehicle) -> float:
     """V_m n_g/(2π): oil per radian of the sprocket, m³."""
     return vehicle.motor_displacement * vehicle.gear_ratio / (2.0 * math.pi)
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.terramechanics.domain import checked
+from trackslip_estimation.terramechanics.domain import validate
 
 
 def compaction_resistance(
@@ -38,10 +38,10 @@ def compaction_resistance(
     Raises:
         InputError: an argument is out of range.
     """
-    exponent = checked("n", n, gt=0.0) + 1.0
-    k = checked("modulus", modulus, "Pa/m^n", gt=0.0)
-    b = checked("width", width, "m", gt=0.0)
-    return 2.0 * b * k * checked("sinkage", sinkage, "m", ge=0.0) ** exponent / exponent
+    exponent = validate("n", n, gt=0.0) + 1.0
+    k = validate("modulus", modulus, "Pa/m^n", gt=0.0)
+    b = validate("width", width, "m", gt=0.0)
+    return 2.0 * b * k * validate("sinkage", sinkage, "m", ge=0.0) ** exponent / exponent
 
 
 def passive_earth_pressure(
@@ -59,9 +59,11 @@ def passive_earth_pressure(
     Raises:
         InputError: an argument is out of range.
     """
-    z = checked("sinkage", sinkage, "m", ge=0.0)
-    cohesive = checked("cohesion", cohesion, "Pa", ge=0.0) * checked("k_c", k_c, ge=0.0)
-    gravity = checked("weight_density", weight_density, "N/m³", ge=0.0) * checked("k_gamma", k_gamma, ge=0.0)
+    z = validate("sinkage", sinkage, "m", ge=0.0)
+    cohesive = validate("cohesion", cohesion, "Pa", ge=0.0) * validate("k_c", k_c, ge=0.0)
+    gravity = validate("weight_density", weight_density, "N/m³", ge=0.0) * validate(
+        "k_gamma", k_gamma, ge=0.0
+    )
     return 2.0 * z * cohesive + gravity * z**2
 
 
@@ -79,12 +81,12 @@ def bulldozing_resistance(
     Raises:
         InputError: an argument is out of range.
     """
-    alpha = checked("approach_angle", approach_angle, "rad", gt=0.0, lt=math.pi)
-    phi = checked("friction_angle", friction_angle, "rad", ge=0.0, lt=math.pi / 2)
-    together = checked("approach_angle + friction_angle", alpha + phi, "rad", le=math.pi)
-    b = checked("width", width, "m", gt=0.0)
+    alpha = validate("approach_angle", approach_angle, "rad", gt=0.0, lt=math.pi)
+    phi = validate("friction_angle", friction_angle, "rad", ge=0.0, lt=math.pi / 2)
+    together = validate("approach_angle + friction_angle", alpha + phi, "rad", le=math.pi)
+    b = validate("width", width, "m", gt=0.0)
     projection: FloatArray = np.sin(together) / (np.sin(alpha) * np.cos(phi))
-    return 2.0 * b * projection * checked("earth_pressure", earth_pressure, "N/m", ge=0.0)
+    return 2.0 * b * projection * validate("earth_pressure", earth_pressure, "N/m", ge=0.0)
 
 
 def drag_resistance(
@@ -101,9 +103,9 @@ def drag_resistance(
     Raises:
         InputError: an argument is out of range.
     """
-    side = checked("sinkage", sinkage, "m", ge=0.0) * checked("length", length, "m", gt=0.0)
-    strength = checked("cohesion", cohesion, "Pa", ge=0.0)
-    return 2.0 * checked("coefficient", coefficient, ge=0.0) * side * strength
+    side = validate("sinkage", sinkage, "m", ge=0.0) * validate("length", length, "m", gt=0.0)
+    strength = validate("cohesion", cohesion, "Pa", ge=0.0)
+    return 2.0 * validate("coefficient", coefficient, ge=0.0) * side * strength
 
 
 def longitudinal_resistance(speed: ArrayLike, mu_r: ArrayLike, weight: ArrayLike) -> FloatArray:
@@ -117,5 +119,5 @@ def longitudinal_resistance(speed: ArrayLike, mu_r: ArrayLike, weight: ArrayLike
     Raises:
         InputError: an argument is out of range.
     """
-    size = 0.5 * checked("mu_r", mu_r, ge=0.0) * checked("weight", weight, "N", ge=0.0)
-    return size * np.sign(checked("speed", speed, "m/s"))
+    size = 0.5 * validate("mu_r", mu_r, ge=0.0) * validate("weight", weight, "N", ge=0.0)
+    return size * np.sign(validate("speed", speed, "m/s"))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.errors import InputError
-from trackslip_estimation.terramechanics.domain import checked
+from trackslip_estimation.terramechanics.domain import validate
 
 
 def bekker_modulus(k_c: ArrayLike, k_phi: ArrayLike, width: ArrayLike) -> FloatArray:
@@ -33,9 +33,9 @@ def bekker_modulus(k_c: ArrayLike, k_phi: ArrayLike, width: ArrayLike) -> FloatA
     Raises:
         InputError: an argument is out of range.
     """
-    cohesive = checked("k_c", k_c, "N/m^(n+1)", ge=0.0)
-    frictional = checked("k_phi", k_phi, "N/m^(n+2)", ge=0.0)
-    return cohesive / checked("width", width, "m", gt=0.0) + frictional
+    cohesive = validate("k_c", k_c, "N/m^(n+1)", ge=0.0)
+    frictional = validate("k_phi", k_phi, "N/m^(n+2)", ge=0.0)
+    return cohesive / validate("width", width, "m", gt=0.0) + frictional
 
 
 def bekker_pressure(sinkage: ArrayLike, modulus: ArrayLike, n: ArrayLike) -> FloatArray:
@@ -50,7 +50,7 @@ def bekker_pressure(sinkage: ArrayLike, modulus: ArrayLike, n: ArrayLike) -> Flo
         InputError: an argument is out of range.
     """
     k, exponent = _modulus_and_exponent(modulus, n)
-    return k * checked("sinkage", sinkage, "m", ge=0.0) ** exponent
+    return k * validate("sinkage", sinkage, "m", ge=0.0) ** exponent
 
 
 def bekker_sinkage(pressure: ArrayLike, modulus: ArrayLike, n: ArrayLike) -> FloatArray:
@@ -65,7 +65,7 @@ def bekker_sinkage(pressure: ArrayLike, modulus: ArrayLike, n: ArrayLike) -> Flo
         InputError: an argument is out of range.
     """
     k, exponent = _modulus_and_exponent(modulus, n)
-    return (checked("pressure", pressure, "Pa", ge=0.0) / k) ** (1.0 / exponent)
+    return (validate("pressure", pressure, "Pa", ge=0.0) / k) ** (1.0 / exponent)
 
 
 def unloading_stiffness(unloading_sinkage: ArrayLike, k_0: ArrayLike, a_u: ArrayLike) -> FloatArray:
@@ -79,8 +79,8 @@ def unloading_stiffness(unloading_sinkage: ArrayLike, k_0: ArrayLike, a_u: Array
     Raises:
         InputError: an argument is out of range.
     """
-    z_u = checked("unloading_sinkage", unloading_sinkage, "m", ge=0.0)
-    return checked("k_0", k_0, "Pa/m", ge=0.0) + checked("a_u", a_u, "Pa/m²", ge=0.0) * z_u
+    z_u = validate("unloading_sinkage", unloading_sinkage, "m", ge=0.0)
+    return validate("k_0", k_0, "Pa/m", ge=0.0) + validate("a_u", a_u, "Pa/m²", ge=0.0) * z_u
 
 
 def unloading_pressure(
@@ -99,15 +99,15 @@ def unloading_pressure(
     Raises:
         InputError: an argument is out of range.
     """
-    z = checked("sinkage", sinkage, "m", ge=0.0)
-    z_u = checked("unloading_sinkage", unloading_sinkage, "m", ge=0.0)
-    p_u = checked("unloading_pressure", unloading_pressure, "Pa", ge=0.0)
+    z = validate("sinkage", sinkage, "m", ge=0.0)
+    z_u = validate("unloading_sinkage", unloading_sinkage, "m", ge=0.0)
+    p_u = validate("unloading_pressure", unloading_pressure, "Pa", ge=0.0)
     if np.any(z > z_u):
         excess = float(np.max(z - z_u))
         raise InputError(
             f"sinkage = unloading_sinkage + {excess:g} m is refused; accepted: <= unloading_sinkage"
         )
-    return np.maximum(p_u - checked("stiffness", stiffness, "Pa/m", ge=0.0) * (z_u - z), 0.0)
+    return np.maximum(p_u - validate("stiffness", stiffness, "Pa/m", ge=0.0) * (z_u - z), 0.0)
 
 
 def reece_modulus(
@@ -125,9 +125,11 @@ def reece_modulus(
     Raises:
         InputError: an argument is out of range.
     """
-    cohesive = checked("cohesion", cohesion, "Pa", ge=0.0) * checked("k_c", k_c, ge=0.0)
-    surface = checked("weight_density", weight_density, "N/m³", ge=0.0) * checked("width", width, "m", gt=0.0)
-    return cohesive + surface * checked("k_phi", k_phi, ge=0.0)
+    cohesive = validate("cohesion", cohesion, "Pa", ge=0.0) * validate("k_c", k_c, ge=0.0)
+    surface = validate("weight_density", weight_density, "N/m³", ge=0.0) * validate(
+        "width", width, "m", gt=0.0
+    )
+    return cohesive + surface * validate("k_phi", k_phi, ge=0.0)
 
 
 def reece_pressure(sinkage: ArrayLike, width: ArrayLike, modulus: ArrayLike, n: ArrayLike) -> FloatArray:
@@ -142,9 +144,9 @@ def reece_pressure(sinkage: ArrayLike, width: ArrayLike, modulus: ArrayLike, n: 
     Raises:
         InputError: an argument is out of range.
     """
-    b = checked("width", width, "m", gt=0.0)
-    return bekker_pressure(checked("sinkage", sinkage, "m", ge=0.0) / b, modulus, n)
+    b = validate("width", width, "m", gt=0.0)
+    return bekker_pressure(validate("sinkage", sinkage, "m", ge=0.0) / b, modulus, n)
 
 
 def _modulus_and_exponent(modulus: ArrayLike, n: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    return checked("modulus", modulus, "Pa/m^n", gt=0.0), checked("n", n, gt=0.0)
+    return validate("modulus", modulus, "Pa/m^n", gt=0.0), validate("n", n, gt=0.0)

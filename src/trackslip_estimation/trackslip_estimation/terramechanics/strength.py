@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.terramechanics.domain import checked
+from trackslip_estimation.terramechanics.domain import validate
 
 
 def shear_strength(pressure: ArrayLike, cohesion: ArrayLike, friction_angle: ArrayLike) -> FloatArray:
@@ -30,9 +30,9 @@ def shear_strength(pressure: ArrayLike, cohesion: ArrayLike, friction_angle: Arr
     Raises:
         InputError: an argument is out of range.
     """
-    p = checked("pressure", pressure, "Pa", ge=0.0)
-    c = checked("cohesion", cohesion, "Pa", ge=0.0)
-    phi = checked("friction_angle", friction_angle, "rad", ge=0.0, lt=math.pi / 2)
+    p = validate("pressure", pressure, "Pa", ge=0.0)
+    c = validate("cohesion", cohesion, "Pa", ge=0.0)
+    phi = validate("friction_angle", friction_angle, "rad", ge=0.0, lt=math.pi / 2)
     return c + p * np.tan(phi)
 
 
@@ -50,6 +50,6 @@ def thrust_limit(
     Raises:
         InputError: an argument is out of range.
     """
-    a = checked("area", area, "m²", gt=0.0)
-    w = checked("weight", weight, "N", ge=0.0)
+    a = validate("area", area, "m²", gt=0.0)
+    w = validate("weight", weight, "N", ge=0.0)
     return 0.5 * a * shear_strength(w / a, cohesion, friction_angle)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray
-from trackslip_estimation.terramechanics.domain import checked
+from trackslip_estimation.terramechanics.domain import validate
 
 _SERIES_BELOW = 0.5  # u; above it the closed form of q is good to 2 ulp of q
 _SERIES = [1.0]  # q/(u/2) = 1 − u/3 + u²/12 …; 15 terms reach 1e-17 at u = 0.5
@@ -39,9 +39,9 @@ def shear_stress(displacement: ArrayLike, strength: ArrayLike, shear_modulus: Ar
     Raises:
         InputError: an argument is out of range.
     """
-    j = checked("displacement", displacement, "m")
-    ratio = _over(np.abs(j), checked("shear_modulus", shear_modulus, "m", gt=0.0))
-    return -np.expm1(-ratio) * np.sign(j) * checked("strength", strength, "Pa", ge=0.0)
+    j = validate("displacement", displacement, "m")
+    ratio = _divide(np.abs(j), validate("shear_modulus", shear_modulus, "m", gt=0.0))
+    return -np.expm1(-ratio) * np.sign(j) * validate("strength", strength, "Pa", ge=0.0)
 
 
 def thrust_of_elements(
@@ -64,14 +64,14 @@ def thrust_of_elements(
     Raises:
         InputError: an argument is out of range.
     """
-    i = checked("slip", slip)
-    tau = np.atleast_1d(checked("strength", strength, "Pa", ge=0.0))
-    b = checked("width", width, "m", gt=0.0)
-    l = checked("length", length, "m", gt=0.0)  # noqa: E741 (the thesis' symbol)
+    i = validate("slip", slip)
+    tau = np.atleast_1d(validate("strength", strength, "Pa", ge=0.0))
+    b = validate("width", width, "m", gt=0.0)
+    l = validate("length", length, "m", gt=0.0)  # noqa: E741 (the thesis' symbol)
     ends = np.linspace(0.0, 1.0, tau.size + 1)
     # Thrust up to x is x q(u x/l); its differences are those of the elements.
-    up_to = ends * _mobilised(
-        i[..., np.newaxis] * ends, checked("shear_modulus", shear_modulus, "m", gt=0.0), l
+    up_to = ends * _mobilised_share(
+        i[..., np.newaxis] * ends, validate("shear_modulus", shear_modulus, "m", gt=0.0), l
     )
     return np.asarray(b * l * np.sum(tau * np.diff(up_to), axis=-1))[()]
 
@@ -88,12 +88,12 @@ def thrust(slip: ArrayLike, limit: ArrayLike, shear_modulus: ArrayLike, length: 
     Raises:
         InputError: an argument is out of range.
     """
-    share = _mobilised(
-        checked("slip", slip),
-        checked("shear_modulus", shear_modulus, "m", gt=0.0),
-        checked("length", length, "m", gt=0.0),
+    share = _mobilised_share(
+        validate("slip", slip),
+        validate("shear_modulus", shear_modulus, "m", gt=0.0),
+        validate("length", length, "m", gt=0.0),
     )
-    return checked("limit", limit, "N", ge=0.0) * share
+    return validate("limit", limit, "N", ge=0.0) * share
 
 
 def slip_of_thrust(
@@ -113,20 +113,22 @@ def slip_of_thrust(
     Raises:
         InputError: an argument is out of range; no slip gives a thrust of F_max or more.
     """
-    q = _share(force, limit)
-    k = checked("shear_modulus", shear_modulus, "m", gt=0.0)
+    q = _thrust_share(force, limit)
+    k = validate("shear_modulus", shear_modulus, "m", gt=0.0)
     size = np.abs(q)
     # q lies between u/(u + 2) and u/2, and u never exceeds 1/(1 − q).
     u = np.asarray(np.minimum(2.0 * size, 1.0) / (1.0 - size))
     for _ in range(_MAX_NEWTON_STEPS):
         slope = -np.expm1(-u) - size
-        step = np.divide(u * (_share_of(u) - size), slope, out=np.zeros_like(u), where=slope > 0.0)
+        step = np.divide(
+            u * (_mean_mobilised_share(u) - size), slope, out=np.zeros_like(u), where=slope > 0.0
+        )
         closer = np.maximum(u - step, 2.0 * size)
         settled = np.all(np.abs(closer - u) <= 1e-15 * u)
         u = closer
         if settled:
             break
-    return np.sign(q) * u * k / checked("length", length, "m", gt=0.0)
+    return np.sign(q) * u * k / validate("length", length, "m", gt=0.0)
 
 
 def slip_of_thrust_approximate(
@@ -146,24 +148,24 @@ def slip_of_thrust_approximate(
     Raises:
         InputError: an argument is out of range.
     """
-    q = _share(force, limit)
-    k = checked("shear_modulus", shear_modulus, "m", gt=0.0)
+    q = _thrust_share(force, limit)
+    k = validate("shear_modulus", shear_modulus, "m", gt=0.0)
     with np.errstate(divide="ignore"):  # ln 0 = −∞ gives the right slip, 0
-        return np.sign(q) * -k / (checked("length", length, "m", gt=0.0) * np.log(np.abs(q)))
+        return np.sign(q) * -k / (validate("length", length, "m", gt=0.0) * np.log(np.abs(q)))
 
 
-def _share(force: ArrayLike, limit: ArrayLike) -> FloatArray:
+def _thrust_share(force: ArrayLike, limit: ArrayLike) -> FloatArray:
     """Share F/F_max, inside (−1, 1)."""
-    ratio = checked("force", force, "N") / checked("limit", limit, "N", gt=0.0)
-    return checked("force/limit", ratio, gt=-1.0, lt=1.0)
+    ratio = validate("force", force, "N") / validate("limit", limit, "N", gt=0.0)
+    return validate("force/limit", ratio, gt=-1.0, lt=1.0)
 
 
-def _mobilised(slip: FloatArray, shear_modulus: FloatArray, length: FloatArray) -> FloatArray:
+def _mobilised_share(slip: FloatArray, shear_modulus: FloatArray, length: FloatArray) -> FloatArray:
     """Share q, with the sign of i, of (3.3)."""
-    return np.sign(slip) * _share_of(_over(np.abs(slip) * length, shear_modulus))
+    return np.sign(slip) * _mean_mobilised_share(_divide(np.abs(slip) * length, shear_modulus))
 
 
-def _share_of(u: FloatArray) -> FloatArray:
+def _mean_mobilised_share(u: FloatArray) -> FloatArray:
     """Share q(u) = 1 − (1 − e^−u)/u for u ≥ 0, to full precision at either end."""
     small = np.minimum(u, _SERIES_BELOW)
     series = 0.5 * small * np.polynomial.polynomial.polyval(small, _SERIES)
@@ -171,7 +173,7 @@ def _share_of(u: FloatArray) -> FloatArray:
     return np.where(u < _SERIES_BELOW, series, 1.0 + np.expm1(-large) / large)
 
 
-def _over(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+def _divide(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
     """Return a ratio; an overflow to infinity is intended, as it gives the limit of the formula."""
     with np.errstate(over="ignore"):
         return numerator / denominator

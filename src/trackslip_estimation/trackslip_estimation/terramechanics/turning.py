@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.units import GRAVITY
-from trackslip_estimation.terramechanics.domain import checked
+from trackslip_estimation.terramechanics.domain import validate
 
 
 def lateral_force(
@@ -45,11 +45,13 @@ def lateral_force(
     Raises:
         InputError: an argument is out of range.
     """
-    contact = checked("length", length, "m", gt=0.0)
-    share = checked("x/length", checked("x", x, "m") / contact, ge=0.0, le=1.0)
-    mu = checked("mu_l", mu_l, gt=0.0)
-    a = checked("acceleration", acceleration, "m/s²", ge=0.0)
-    return checked("weight", weight, "N", ge=0.0) / contact * (mu * (1.0 - 2.0 * share) - a / (2.0 * GRAVITY))
+    contact = validate("length", length, "m", gt=0.0)
+    share = validate("x/length", validate("x", x, "m") / contact, ge=0.0, le=1.0)
+    mu = validate("mu_l", mu_l, gt=0.0)
+    a = validate("acceleration", acceleration, "m/s²", ge=0.0)
+    return (
+        validate("weight", weight, "N", ge=0.0) / contact * (mu * (1.0 - 2.0 * share) - a / (2.0 * GRAVITY))
+    )
 
 
 def zero_force_point(length: ArrayLike, mu_l: ArrayLike, acceleration: ArrayLike) -> FloatArray:
@@ -63,7 +65,7 @@ def zero_force_point(length: ArrayLike, mu_l: ArrayLike, acceleration: ArrayLike
     Raises:
         InputError: an argument is out of range.
     """
-    return 0.5 * checked("length", length, "m", gt=0.0) * (1.0 - _load(mu_l, acceleration))
+    return 0.5 * validate("length", length, "m", gt=0.0) * (1.0 - _load_ratio(mu_l, acceleration))
 
 
 def centre_point(length: ArrayLike, mu_l: ArrayLike, acceleration: ArrayLike) -> FloatArray:
@@ -80,10 +82,10 @@ def centre_point(length: ArrayLike, mu_l: ArrayLike, acceleration: ArrayLike) ->
     Raises:
         InputError: an argument is out of range.
     """
-    load = _load(mu_l, acceleration)
+    load = _load_ratio(mu_l, acceleration)
     low, high = np.minimum(load, 1.0), np.maximum(load, 1.0)
     shift = np.where(load <= 1.0, (low / 2.0 - low**3 / 6.0) / (1.0 + low**2), 1.0 / (6.0 * high))
-    return checked("length", length, "m", gt=0.0) * (0.5 + shift)
+    return validate("length", length, "m", gt=0.0) * (0.5 + shift)
 
 
 def centre_point_approximate(length: ArrayLike, mu_l: ArrayLike, acceleration: ArrayLike) -> FloatArray:
@@ -97,7 +99,7 @@ def centre_point_approximate(length: ArrayLike, mu_l: ArrayLike, acceleration: A
     Raises:
         InputError: an argument is out of range.
     """
-    return 0.5 * checked("length", length, "m", gt=0.0) * (1.0 + _load(mu_l, acceleration))
+    return 0.5 * validate("length", length, "m", gt=0.0) * (1.0 + _load_ratio(mu_l, acceleration))
 
 
 def moment_with_centrifugal_force(
@@ -118,7 +120,7 @@ def moment_with_centrifugal_force(
     Raises:
         InputError: an argument is out of range.
     """
-    load = checked("acceleration/(2 g mu_l)", _load(mu_l, acceleration), le=1.0)
+    load = validate("acceleration/(2 g mu_l)", _load_ratio(mu_l, acceleration), le=1.0)
     return triangular_moment(weight, length, mu_l) * (1.0 - load) ** 2 * (1.0 + 2.0 * load)
 
 
@@ -162,7 +164,7 @@ def rotation_shift(speed: ArrayLike, yaw_rate: ArrayLike, length: ArrayLike, mu_
     Raises:
         InputError: an argument is out of range.
     """
-    acceleration = checked("speed", speed, "m/s") * np.abs(checked("yaw_rate", yaw_rate, "rad/s"))
+    acceleration = validate("speed", speed, "m/s") * np.abs(validate("yaw_rate", yaw_rate, "rad/s"))
     return acceleration * _shift_per_acceleration(length, mu_l)
 
 
@@ -179,22 +181,22 @@ def slip_angle(yaw_rate: ArrayLike, length: ArrayLike, mu_l: ArrayLike) -> Float
     Raises:
         InputError: an argument is out of range.
     """
-    rate = checked("yaw_rate", yaw_rate, "rad/s")
+    rate = validate("yaw_rate", yaw_rate, "rad/s")
     return -np.arctan(rate * np.abs(rate) * _shift_per_acceleration(length, mu_l))
 
 
-def _load(mu_l: ArrayLike, acceleration: ArrayLike) -> FloatArray:
+def _load_ratio(mu_l: ArrayLike, acceleration: ArrayLike) -> FloatArray:
     """λ = a/(2 g μ_l)."""
-    a = checked("acceleration", acceleration, "m/s²", ge=0.0)
-    return a / (2.0 * GRAVITY * checked("mu_l", mu_l, gt=0.0))
+    a = validate("acceleration", acceleration, "m/s²", ge=0.0)
+    return a / (2.0 * GRAVITY * validate("mu_l", mu_l, gt=0.0))
 
 
 def _shift_per_acceleration(length: ArrayLike, mu_l: ArrayLike) -> FloatArray:
     """D/a = l/(4 g μ_l), s²."""
-    return checked("length", length, "m", gt=0.0) / (4.0 * GRAVITY * checked("mu_l", mu_l, gt=0.0))
+    return validate("length", length, "m", gt=0.0) / (4.0 * GRAVITY * validate("mu_l", mu_l, gt=0.0))
 
 
 def _force_times_length(weight: ArrayLike, length: ArrayLike, mu_l: ArrayLike) -> FloatArray:
     """μ_l W l, N m."""
-    force = checked("mu_l", mu_l, gt=0.0) * checked("weight", weight, "N", ge=0.0)
-    return force * checked("length", length, "m", gt=0.0)
+    force = validate("mu_l", mu_l, gt=0.0) * validate("weight", weight, "N", ge=0.0)
+    return force * validate("length", length, "m", gt=0.0)

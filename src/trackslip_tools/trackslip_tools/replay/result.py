@@ -19,7 +19,7 @@ from trackslip_common.topics import (
     TRUE_SWING,
 )
 from trackslip_common.vehicle import Kinematics
-from trackslip_estimation.attitude.records import AttitudeRefusal
+from trackslip_estimation.attitude.records import AttitudeRejection
 from trackslip_estimation.setup_check.finding import Result as Setup
 from trackslip_estimation.slip.explanations import AcceptedEvent
 from trackslip_estimation.slip.local_odometry import LocalOdometry
@@ -133,7 +133,7 @@ class Collector:
         for name, outcome, n in _refused(part, "outcome"):
             self._rejected.add(name, Outcome(outcome), n)
         for name, refusal, n in _refused(part, "attitude"):
-            self._rejected.add(name, AttitudeRefusal(refusal), n)
+            self._rejected.add(name, AttitudeRejection(refusal), n)
         tables = {topic: part.tables[topic].rows for topic in self._scored & part.tables.keys()}
         for topic, rows in tables.items():
             self._series.add(topic, rows)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackslip_common.compiled import compiled
-from trackslip_estimation.kalman.smoother import step_back
+from trackslip_estimation.kalman.smoother import smooth_step
 from trackslip_estimation.slip.log import Block, Log, best_branch_script, run_blocks, start_of_log
 from trackslip_estimation.slip.models.dispatch import linearize
 from trackslip_estimation.slip.models.model import YAW
@@ -114,7 +114,7 @@ def _smooth_back(window: Window, last: int, config: Records) -> None:
                 if update.reset_states >> i & 1:
                     F[i] = 0.0
             predicted = prior.mean[:n].copy(), prior.covariance[:n, :n].copy()
-            x, P = step_back(filtered, predicted, (x, P), F, YAW)
+            x, P = smooth_step(filtered, predicted, (x, P), F, YAW)
             before.mean[:n], before.covariance[:n, :n] = x, P
         else:
             x, P = filtered

@@ -28,7 +28,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import climb_rate_variance, set_level
-from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRefusal
+from trackslip_estimation.attitude.records import HEIGHT, PITCH, ROLL, SIZE, AttitudeRejection
 from trackslip_estimation.kalman.linear_algebra import sandwich
 from trackslip_estimation.kalman.update import (
     correct,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.slip.records import MeasurementRecord, State
 
 
-_NONE, _GATED = int(AttitudeRefusal.NO_ALTITUDE), int(AttitudeRefusal.ALTITUDE_GATED)
+_NONE, _GATED = int(AttitudeRejection.NO_ALTITUDE), int(AttitudeRejection.ALTITUDE_GATED)
 _SLIP_TIME = 10.0  # s, T
 _LEAST_AGREEING = 3  # least number of altitudes that agree, and of timeouts that they span
 _SHORTEST, _LONGEST = 1e-3, 3600.0  # s, bounds of Δt
@@ -59,7 +59,7 @@ _SHORTEST, _LONGEST = 1e-3, 3600.0  # s, bounds of Δt
 def update_height(state: State, measurement: MeasurementRecord, c: Config) -> int:
     """Update the height with the altitude of a fix that was used.
 
-    Returns the ``AttitudeRefusal`` of a rejected altitude; 0 if it was used or is not requested.
+    Returns the ``AttitudeRejection`` of a rejected altitude; 0 if it was used or is not requested.
     """
     source, a, variance = measurement.source, state.attitude, measurement.altitude_variance
     if c.use_altitude[source] == 0 or a.known == 0 or variance >= UNOBSERVED:

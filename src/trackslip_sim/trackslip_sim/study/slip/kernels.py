@@ -21,11 +21,11 @@ from trackslip_common.compiled import compiled
 from trackslip_estimation.attitude.level import set_level
 from trackslip_estimation.attitude.records import PITCH, ROLL
 from trackslip_estimation.kalman.linear_algebra import (
-    apply,
+    multiply,
+    multiply_vector,
     root,
     sandwich,
     solve,
-    times,
     weighted_square,
     wrap,
 )
@@ -118,7 +118,7 @@ def draw(
     for k in range(count):
         measurement, drive = rows.measurements[k], rows.drives[k]
         x, _, Q = linearize(x, none, drive, (measurement.stamp_ns - stamp_ns) * 1e-9, c)
-        x = x + apply(root(Q), normals[k, :n])
+        x = x + multiply_vector(root(Q), normals[k, :n])
         x[YAW] = wrap(x[YAW])
         states[k], stamp_ns = x, measurement.stamp_ns
         if measurement.kind != SPROCKETS:
@@ -126,7 +126,9 @@ def draw(
             room[0].mean[:] = x
             o = observe(room[0], measurement, c)
             m = o.innovation.size
-            values[k, :m] = measurement.value[:m] - o.innovation + apply(root(o.noise), normals[k, n : n + m])
+            values[k, :m] = (
+                measurement.value[:m] - o.innovation + multiply_vector(root(o.noise), normals[k, n : n + m])
+            )
     return states, values
 
 
@@ -155,8 +157,8 @@ def nearest(
             v_x, _, rate = body_twist(state, left, right, drives[k], c)
             missing = twists[k] - np.array((v_x, rate))
             J = np.ascontiguousarray(body_jacobian(state, left, right, drives[k], c)[::2])
-            gain = np.ascontiguousarray(solve(root(sandwich(J, P)), times(J, P)).T)
-            state = state + apply(gain, missing)
+            gain = np.ascontiguousarray(solve(root(sandwich(J, P)), multiply(J, P)).T)
+            state = state + multiply_vector(gain, missing)
         states[k] = state
     return states
 
