@@ -23,8 +23,8 @@ from trackslip_drivers.protocols.can_frames import FrameSet, load_frames
 from trackslip_estimation.box.parameters import DEFAULT_FILES as BOX_FILES
 from trackslip_estimation.box.parameters import NODE as BOX_NODE
 from trackslip_estimation.box.parameters import BoxNodeParameters
-from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
-from trackslip_estimation.box.track import Kept, Track
+from trackslip_estimation.box.quarters import CERTAIN_WEIGHTS, Headings, SideEvidence
+from trackslip_estimation.box.track import LocalizerState, Track
 from trackslip_estimation.box.track_file import TrackFile, track_text
 from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.learned import learned_context
@@ -265,9 +265,9 @@ def state(_: Path) -> Reader:
 def track(_: Path) -> Reader:
     """The track that the box localizer keeps, and the search area that follows from it."""
     p = load_parameters(BoxNodeParameters, BOX_NODE, BOX_FILES)
-    headings = Headings(CERTAIN, SideEvidence())
-    begun = Track.begun(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
-    seed = track_text(Kept(begun.predicted(10**18 + 10**9, p), 10**18 + 2 * 10**9)).encode()
+    headings = Headings(CERTAIN_WEIGHTS, SideEvidence())
+    begun = Track.from_pose(10**18, np.array((1.0, 2.0, 0.3)), np.array((0.01, 0.01, 0.001)), headings, p)
+    seed = track_text(LocalizerState(begun.predict(10**18 + 10**9, p), 10**18 + 2 * 10**9)).encode()
 
     def read(path: Path) -> None:
         file = TrackFile(str(path))

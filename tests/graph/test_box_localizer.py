@@ -18,8 +18,8 @@ from fixtures.recorded import record_legs
 from trackslip_common.nodes.health import ERROR
 from trackslip_common.nodes.messages import topic_class
 from trackslip_common.nodes.qos import publisher_qos
-from trackslip_estimation.box.quarters import CERTAIN, Headings, SideEvidence
-from trackslip_estimation.box.track import Kept, Track
+from trackslip_estimation.box.quarters import CERTAIN_WEIGHTS, Headings, SideEvidence
+from trackslip_estimation.box.track import LocalizerState, Track
 from trackslip_estimation.box.track_file import TrackFile
 from trackslip_sim.machine.scan_model import ANGLE_INCREMENT, ANGLE_MIN, SiteScanner
 
@@ -80,10 +80,10 @@ def test_ambiguous_object_gives_no_pose_before_odometry_arrives(programs, observ
     """The node starts with a half-minute-old track and no background, as if the laser had been moved."""
     healths, poses = observer.healths(), observer.subscribe("box_pose")
     scans, odometry = observer.publisher("scan"), observer.publisher("odometry")
-    headings = Headings(CERTAIN, SideEvidence())
-    track = Track.begun(10**9, np.zeros(3), np.full(3, 1e-4), headings, PARAMETERS)
+    headings = Headings(CERTAIN_WEIGHTS, SideEvidence())
+    track = Track.from_pose(10**9, np.zeros(3), np.full(3, 1e-4), headings, PARAMETERS)
     file = tmp_path / "track.json"
-    TrackFile(str(file)).write(Kept(track, 30 * 10**9))
+    TrackFile(str(file)).write(LocalizerState(track, 30 * 10**9))
     program = programs.node("box_localizer", track_file=str(file))
     for topic in ("scan", "odometry"):
         observer.wait_for_ends(topic, "observer", "box_localizer")

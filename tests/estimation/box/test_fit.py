@@ -8,14 +8,14 @@ import sys
 import numpy as np
 import pytest
 
-from trackslip_estimation.box.clusters import beams_on
-from trackslip_estimation.box.fit import likely_starts, most_likely, posterior, seen_through
+from trackslip_estimation.box.clusters import object_beams
+from trackslip_estimation.box.fit import count_beams_through, fit_pose, likely_starting_poses, posterior
 from trackslip_estimation.box.measurement_model import (
     Rectangle,
     costs,
+    fit_input,
     pairwise_sum,
     ray_cast,
-    target,
     total_cost,
 )
 
@@ -32,13 +32,13 @@ def seen(pose):
 
 def beams_of(ranges, indices=None):
     indices = np.flatnonzero(np.isfinite(ranges)) if indices is None else indices
-    return beams_on(indices, ranges, ANGLES, BOX.diagonal, 0.05)
+    return object_beams(indices, ranges, ANGLES, BOX.diagonal, 0.05)
 
 
 def fitted(ranges, heading, stddev, indices=None):
     beams = beams_of(ranges, indices)
-    start = likely_starts(heading + HEADINGS, BOX, beams, stddev)[0]
-    return posterior(most_likely(start, BOX, beams, stddev), heading, BOX, beams, stddev)[:2]
+    start = likely_starting_poses(heading + HEADINGS, BOX, beams, stddev)[0]
+    return posterior(fit_pose(start, BOX, beams, stddev), heading, BOX, beams, stddev)[:2]
 
 
 def test_ray_cast_face_on():
@@ -63,7 +63,7 @@ def test_rays_end_on_the_outline_of_the_rectangle():
 
 def test_residuals_vanish_at_the_truth_but_for_the_ends():
     pose = np.array([6.0, 1.0, 0.4])
-    (values,) = costs(pose[np.newaxis], target(BOX, beams_of(seen(pose)), 0.01))
+    (values,) = costs(pose[np.newaxis], fit_input(BOX, beams_of(seen(pose)), 0.01))
     assert values[:-2] == pytest.approx(0.0, abs=1e-18)
     assert np.all(values[-2:] <= 3.0)
 
@@ -71,7 +71,7 @@ def test_residuals_vanish_at_the_truth_but_for_the_ends():
 def test_a_cost_is_the_sum_that_numpy_makes_of_its_parts():
     pose = np.array([[1.2, 0.1, 0.4]])
     beams = beams_of(seen(pose[0]))
-    sought = target(BOX, beams, 0.01)
+    sought = fit_input(BOX, beams, 0.01)
     assert total_cost(pose[0], sought) == costs(pose, sought).sum()
     values = np.random.default_rng(1).lognormal(size=700)
     assert all(pairwise_sum(values[:count]) == values[:count].sum() for count in range(len(values)))
@@ -110,9 +110,9 @@ def test_one_edge_with_free_ends_is_as_certain_as_the_spacing_allows():
 def test_beams_that_go_on_behind_are_counted():
     pose = np.array([5.0, 0.0, 0.0])
     ranges = seen(pose)
-    assert seen_through(pose, BOX, ranges, ANGLES, 0.1) == 0
+    assert count_beams_through(pose, BOX, ranges, ANGLES, 0.1) == 0
     ranges[178:182] = 9.0
-    assert seen_through(pose, BOX, ranges, ANGLES, 0.1) == 4
+    assert count_beams_through(pose, BOX, ranges, ANGLES, 0.1) == 4
 
 
 def test_covariance_is_symmetric_and_positive_definite_and_repeatable():

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackslip_estimation.box.quarters import (
-    CERTAIN,
-    NEGLIGIBLE,
+    CERTAIN_WEIGHTS,
+    NEGLIGIBLE_PROBABILITY,
     Headings,
     Mode,
     SideEvidence,
-    mixed,
-    prior,
+    heading_prior,
+    mix_modes,
     sides_are_known,
 )
 
@@ -36,20 +36,22 @@ def listened(headings, log_odds, scans, *, moved=0.0, stddev=0.05):
         given_modes = modes(log_odds)
         for mode in given_modes:
             mode.pose[0] += k * moved
-        received, weights, headings = headings.after(given_modes, 0.0, stddev**2, step=0.1)
+        received, weights, headings = headings.update(given_modes, 0.0, stddev**2, step=0.1)
         if abs(received[0].pose[2]) > 0.1:
             return received, weights, headings
     return received, weights, headings
 
 
 def test_heading_predicted_well_leaves_no_ambiguity():
-    assert prior(QUARTERS, np.full(4, 0.1**2), CERTAIN) == pytest.approx(CERTAIN, abs=1e-6)
-    assert sides_are_known(0.3, 0.1**2, CERTAIN)
-    assert not sides_are_known(0.3, 0.5**2, CERTAIN)
+    assert heading_prior(QUARTERS, np.full(4, 0.1**2), CERTAIN_WEIGHTS) == pytest.approx(
+        CERTAIN_WEIGHTS, abs=1e-6
+    )
+    assert sides_are_known(0.3, 0.1**2, CERTAIN_WEIGHTS)
+    assert not sides_are_known(0.3, 0.5**2, CERTAIN_WEIGHTS)
 
 
 def test_unpredicted_heading_is_any_of_four():
-    assert prior(QUARTERS, np.full(4, 9.0**2), CERTAIN) == pytest.approx(0.25, abs=0.05)
+    assert heading_prior(QUARTERS, np.full(4, 9.0**2), CERTAIN_WEIGHTS) == pytest.approx(0.25, abs=0.05)
 
 
 @given(st.floats(-np.pi, np.pi), st.floats(0.02, 3.0), st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4))
@@ -57,9 +59,9 @@ def test_prior_is_a_probability_and_turns_with_the_hypotheses(turned, spread, ra
     weights = np.array(raw) + 1e-3
     weights /= weights.sum()
     variance = np.full(4, spread**2)
-    probabilities = prior(turned + QUARTERS, variance, weights)
+    probabilities = heading_prior(turned + QUARTERS, variance, weights)
     assert probabilities.sum() == pytest.approx(1.0)
-    again = prior(turned + QUARTERS, variance, np.roll(weights, 1))
+    again = heading_prior(turned + QUARTERS, variance, np.roll(weights, 1))
     assert again == pytest.approx(np.roll(probabilities, 1), abs=1e-3)
 
 
@@ -70,7 +72,7 @@ OPEN = Headings(np.array([0.5, 0.2, 0.2, 0.1]), SideEvidence())
 def test_sides_are_not_settled_within_a_second_however_accurate_the_scans_are(scans):
     _, weights, headings = listened(OPEN, -50.0, scans, moved=0.2)
     assert headings.weights[1] > 0.1
-    assert weights[1] > NEGLIGIBLE
+    assert weights[1] > NEGLIGIBLE_PROBABILITY
 
 
 def test_many_scans_settle_the_sides_and_leave_half_a_turn_open():
@@ -88,19 +90,19 @@ def test_wrong_prior_of_the_sides_is_corrected():
 def test_scans_from_one_place_count_as_one_piece_of_evidence():
     """The same beams hit and miss in each scan: 100 scans with a ratio of 1 : 2 count as one."""
     assert listened(OPEN, -0.7, 100)[2].evidence.log_odds == pytest.approx(-0.7)
-    assert SideEvidence().after(0.5, np.zeros(3), 0.1).turned().log_odds == -0.5
+    assert SideEvidence().update(0.5, np.zeros(3), 0.1).rotate_quarter().log_odds == -0.5
 
 
 def test_absence_forgets_the_evidence():
     received = listened(OPEN, -0.7, 5, moved=0.2)[2]
-    _, _, lost = received.after(modes(), 0.0, 1.0, step=0.1)
+    _, _, lost = received.update(modes(), 0.0, 1.0, step=0.1)
     assert lost.evidence.log_odds == 0.0
 
 
 def test_covariance_spans_ambiguous_positions():
     """Four fixes per second with the wrong quarter must not add up to a certain position."""
     weights = np.array([0.95, 0.05, 0.0, 0.0])
-    pose, covariance = mixed(modes(), weights, elapsed=0.25)
+    pose, covariance = mix_modes(modes(), weights, elapsed=0.25)
     off = modes()[1].pose[:2] - pose[:2]
     squared = float(off @ np.linalg.solve(covariance[:2, :2], off))
     assert squared < 1.2  # four such fixes, in 1 s, exclude nothing
@@ -109,10 +111,10 @@ def test_covariance_spans_ambiguous_positions():
 
 
 def test_covariance_of_the_mixture_spans_each_position_and_heading():
-    pose, covariance = mixed(modes(), np.full(4, 0.25), elapsed=30.0)
+    pose, covariance = mix_modes(modes(), np.full(4, 0.25), elapsed=30.0)
     assert pose == pytest.approx([0.025, 0.0, 0.0])
     assert covariance[0, 0] == pytest.approx(0.01**2 + 0.025**2)
     assert covariance[2, 2] >= (np.pi / 2.0) ** 2
-    _, sides = mixed(modes(), np.array([0.999, 0.001, 0.0, 0.0]), elapsed=0.2)
+    _, sides = mix_modes(modes(), np.array([0.999, 0.001, 0.0, 0.0]), elapsed=0.2)
     assert sides[2, 2] == pytest.approx((np.pi / 4.0) ** 2, rel=0.01)
-    assert mixed(modes(), CERTAIN, elapsed=0.2)[1] == pytest.approx(NARROW)
+    assert mix_modes(modes(), CERTAIN_WEIGHTS, elapsed=0.2)[1] == pytest.approx(NARROW)

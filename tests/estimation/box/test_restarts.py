@@ -25,13 +25,13 @@ SEEN_AGAIN = BACK["behind_a_container"]
 
 def restarted(drive, second, **given):
     """The restarted localizer, and its fixes."""
-    localizer = BoxLocalizer(PARAMETERS, BOX, drive.kept(second))
+    localizer = BoxLocalizer(PARAMETERS, BOX, drive.saved_state(second))
     return localizer, drive.scored(localizer, second + DOWN, **given)
 
 
 def without_background(second):
     """A localizer with the track only."""
-    kept = dataclasses.replace(SITE_DRIVE.kept(second), background=Background.unknown())
+    kept = dataclasses.replace(SITE_DRIVE.saved_state(second), background=Background.empty())
     return BoxLocalizer(PARAMETERS, BOX, kept)
 
 
@@ -61,20 +61,20 @@ def test_restart_at_any_second_tracks_only_the_box_without_delay(name):
 
 
 def test_background_survives_several_restarts_without_a_fix():
-    kept = SITE_DRIVE.kept(50)
+    kept = SITE_DRIVE.saved_state(50)
     for second in (52, 55, 58):
         localizer = BoxLocalizer(PARAMETERS, BOX, kept)
         for stamp, ranges in SITE_DRIVE.scans:
             if second <= stamp < second + 2.0:
                 assert isinstance(localizer.locate(scan_of(stamp, ranges)), Rejection)
-        kept = localizer.kept
+        kept = localizer.saved_state
     localizer = BoxLocalizer(PARAMETERS, BOX, kept)
     assert longest_wrong(SITE_DRIVE.scored(localizer, 60.0, MANY)) <= LONGEST
 
 
 @pytest.mark.parametrize("change", ["laser", "beams"])
 def test_background_of_another_place_or_other_beams_is_not_used(change):
-    kept = SITE_DRIVE.kept(HIDDEN[SITE_DRIVE.name])
+    kept = SITE_DRIVE.saved_state(HIDDEN[SITE_DRIVE.name])
     if change == "laser":
         kept = dataclasses.replace(kept, laser=(kept.laser[0], kept.laser[1], kept.laser[2] + 0.01))
     else:
@@ -106,7 +106,7 @@ def test_certain_odometry_finds_the_box_without_background():
 def test_object_placed_between_runs_is_rejected_by_the_odometry():
     """A crate stands in front of the whole background; by scans alone it is as likely as the box."""
     drive, second = SITE_DRIVE, 47
-    bare = drive.kept(second)
+    bare = drive.saved_state(second)
     empty = np.full_like(bare.background.ranges, np.inf)
     cleared = dataclasses.replace(
         bare, background=dataclasses.replace(bare.background, ranges=empty, free=empty)
@@ -119,7 +119,7 @@ def test_object_placed_between_runs_is_rejected_by_the_odometry():
 
 
 def test_wrong_odometry_delays_fixes_only_until_the_machine_drives():
-    localizer = BoxLocalizer(PARAMETERS, BOX, SITE_DRIVE.kept(HIDDEN[SITE_DRIVE.name]))
+    localizer = BoxLocalizer(PARAMETERS, BOX, SITE_DRIVE.saved_state(HIDDEN[SITE_DRIVE.name]))
     wrong = SITE_DRIVE.odometry(0.05, off=(6.0, 3.0))
     scored = SITE_DRIVE.scored(localizer, HIDDEN[SITE_DRIVE.name] + DOWN, MANY, wrong)
     assert longest_wrong(scored) <= LONGEST
@@ -131,8 +131,8 @@ def test_start_without_a_track_rejects_positions_that_contradict_the_odometry():
     localizer = BoxLocalizer(dataclasses.replace(PARAMETERS, initial_x=6.0, initial_reach=2.0), BOX)
     scored = SITE_DRIVE.scored(localizer, 50.0, odometry=SITE_DRIVE.odometry(0.1))
     assert scored == []
-    assert len(localizer.places) == 1
-    assert localizer.places[0] == pytest.approx((6.0, 0.0), abs=0.3)
+    assert len(localizer.ambiguous_positions) == 1
+    assert localizer.ambiguous_positions[0] == pytest.approx((6.0, 0.0), abs=0.3)
 
 
 def test_malformed_odometry_is_counted_and_not_used():
@@ -148,7 +148,7 @@ def test_malformed_odometry_is_counted_and_not_used():
     ):
         buffer.add(Odometry(2 * 10**9, place, covariance))
     assert tally.by_source()["odometry"]["malformed"] == 4
-    assert buffer.at(2 * 10**9).stamp_ns == 10**9
-    assert buffer.at(2 * 10**9 + 1) is None
+    assert buffer.find_nearest(2 * 10**9).stamp_ns == 10**9
+    assert buffer.find_nearest(2 * 10**9 + 1) is None
     buffer.add(Odometry(5 * 10**8, zero, eye))  # not later: dropped
-    assert buffer.at(10**9).stamp_ns == 10**9
+    assert buffer.find_nearest(10**9).stamp_ns == 10**9

@@ -37,7 +37,7 @@ def fixes_of(localizer, scanner, first, scans=20):
 
 def test_a_localizer_killed_far_from_its_start_finds_the_box_again(drove, tmp_path):
     before, scanner = drove
-    TrackFile(str(tmp_path / "kept.json")).write(before.kept)
+    TrackFile(str(tmp_path / "kept.json")).write(before.saved_state)
     after = BoxLocalizer(NEAR, BOX, TrackFile(str(tmp_path / "kept.json")).read())
     found = fixes_of(after, scanner, SCANS + AWAY)
     assert after.resumed
@@ -58,7 +58,7 @@ def test_a_localizer_killed_while_the_box_is_out_of_sight_finds_it_again(drove):
     unseen = round(NEAR.resume_time / PERIOD) + 10
     out_of_sight = drive(before, scanner, standing(0.0, -60.0, 0.0), unseen, first=SCANS)
     assert not any(isinstance(fix, BoxFix) for fix in out_of_sight)
-    after = BoxLocalizer(NEAR, BOX, before.kept)
+    after = BoxLocalizer(NEAR, BOX, before.saved_state)
     found = fixes_of(after, scanner, SCANS + unseen + AWAY)
     assert after.resumed
     assert len(found) >= 18
@@ -70,7 +70,7 @@ def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
     pose_at = standing(0.0, 0.0, 0.0)
     late = round(NEAR.resume_time / 0.21) + SCANS + 10
     for first in (0, late):
-        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, before.kept)
+        fresh, resumed = BoxLocalizer(NEAR, BOX), BoxLocalizer(NEAR, BOX, before.saved_state)
         there = drive(resumed, SiteScanner(SITE, BOX, seed=2), pose_at, 5, first=first)
         assert not resumed.resumed
         assert [fix.yaw for fix in there] == [
@@ -79,7 +79,7 @@ def test_a_track_of_long_ago_or_of_the_future_is_not_used(drove):
 
 
 def test_track_file_restores_track_and_background(drove):
-    kept = drove[0].kept
+    kept = drove[0].saved_state
     parsed = parse_track(track_text(kept))
     assert parsed.scan_ns == kept.scan_ns
     track, again = kept.track, parsed.track
@@ -97,7 +97,9 @@ def test_track_file_restores_track_and_background(drove):
 
 def test_file_of_an_older_version_is_refused_in_one_line(drove, tmp_path):
     path = tmp_path / "kept.json"
-    path.write_text(json.dumps({**json.loads(track_text(drove[0].kept)), "version": 2}), encoding="utf-8")
+    path.write_text(
+        json.dumps({**json.loads(track_text(drove[0].saved_state)), "version": 2}), encoding="utf-8"
+    )
     file = TrackFile(str(path))
     assert file.read() is None
     assert file.failure == f"{path} is not used: it is of version '2', not 3"
@@ -135,7 +137,7 @@ def test_any_other_text_is_refused(text):
     ],
 )
 def test_a_changed_value_is_refused(drove, tmp_path, key, value):
-    tree = json.loads(track_text(drove[0].kept))
+    tree = json.loads(track_text(drove[0].saved_state))
     path = tmp_path / "kept.json"
     path.write_text(json.dumps({**tree, key: value}), encoding="utf-8")
     file = TrackFile(str(path))
@@ -150,7 +152,7 @@ def test_file_that_is_no_track_is_kept_under_another_name(drove, tmp_path):
         path.write_text(text, encoding="utf-8")
         file = TrackFile(str(path))
         assert file.read() is None
-        file.write(drove[0].kept)
+        file.write(drove[0].saved_state)
     assert path.with_name("notes.txt.unused").read_text(encoding="utf-8") == "years of work"
     assert path.with_name("notes.txt.unused-2").read_text(encoding="utf-8") == "more of it"
     assert TrackFile(str(path)).read() is not None
@@ -160,7 +162,7 @@ def test_file_that_is_no_track_is_kept_under_another_name(drove, tmp_path):
 def test_a_place_that_cannot_be_written_is_reported_and_ends_nothing(drove, tmp_path):
     (tmp_path / "file").write_text("", encoding="utf-8")
     file = TrackFile(str(tmp_path / "file" / "kept.json"))
-    file.write(drove[0].kept)
+    file.write(drove[0].saved_state)
     assert file.failures == 1
     assert "is not written" in file.failure
     assert TrackFile("").read() is None

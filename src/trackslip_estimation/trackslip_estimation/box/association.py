@@ -25,7 +25,7 @@ _NS = 1e-9  # s
 
 
 @dataclass
-class _Follower:
+class _CandidateTrack:
     """A candidate from scan to scan: its first and latest position, and the odometry at the first, m."""
 
     first: FloatArray
@@ -34,26 +34,26 @@ class _Follower:
     odometry: FloatArray | None
     likely_ns: int | None = None  # when the odometry's gate last accepted it as a new object
 
-    def follow(
+    def add_position(
         self, place: FloatArray, stamp_ns: int, odometry: Odometry | None, p: BoxLocalizerParameters
     ) -> None:
         """Add a position; restart from it if the candidate does not move like the odometry."""
         self.last, self.seen_ns = place, stamp_ns
         if odometry is None:
             return
-        moved, driven = _apart(place, self.first), self.driven(odometry)
+        moved, driven = _distance(place, self.first), self.odometry_distance(odometry)
         if driven is None or abs(moved - driven) > p.confirmation_difference + p.proof_share * driven:
             self.first, self.odometry = place, odometry.place
 
-    def driven(self, odometry: Odometry | None) -> float | None:
+    def odometry_distance(self, odometry: Odometry | None) -> float | None:
         """Return the distance of the odometry from its first position, m; None without odometry."""
         if odometry is None or self.odometry is None:
             return None
-        return _apart(odometry.place, self.odometry)
+        return _distance(odometry.place, self.odometry)
 
-    def moved(self, odometry: Odometry | None) -> float:
+    def distance_moved(self, odometry: Odometry | None) -> float:
         """Return the distance from the first position, at most that of an odometry, m."""
-        moved, driven = _apart(self.last, self.first), self.driven(odometry)
+        moved, driven = _distance(self.last, self.first), self.odometry_distance(odometry)
         return moved if driven is None else min(moved, driven)
 
     def is_likely(self, stamp_ns: int, p: BoxLocalizerParameters) -> bool:
@@ -66,13 +66,13 @@ class Association:
 
     def __init__(self, p: BoxLocalizerParameters) -> None:
         self._parameters = p
-        self._followers: list[_Follower] = []
+        self._tracks: list[_CandidateTrack] = []
         self._chi2 = float(chdtri(2, 1.0 - p.fit_probability))
 
     @property
-    def places(self) -> list[FloatArray]:
+    def ambiguous_positions(self) -> list[FloatArray]:
         """Positions (2,) of base_link for the ambiguous candidates, m."""
-        return [follower.last for follower in self._followers]
+        return [track.last for track in self._tracks]
 
     def choose(
         self,
@@ -82,14 +82,14 @@ class Association:
         stamp_ns: int,
     ) -> Candidate | None:
         """Return the box if it is unambiguous; there must be at least one candidate."""
-        chosen = self._identified(candidates, expected, odometry, stamp_ns)
+        chosen = self._identify(candidates, expected, odometry, stamp_ns)
         if chosen is None:
-            chosen = self._followed(candidates, expected, odometry, stamp_ns)
+            chosen = self._confirm_by_motion(candidates, expected, odometry, stamp_ns)
         if chosen is not None:
-            self._followers = []
+            self._tracks = []
         return chosen
 
-    def _identified(
+    def _identify(
         self,
         candidates: Sequence[Candidate],
         expected: Expectation,
@@ -107,9 +107,9 @@ class Association:
         if self._chi2 * np.linalg.eigvalsh(S)[1] > self._parameters.clearance**2:
             return None
         accepted = [c for c in candidates if self._is_accepted(c, odometry, stamp_ns)]
-        return min(accepted, key=lambda c: _apart(c.place, odometry.place), default=None)
+        return min(accepted, key=lambda c: _distance(c.place, odometry.place), default=None)
 
-    def _followed(
+    def _confirm_by_motion(
         self,
         candidates: Sequence[Candidate],
         expected: Expectation,
@@ -118,37 +118,39 @@ class Association:
     ) -> Candidate | None:
         """Return the only likely candidate, or the only one that has moved ``confirmation_distance``."""
         p = self._parameters
-        followers = [self._follower(candidate, odometry, stamp_ns) for candidate in candidates]
+        tracks = [self._extend_track(candidate, odometry, stamp_ns) for candidate in candidates]
         kept_ns = round(p.candidate_timeout * 1e9)
-        self._followers = [f for f in self._followers if stamp_ns - f.seen_ns <= kept_ns]
+        self._tracks = [f for f in self._tracks if stamp_ns - f.seen_ns <= kept_ns]
         likely = []
-        for candidate, follower in zip(candidates, followers, strict=True):
+        for candidate, track in zip(candidates, tracks, strict=True):
             is_new = candidate.is_new or math.isinf(expected.elapsed)
             if is_new and self._is_accepted(candidate, odometry, stamp_ns):
-                follower.likely_ns = stamp_ns
+                track.likely_ns = stamp_ns
                 likely.append(candidate)
-        if len(likely) == 1 and sum(f.is_likely(stamp_ns, p) for f in self._followers) == 1:
+        if len(likely) == 1 and sum(f.is_likely(stamp_ns, p) for f in self._tracks) == 1:
             return likely[0]
         driving = [
             candidate
-            for candidate, follower in zip(candidates, followers, strict=True)
-            if follower.moved(odometry) >= p.confirmation_distance
+            for candidate, track in zip(candidates, tracks, strict=True)
+            if track.distance_moved(odometry) >= p.confirmation_distance
         ]
         return driving[0] if len(driving) == 1 else None
 
-    def _follower(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> _Follower:
-        """Return the follower of a candidate, with its position added."""
+    def _extend_track(
+        self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int
+    ) -> _CandidateTrack:
+        """Return the track of a candidate, with its position added."""
         p = self._parameters
-        nearest = min(self._followers, key=lambda f: _apart(f.last, candidate.place), default=None)
+        nearest = min(self._tracks, key=lambda f: _distance(f.last, candidate.place), default=None)
         if nearest is not None:
             reach = p.gate_distance + p.top_speed * (stamp_ns - nearest.seen_ns) * _NS
-            if _apart(nearest.last, candidate.place) <= reach:
-                nearest.follow(candidate.place, stamp_ns, odometry, p)
+            if _distance(nearest.last, candidate.place) <= reach:
+                nearest.add_position(candidate.place, stamp_ns, odometry, p)
                 return nearest
         place = candidate.place
-        follower = _Follower(place, place, stamp_ns, None if odometry is None else odometry.place)
-        self._followers.append(follower)
-        return follower
+        track = _CandidateTrack(place, place, stamp_ns, None if odometry is None else odometry.place)
+        self._tracks.append(track)
+        return track
 
     def _is_accepted(self, candidate: Candidate, odometry: Odometry | None, stamp_ns: int) -> bool:
         """Whether a candidate is inside the odometry's gate; true without odometry."""
@@ -165,6 +167,6 @@ class Association:
         return S
 
 
-def _apart(one: FloatArray, other: FloatArray) -> float:
+def _distance(one: FloatArray, other: FloatArray) -> float:
     """Return the distance of two positions (2,), m."""
     return float(np.hypot(one[0] - other[0], one[1] - other[1]))

@@ -9,8 +9,8 @@ import numpy as np
 from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_estimation.box.clusters import Beams
 
-BESIDE = 2  # beams next to the box that may still be on it
-SAME = 0.05  # share of the beam spacing, within which beams are the same
+BEAMS_BESIDE = 2  # beams next to the box that may still be on it
+BEAM_TOLERANCE = 0.05  # share of the beam spacing, within which beams are the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,43 +28,43 @@ class Background:
     free: FloatArray
 
     @classmethod
-    def unknown(cls) -> "Background":
+    def empty(cls) -> "Background":
         """Return the empty background."""
         return cls(0.0, 0.0, np.zeros(0), np.zeros(0))
 
-    def after(self, ranges: FloatArray, angles: FloatArray, box: Beams, clearance: float) -> "Background":
+    def update(self, ranges: FloatArray, angles: FloatArray, box: Beams, clearance: float) -> "Background":
         """Return the background after a scan (N,), m and rad, with known box; ``clearance``: about it, m."""
         last, free = (
-            known.copy() if self._is_of(angles) else np.full(ranges.shape, np.nan)
+            known.copy() if self._has_same_beams(angles) else np.full(ranges.shape, np.nan)
             for known in (self.ranges, self.free)
         )
         known = ~np.isnan(ranges)
-        known[max(0, box.indices[0] - BESIDE) : box.indices[-1] + BESIDE + 1] = False
+        known[max(0, box.indices[0] - BEAMS_BESIDE) : box.indices[-1] + BEAMS_BESIDE + 1] = False
         last[known] = free[known] = ranges[known]
         on_box = box.indices[np.isnan(last[box.indices])]
         free[on_box] = ranges[on_box] + clearance
         return Background(float(angles[0]), float(angles[1] - angles[0]), last, free)
 
-    def holds(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
+    def matching_beams(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
         """Return which beams (N,) of a scan measure the same as before, within ``margin``, m."""
-        if not self._is_of(angles):
+        if not self._has_same_beams(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
             same: BoolArray = np.abs(self.ranges - ranges) < margin
         return same
 
-    def was_free(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
+    def new_object_beams(self, ranges: FloatArray, angles: FloatArray, margin: float) -> BoolArray:
         """Return which beams (N,) end more than ``margin``, m, before their free distance, at new objects."""
-        if not self._is_of(angles):
+        if not self._has_same_beams(angles):
             return np.zeros(ranges.shape, np.bool_)
         with np.errstate(invalid="ignore"):  # ∞ - ∞
             free: BoolArray = self.free - ranges > margin
         return free
 
-    def _is_of(self, angles: FloatArray) -> bool:
+    def _has_same_beams(self, angles: FloatArray) -> bool:
         """Whether the beams (N,) are those of the background."""
         if self.ranges.shape != angles.shape:
             return False
-        tolerance = SAME * self.spacing
+        tolerance = BEAM_TOLERANCE * self.spacing
         last = self.angle_min + self.spacing * (len(angles) - 1)
         return bool(abs(angles[0] - self.angle_min) < tolerance and abs(angles[-1] - last) < tolerance)

@@ -43,7 +43,7 @@ class Beams:
 
     def points(self) -> FloatArray:
         """Return the points (N, 2) in the laser frame, m."""
-        return _points(self.ranges, self.angles)
+        return _cartesian_points(self.ranges, self.angles)
 
     @cached_property
     def directions(self) -> FloatArray:
@@ -56,7 +56,7 @@ def directions(angles: FloatArray) -> FloatArray:
     return np.stack((angles, np.cos(angles), np.sin(angles)))
 
 
-def clusters(
+def segment_scan(
     ranges: FloatArray, angles: FloatArray, range_stddev: float, grazing_angle: float
 ) -> list[IndexArray]:
     """Beam indices of each object, counter-clockwise.
@@ -73,16 +73,16 @@ def clusters(
     noise = 3.0 * math.sqrt(2.0) * range_stddev
     allowed = nearer * (at[1:] - at[:-1]) / math.sin(grazing_angle) + noise
     empty_before = np.cumsum(ranges == math.inf)[valid]
-    return cut(valid, (steps > allowed) | (empty_before[1:] > empty_before[:-1]))
+    return split_at_gaps(valid, (steps > allowed) | (empty_before[1:] > empty_before[:-1]))
 
 
-def cut(indices: IndexArray, gaps: BoolArray) -> list[IndexArray]:
+def split_at_gaps(indices: IndexArray, gaps: BoolArray) -> list[IndexArray]:
     """Return the parts of (N,) indices, split at ``gaps`` (N − 1,)."""
     ends = [0, *(np.flatnonzero(gaps) + 1).tolist(), len(indices)]
     return [indices[begin:end] for begin, end in pairwise(ends)]
 
 
-def rejoined(
+def rejoin_parts(
     parts: list[IndexArray], ranges: FloatArray, angles: FloatArray, extent: float
 ) -> list[IndexArray]:
     """Return objects that a nearer one cuts in two: pairs of parts with only nearer parts between them."""
@@ -94,12 +94,12 @@ def rejoined(
             if not max(farthest[first + 1 : second]) < edge:
                 break
             right, left = parts[first][0], part[-1]
-            if _apart(ranges[right], ranges[left], angles[left] - angles[right]) <= extent:
+            if _distance_between(ranges[right], ranges[left], angles[left] - angles[right]) <= extent:
                 joined.append(np.concatenate([parts[first], part]))
     return joined
 
 
-def beams_on(
+def object_beams(
     indices: IndexArray, ranges: FloatArray, angles: FloatArray, extent: float, margin: float
 ) -> Beams:
     """Return one object's beams with the intervals of its ends.
@@ -127,10 +127,10 @@ def beams_on(
     )
 
 
-def _apart(one: float, other: float, between: float) -> float:
+def _distance_between(one: float, other: float, between: float) -> float:
     """Return the distance of two points, from their ranges and the angle between them."""
     return math.sqrt((one - other) ** 2 + one * other * (2.0 * math.sin(0.5 * between)) ** 2)
 
 
-def _points(ranges: FloatArray, angles: FloatArray) -> FloatArray:
+def _cartesian_points(ranges: FloatArray, angles: FloatArray) -> FloatArray:
     return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])

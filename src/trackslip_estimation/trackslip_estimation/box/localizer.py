@@ -24,10 +24,10 @@ from trackslip_estimation.box.fit import posterior
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.odometry import Odometry
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.quarters import NEGLIGIBLE, QUARTER_TURN, Headings, Mode, mixed
+from trackslip_estimation.box.quarters import NEGLIGIBLE_PROBABILITY, QUARTER_TURN, Headings, Mode, mix_modes
 from trackslip_estimation.box.scan import Scan
 from trackslip_estimation.box.search import BoxSearch, Candidate, Reason
-from trackslip_estimation.box.track import Expectation, Kept, Track, initial_expectation
+from trackslip_estimation.box.track import Expectation, LocalizerState, Track, initial_expectation
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class BoxFix:
     covariance: FloatArray
 
 
-class Found(NamedTuple):
+class FoundBox(NamedTuple):
     """Box found in a scan."""
 
     expected: Expectation
@@ -58,28 +58,30 @@ class Found(NamedTuple):
 class BoxLocalizer:
     """Tracks the box through scans in order; the odometry only decides which object is the box."""
 
-    def __init__(self, parameters: BoxLocalizerParameters, box: Box, kept: Kept | None = None) -> None:
-        """``kept``: state of the localizer that ran before this one."""
+    def __init__(
+        self, parameters: BoxLocalizerParameters, box: Box, saved_state: LocalizerState | None = None
+    ) -> None:
+        """``saved_state``: state of the localizer that ran before this one."""
         self._parameters = parameters
-        self._kept = kept
+        self._saved_state = saved_state
         self._box = box
         self._frames = Frames(parameters, box)
         self.tally = Tally()
         self.restarts = 0
-        self.resumed = False  # whether the kept track was continued
+        self.resumed = False  # whether the saved track was continued
         self.reset()
 
     @property
-    def kept(self) -> Kept | None:
+    def saved_state(self) -> LocalizerState | None:
         """State for the next localizer; None before the first fix."""
         if len(self._tracks) != 1 or self._tracks[0] is None:
             return None
-        return Kept(self._tracks[0], self._scan_ns, self._search.background, self._laser)
+        return LocalizerState(self._tracks[0], self._scan_ns, self._search.background, self._laser_pose)
 
     @property
-    def places(self) -> list[FloatArray]:
+    def ambiguous_positions(self) -> list[FloatArray]:
         """Positions (2,) of base_link in odom for ambiguous candidates, m; empty if unambiguous."""
-        return self._association.places
+        return self._association.ambiguous_positions
 
     def reset(self) -> None:
         """Reset to the initial pose."""
@@ -96,13 +98,13 @@ class BoxLocalizer:
         ``odometry``: at the time of the scan, if available; it only decides which object is the box if the
         localizer's own track does not.
         """
-        scan = scan.counter_clockwise()
-        refused = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
-        found = refused or self._find(scan, odometry)
+        scan = scan.to_counter_clockwise()
+        rejected = self._check_stamp(scan.stamp_ns) if scan.is_usable() else Reason.MALFORMED
+        found = rejected or self._find_box(scan, odometry)
         if isinstance(found, Reason):
             self.tally.add("scan", found)
             return Rejection(found)
-        return self._accept(scan, found.expected, found.candidate)
+        return self._accept_fix(scan, found.expected, found.candidate)
 
     def _new_clock(self) -> ClockMonitor:
         return ClockMonitor(round(self._parameters.max_gap * 1e9), self._parameters.jump_confirmations)
@@ -111,30 +113,30 @@ class BoxLocalizer:
         """Return why a scan is rejected for its stamp, or None; restart if stamps have gone back."""
         status = self._clock.later_sample(stamp_ns)
         if status is StampStatus.BACK:
-            self._start_over(stamp_ns)
+            self._restart(stamp_ns)
         elif status is not StampStatus.IN_LINE:
             return Reason.AHEAD if status is StampStatus.AHEAD else Reason.NOT_LATER
         if self._first_ns is None:
             self._first_ns = stamp_ns
-            self._resume(stamp_ns)
+            self._resume_saved_track(stamp_ns)
         self._scan_ns = stamp_ns
         return None
 
-    def _resume(self, stamp_ns: int) -> None:
-        """Continue the kept track if its last scan, with or without the box, is recent (``resume_time``)."""
-        kept, self._kept = self._kept, None
-        if kept is not None and 0 <= stamp_ns - kept.scan_ns <= self._parameters.resume_time * 1e9:
-            self._tracks = [kept.track]
+    def _resume_saved_track(self, stamp_ns: int) -> None:
+        """Continue the saved track if its last scan, with or without the box, is recent (``resume_time``)."""
+        saved, self._saved_state = self._saved_state, None
+        if saved is not None and 0 <= stamp_ns - saved.scan_ns <= self._parameters.resume_time * 1e9:
+            self._tracks = [saved.track]
             self.resumed = True
-            if np.allclose(kept.laser, self._laser, rtol=0.0, atol=1e-6):
-                self._search.background = kept.background
+            if np.allclose(saved.laser, self._laser_pose, rtol=0.0, atol=1e-6):
+                self._search.background = saved.background
 
-    def _start_over(self, stamp_ns: int) -> None:
+    def _restart(self, stamp_ns: int) -> None:
         """Restart after stamps have gone back: another run, or the same with the clock set."""
         assert self._first_ns is not None
         before_ns = round(self._parameters.max_gap * 1e9)  # longest time until the confirmation
         is_another_run = stamp_ns < self._first_ns + before_ns
-        last = [track.restamped(stamp_ns, self._parameters) for track in self._tracks if track is not None]
+        last = [track.restamp(stamp_ns, self._parameters) for track in self._tracks if track is not None]
         if is_another_run:
             self.reset()
         self._tracks = [None, *last] if is_another_run else [*last, None]
@@ -143,12 +145,12 @@ class BoxLocalizer:
         self.restarts += 1
 
     @property
-    def _laser(self) -> tuple[float, float, float]:
+    def _laser_pose(self) -> tuple[float, float, float]:
         """Pose of the laser in odom, m and rad."""
         p = self._parameters
         return p.laser_x, p.laser_y, p.laser_yaw
 
-    def _find(self, scan: Scan, odometry: Odometry | None) -> Found | Reason:
+    def _find_box(self, scan: Scan, odometry: Odometry | None) -> FoundBox | Reason:
         """Return the box near its track, or why there is none: the last check that was reached."""
         reasons = []
         angles = scan.angles()
@@ -157,36 +159,38 @@ class BoxLocalizer:
                 expected = initial_expectation(self._parameters)
             else:
                 expected = track.expectation(scan.stamp_ns, self._parameters)
-            found = self._search.find(scan.ranges, angles, expected)
+            found = self._search.find_candidates(scan.ranges, angles, expected)
             if isinstance(found, Reason):
                 reasons.append(found)
                 continue
             chosen = self._association.choose(found, expected, odometry, scan.stamp_ns)
             if chosen is not None:
-                return Found(expected, chosen)
+                return FoundBox(expected, chosen)
             reasons.append(Reason.UNCERTAIN)
         return max(reasons, key=list(Reason).index)
 
-    def _accept(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
+    def _accept_fix(self, scan: Scan, expected: Expectation, found: Candidate) -> BoxFix:
         """Update the track with a fix; return the fix of base_link in odom."""
         step = found.beams.spacing * float(found.beams.ranges.mean())
-        after = expected.headings.after(
-            self._modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
+        after = expected.headings.update(
+            self._heading_modes(expected, found), float(expected.pose[2]), expected.yaw_variance, step
         )
-        if after.probabilities[0] > 1.0 - NEGLIGIBLE:  # the box is certain, and the rest is background
-            self._search.background = self._search.background.after(
+        if (
+            after.probabilities[0] > 1.0 - NEGLIGIBLE_PROBABILITY
+        ):  # the box is certain, and the rest is background
+            self._search.background = self._search.background.update(
                 scan.ranges, scan.angles(), found.beams, self._parameters.clearance
             )
-        stamp_ns = scan.time_ns(float(found.beams.indices.mean()))
-        self._tracks = [self._continued(stamp_ns, after.modes[0], after.headings)]
-        pose, covariance = mixed(after.modes, after.probabilities, expected.elapsed)
+        stamp_ns = scan.beam_stamp_ns(float(found.beams.indices.mean()))
+        self._tracks = [self._update_track(stamp_ns, after.modes[0], after.headings)]
+        pose, covariance = mix_modes(after.modes, after.probabilities, expected.elapsed)
         covariance[2, 2] = max(
             covariance[2, 2], expected.innovation_variance(after.modes[0], self._parameters)
         )
         yaw = float(np.arctan2(np.sin(pose[2]), np.cos(pose[2])))
         return BoxFix(stamp_ns, float(pose[0]), float(pose[1]), yaw, covariance)
 
-    def _modes(self, expected: Expectation, found: Candidate) -> list[Mode]:
+    def _heading_modes(self, expected: Expectation, found: Candidate) -> list[Mode]:
         """Return the hypotheses: about the expected heading, and one, two and three quarter turns from it.
 
         If the box is fitted one way only, the others are that fit rotated: they are refuted hypotheses.
@@ -206,9 +210,9 @@ class BoxLocalizer:
             modes.append(Mode(in_odom, covariance, fit.log_evidence))
         return modes
 
-    def _continued(self, stamp_ns: int, fix: Mode, headings: Headings) -> Track:
+    def _update_track(self, stamp_ns: int, fix: Mode, headings: Headings) -> Track:
         """Return the track updated with a fix, the first hypothesis."""
         p = self._parameters
         if len(self._tracks) == 1 and (track := self._tracks[0]) is not None:
-            return track.updated(stamp_ns, fix, headings, p)
-        return Track.begun(stamp_ns, fix.pose, fix.covariance.diagonal(), headings, p)
+            return track.update(stamp_ns, fix, headings, p)
+        return Track.from_pose(stamp_ns, fix.pose, fix.covariance.diagonal(), headings, p)

@@ -50,7 +50,7 @@ class Rectangle:
         return np.array((self.length / 2.0, self.width / 2.0))
 
 
-class Target(NamedTuple):
+class FitInput(NamedTuple):
     """Input of a fit: the size of the rectangle, and the beams on it."""
 
     half: FloatArray  # (2,) a and b
@@ -61,7 +61,7 @@ class Target(NamedTuple):
     end_stddevs: tuple[float, float]  # s of each
 
 
-class View(NamedTuple):
+class PredictedScan(NamedTuple):
     """Predicted measurements of rectangles at M poses."""
 
     ranges: FloatArray  # (M, N) of each beam, m
@@ -82,10 +82,10 @@ class NormalEquations(NamedTuple):
     gradient: FloatArray  # (3,)
 
 
-def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
+def fit_input(box: Rectangle, beams: Beams, range_stddev: float) -> FitInput:
     """Return the input of a fit to a box's beams."""
     (right, right_end), (left, left_end) = beams.right, beams.left
-    return Target(
+    return FitInput(
         box.half,
         beams.directions,
         beams.ranges,
@@ -95,16 +95,16 @@ def target(box: Rectangle, beams: Beams, range_stddev: float) -> Target:
     )
 
 
-def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> View:
+def ray_cast(poses: FloatArray, box: Rectangle, angles: FloatArray) -> PredictedScan:
     """Return the predicted measurements of rectangles at ``poses`` (M, 3), with beams at ``angles`` (N,).
 
     A beam that misses gets the range of the nearest end of the outline: ranges are continuous in the pose.
     """
-    return cast(poses, box.half, directions(angles))
+    return cast_rays(poses, box.half, directions(angles))
 
 
 @compiled
-def costs(poses: FloatArray, beams: Target) -> FloatArray:
+def costs(poses: FloatArray, beams: FitInput) -> FloatArray:
     """Return the costs (M, N + 2) of the residuals: squares, growing linearly beyond HUBER."""
     values = _residuals(poses, beams)
     for m in range(values.shape[0]):
@@ -114,9 +114,9 @@ def costs(poses: FloatArray, beams: Target) -> FloatArray:
 
 
 @compiled
-def range_costs(poses: FloatArray, beams: Target) -> RangeCosts:
+def range_costs(poses: FloatArray, beams: FitInput) -> RangeCosts:
     """Return the costs of the ranges alone, and the outline."""
-    ranges, outline = cast(poses, beams.half, beams.directions)
+    ranges, outline = cast_rays(poses, beams.half, beams.directions)
     for m in range(ranges.shape[0]):
         for n in range(ranges.shape[1]):
             ranges[m, n] = _huber((ranges[m, n] - beams.ranges[n]) / beams.range_stddev)
@@ -124,13 +124,13 @@ def range_costs(poses: FloatArray, beams: Target) -> RangeCosts:
 
 
 @compiled
-def total_cost(pose: FloatArray, beams: Target) -> float:
+def total_cost(pose: FloatArray, beams: FitInput) -> float:
     """Return the sum of all ``costs`` of one pose (3,)."""
     return pairwise_sum(costs(pose.reshape((1, 3)), beams)[0])
 
 
 @compiled
-def normal_equations(pose: FloatArray, beams: Target) -> NormalEquations:
+def normal_equations(pose: FloatArray, beams: FitInput) -> NormalEquations:
     """Return the normal equations of the cost at a pose (3,)."""
     poses = np.empty((7, 3))
     for axis in range(3):
@@ -150,9 +150,9 @@ def normal_equations(pose: FloatArray, beams: Target) -> NormalEquations:
 
 
 @compiled
-def _residuals(poses: FloatArray, beams: Target) -> FloatArray:
+def _residuals(poses: FloatArray, beams: FitInput) -> FloatArray:
     """Return the normalised residuals (M, N + 2): one per beam, then the right and the left end."""
-    ranges, outline = cast(poses, beams.half, beams.directions)
+    ranges, outline = cast_rays(poses, beams.half, beams.directions)
     count = ranges.shape[1]
     values = np.empty((ranges.shape[0], count + 2))
     for m in range(ranges.shape[0]):
@@ -170,8 +170,8 @@ def _huber(residual: float) -> float:
 
 
 @compiled
-def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> View:
-    """As ``ray_cast``; ``half`` and ``directions`` as in ``Target``."""
+def cast_rays(poses: FloatArray, half: FloatArray, directions: FloatArray) -> PredictedScan:
+    """As ``ray_cast``; ``half`` and ``directions`` as in ``FitInput``."""
     ranges, outline = np.empty((len(poses), directions.shape[1])), np.empty((len(poses), 2))
     for m in range(len(poses)):
         x, y = poses[m, 0], poses[m, 1]
@@ -192,14 +192,14 @@ def cast(poses: FloatArray, half: FloatArray, directions: FloatArray) -> View:
                 u, v = right_u, right_v
             elif angle > left:
                 u, v = left_u, left_v
-            along = _distance(ahead, half[0], u * cos + v * sin)
-            across = _distance(beside, half[1], v * cos - u * sin)
+            along = _distance_to_side(ahead, half[0], u * cos + v * sin)
+            across = _distance_to_side(beside, half[1], v * cos - u * sin)
             ranges[m, n] = max(along, across, 0.0)
-    return View(ranges, outline)
+    return PredictedScan(ranges, outline)
 
 
 @compiled
-def _distance(laser: float, half: float, direction: float) -> float:
+def _distance_to_side(laser: float, half: float, direction: float) -> float:
     """Return the distance along a beam to the side that faces the laser; −∞ if neither of the two does."""
     if abs(laser) <= half or direction == 0.0:
         return -math.inf

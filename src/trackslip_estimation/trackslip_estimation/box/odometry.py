@@ -13,8 +13,8 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.tally import Tally
 
 SPACING_NS = 50_000_000  # least time between two that are kept
-KEPT = 60  # 3 s, for scans delayed by the serial line
-MOST_APART_NS = 1_000_000_000  # longest time between a scan and its odometry
+BUFFER_SIZE = 60  # 3 s, for scans delayed by the serial line
+LONGEST_OFFSET_NS = 1_000_000_000  # longest time between a scan and its odometry
 
 
 class OdometryReason(Enum):
@@ -36,24 +36,24 @@ class OdometryBuffer:
 
     def __init__(self, tally: Tally) -> None:
         self._tally = tally
-        self._latest: deque[Odometry] = deque(maxlen=KEPT)
+        self._latest: deque[Odometry] = deque(maxlen=BUFFER_SIZE)
 
     def add(self, odometry: Odometry) -> None:
-        """Keep one if ``SPACING_NS`` after the last; ``MOST_APART_NS`` before it, clear the buffer first."""
+        """Append one ``SPACING_NS`` or more after the last; if time went back, clear the buffer first."""
         if not _is_usable(odometry):
             self._tally.add("odometry", OdometryReason.MALFORMED)
             return
         since_ns = odometry.stamp_ns - self._latest[-1].stamp_ns if self._latest else SPACING_NS
-        if since_ns < -MOST_APART_NS:
+        if since_ns < -LONGEST_OFFSET_NS:
             self._latest.clear()
         elif since_ns < SPACING_NS:
             return
         self._latest.append(odometry)
 
-    def at(self, stamp_ns: int) -> Odometry | None:
-        """Return the one nearest in time; None if none is within ``MOST_APART_NS``."""
+    def find_nearest(self, stamp_ns: int) -> Odometry | None:
+        """Return the odometry nearest in time; None if none is within ``LONGEST_OFFSET_NS``."""
         nearest = min(self._latest, key=lambda kept: abs(kept.stamp_ns - stamp_ns), default=None)
-        if nearest is None or abs(nearest.stamp_ns - stamp_ns) > MOST_APART_NS:
+        if nearest is None or abs(nearest.stamp_ns - stamp_ns) > LONGEST_OFFSET_NS:
             return None
         return nearest
 

@@ -30,7 +30,7 @@ class Scan:
     angle_increment: float
     time_increment: float
 
-    def counter_clockwise(self) -> "Scan":
+    def to_counter_clockwise(self) -> "Scan":
         """Return the scan with its beams counter-clockwise: reversed if ``angle_increment`` < 0."""
         if not self.angle_increment < 0.0 or self.ranges.ndim != 1 or self.ranges.size > MOST_BEAMS:
             return self
@@ -62,6 +62,6 @@ class Scan:
         """Return the beam angles (N,), rad."""
         return self.angle_min + self.angle_increment * np.arange(self.ranges.size, dtype=np.float64)
 
-    def time_ns(self, beam: float) -> int:
+    def beam_stamp_ns(self, beam: float) -> int:
         """Return the stamp of the beam of this index, or of a mean of indices, ns."""
         return self.stamp_ns + round(self.time_increment * 1e9 * beam)

@@ -16,15 +16,22 @@ from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.tally import Tally
 from trackslip_common.vehicle import Box
 from trackslip_estimation.box.background import Background
-from trackslip_estimation.box.clusters import Beams, IndexArray, beams_on, clusters, cut, rejoined
-from trackslip_estimation.box.fit import Optimum, likely_starts, most_likely, seen_through
+from trackslip_estimation.box.clusters import (
+    Beams,
+    IndexArray,
+    object_beams,
+    rejoin_parts,
+    segment_scan,
+    split_at_gaps,
+)
+from trackslip_estimation.box.fit import Optimum, count_beams_through, fit_pose, likely_starting_poses
 from trackslip_estimation.box.frames import Frames
 from trackslip_estimation.box.measurement_model import Rectangle
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
 from trackslip_estimation.box.quarters import QUARTER_TURN, sides_are_known
 from trackslip_estimation.box.track import Expectation
 
-QUARTER = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)
+HEADING_OFFSETS = np.linspace(-0.5 * QUARTER_TURN, 0.5 * QUARTER_TURN, 25)
 
 
 class Reason(Enum):
@@ -49,7 +56,7 @@ class Candidate:
 
     fits: within an eighth of a turn of the expected heading and, if ambiguous, of a quarter turn from it;
     place: (2,) of base_link in odom by the better fit, m; distance: from the expected position, m;
-    is_unobserved_receiver: whether the object is new: the laser measured behind it before, or the box.
+    is_new: whether the object is new: the laser measured behind it before, or the box.
     """
 
     beams: Beams
@@ -68,29 +75,31 @@ class BoxSearch:
         self._frames = Frames(p, box)
         self.box = Rectangle(box.length, box.width)
         self.range_stddev = float(np.hypot(p.range_stddev, p.range_resolution / np.sqrt(12.0)))
-        self.background = Background.unknown()
+        self.background = Background.empty()
 
-    def find(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> list[Candidate] | Reason:
+    def find_candidates(
+        self, ranges: FloatArray, angles: FloatArray, expected: Expectation
+    ) -> list[Candidate] | Reason:
         """Return the objects near the expected pose that can be the box, or the last check reached.
 
         The background is cut off: a post beside the box would lengthen or rotate it.
         """
         reach = self.box.diagonal + 3.0 * self.range_stddev
-        known = self.background.holds(ranges, angles, self._margin)
+        known = self.background.matching_beams(ranges, angles, self._range_margin)
         parts = [
             part
-            for cluster in clusters(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
-            for part in cut(cluster, known[cluster][1:] != known[cluster][:-1])
+            for cluster in segment_scan(ranges, angles, self.range_stddev, self._parameters.grazing_angle)
+            for part in split_at_gaps(cluster, known[cluster][1:] != known[cluster][:-1])
         ]
-        near = self._near(ranges, angles, expected)
+        near = self._beams_near(ranges, angles, expected)
         found: list[Candidate] = []
         reasons = [Reason.NOTHING_NEAR]
-        for indices in rejoined(parts, ranges, angles, reach) + parts:
+        for indices in rejoin_parts(parts, ranges, angles, reach) + parts:
             if not near[indices].any() or any(np.isin(indices, other.beams.indices).any() for other in found):
                 continue
             outcome: Candidate | Reason = Reason.BACKGROUND
             if 2 * np.count_nonzero(known[indices]) <= len(indices):
-                outcome = self._evaluate(indices, expected, ranges, angles)
+                outcome = self._evaluate_object(indices, expected, ranges, angles)
             if isinstance(outcome, Candidate):
                 found.append(outcome)
             else:
@@ -99,25 +108,25 @@ class BoxSearch:
         return found or max(reasons, key=list(Reason).index)
 
     @property
-    def _margin(self) -> float:
+    def _range_margin(self) -> float:
         """Largest difference of two ranges of one object, m."""
         return float(3.0 * np.sqrt(2.0) * self.range_stddev)
 
-    def _evaluate(
+    def _evaluate_object(
         self, indices: IndexArray, expected: Expectation, ranges: FloatArray, angles: FloatArray
     ) -> Candidate | Reason:
         """Return the candidate if an object can be the box, else why not."""
         if len(indices) < self._parameters.minimum_beams:
             return Reason.FEW_BEAMS
-        beams = beams_on(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
+        beams = object_beams(indices, ranges, angles, self.box.diagonal, 3.0 * self.range_stddev)
         points = beams.points()
         if np.linalg.norm(points[-1] - points[0]) > self.box.diagonal + 3.0 * self.range_stddev:
             return Reason.SIZE
         if beams.ranges.min() < 0.5 * self.box.diagonal:  # then the laser could be within the box fitted
             return Reason.TOO_NEAR
-        fits = self._fitted(beams, expected)
+        fits = self._fit_headings(beams, expected)
         best = min(fits, key=lambda fit: fit.chi2)
-        through = seen_through(best.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
+        through = count_beams_through(best.pose, self.box, ranges, angles, 3.0 * self.range_stddev)
         is_explained = self._is_explained(best, self._parameters.fit_probability)
         if not is_explained or through > self._parameters.seen_through * len(beams.ranges):
             return Reason.SHAPE
@@ -127,11 +136,11 @@ class BoxSearch:
         turned = abs(difference[2] - QUARTER_TURN * np.round(difference[2] / QUARTER_TURN))
         if distance > expected.reach or turned > expected.yaw_reach:
             return Reason.GATE
-        was_free = self.background.was_free(ranges, angles, self._margin)[indices]
-        is_new = 2 * int(np.count_nonzero(was_free)) > len(indices)
+        at_new_objects = self.background.new_object_beams(ranges, angles, self._range_margin)[indices]
+        is_new = 2 * int(np.count_nonzero(at_new_objects)) > len(indices)
         return Candidate(beams, fits, pose[:2], distance, is_new)
 
-    def _near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
+    def _beams_near(self, ranges: FloatArray, angles: FloatArray, expected: Expectation) -> BoolArray:
         """Return which beams (N,) end where the box may be."""
         x, y = self._frames.laser_from_odom(expected.pose)[:2]
         with np.errstate(invalid="ignore"):  # no return straight ahead: ∞ sin 0
@@ -139,27 +148,27 @@ class BoxSearch:
         near: BoolArray = away <= expected.reach + 0.5 * self.box.diagonal
         return near
 
-    def _fitted(self, beams: Beams, expected: Expectation) -> list[Optimum]:
+    def _fit_headings(self, beams: Beams, expected: Expectation) -> list[Optimum]:
         """Return the fit about the expected heading and, if ambiguous, that about a quarter turn from it."""
         heading = float(self._frames.laser_from_odom(expected.pose)[2])
-        first = self.settled(heading, beams)
+        first = self.fit_near_heading(heading, beams)
         variance = expected.yaw_variance + min(float(np.linalg.inv(first.information)[2, 2]), 1.0)
         if sides_are_known(float(first.pose[2]) - heading, variance, expected.headings.weights):
             return [first]
-        return [first, self.settled(heading + QUARTER_TURN, beams)]
+        return [first, self.fit_near_heading(heading + QUARTER_TURN, beams)]
 
-    def settled(self, middle: float, beams: Beams) -> Optimum:
+    def fit_near_heading(self, middle: float, beams: Beams) -> Optimum:
         """Return the first good fit within an eighth of a turn of ``middle``, else the best of all starts."""
-        starts = likely_starts(middle + QUARTER, self.box, beams, self.range_stddev)
+        starts = likely_starting_poses(middle + HEADING_OFFSETS, self.box, beams, self.range_stddev)
         stuck: list[Optimum] = []
         for start in starts:
-            optimum = most_likely(start, self.box, beams, self.range_stddev)
+            optimum = fit_pose(start, self.box, beams, self.range_stddev)
             if abs(optimum.pose[2] - middle) <= 0.5 * QUARTER_TURN:
                 if self._is_explained(optimum, self._parameters.good_fit):
                     return optimum
                 stuck.append(optimum)
         if not stuck:  # all have left this eighth of a turn
-            return most_likely(starts[0], self.box, beams, self.range_stddev, steps=0)
+            return fit_pose(starts[0], self.box, beams, self.range_stddev, steps=0)
         return min(stuck, key=lambda optimum: optimum.chi2)
 
     @staticmethod

@@ -21,7 +21,7 @@ import numpy as np
 from trackslip_common.arrays import FloatArray
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.parameters import BoxLocalizerParameters
-from trackslip_estimation.box.quarters import CERTAIN, QUARTER_TURN, Headings, Mode, SideEvidence
+from trackslip_estimation.box.quarters import CERTAIN_WEIGHTS, QUARTER_TURN, Headings, Mode, SideEvidence
 
 INITIAL_YAW_STDDEV = np.pi / 16.0  # rad: the initial heading is given to within π/4
 _NS = 1e-9  # s
@@ -63,7 +63,7 @@ class Track:
     headings: Headings
 
     @classmethod
-    def begun(
+    def from_pose(
         cls,
         stamp_ns: int,
         pose: FloatArray,
@@ -71,12 +71,12 @@ class Track:
         headings: Headings,
         p: BoxLocalizerParameters,
     ) -> "Track":
-        """Return a track at a pose (3,) with variances (3,), at any velocity that the vehicle can have."""
+        """Return a track from a pose (3,) with variances (3,), with any velocity of the vehicle."""
         mean, covariance = np.zeros((3, 2)), np.zeros((3, 2, 2))
         mean[:, 0], covariance[:, 0, 0], covariance[:, 1, 1] = pose, variance, _rate_variance(p)
         return cls(stamp_ns, mean, covariance, headings)
 
-    def predicted(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
+    def predict(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
         """Return the track propagated to a later stamp; an earlier stamp counts as its own."""
         elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
         tau, left = p.coast_time, np.exp(-elapsed / p.coast_time)
@@ -91,7 +91,7 @@ class Track:
     def expectation(self, stamp_ns: int, p: BoxLocalizerParameters) -> Expectation:
         """Return the prediction of the next fix, gated by the possible motion since the last."""
         elapsed = max(0.0, (stamp_ns - self.stamp_ns) * _NS)
-        there = self.predicted(stamp_ns, p)
+        there = self.predict(stamp_ns, p)
         variance = float(there.covariance[2, 0, 0])
         return Expectation(
             pose=there.mean[:, 0],
@@ -102,9 +102,9 @@ class Track:
             elapsed=elapsed,
         )
 
-    def updated(self, stamp_ns: int, fix: Mode, headings: Headings, p: BoxLocalizerParameters) -> "Track":
+    def update(self, stamp_ns: int, fix: Mode, headings: Headings, p: BoxLocalizerParameters) -> "Track":
         """Return the track updated with a fix of the first hypothesis; ``headings``: those after the fix."""
-        there = self.predicted(stamp_ns, p)
+        there = self.predict(stamp_ns, p)
         innovation_variance = there.covariance[:, 0, 0] + fix.covariance.diagonal()
         innovation = fix.pose - there.mean[:, 0]
         turn = QUARTER_TURN * round(float(innovation[2]) / QUARTER_TURN)  # to another hypothesis
@@ -115,13 +115,13 @@ class Track:
         covariance = there.covariance - gain[:, :, None] * there.covariance[:, None, 0, :]
         return Track(there.stamp_ns, mean, 0.5 * (covariance + covariance.swapaxes(1, 2)), headings)
 
-    def restamped(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
+    def restamp(self, stamp_ns: int, p: BoxLocalizerParameters) -> "Track":
         """Return the track at its pose, with unknown velocity: after the clock is set, Δt is unknown."""
-        return Track.begun(stamp_ns, self.mean[:, 0], self.covariance[:, 0, 0], self.headings, p)
+        return Track.from_pose(stamp_ns, self.mean[:, 0], self.covariance[:, 0, 0], self.headings, p)
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class LocalizerState:
     """State for the next localizer: the track, the stamp of the latest scan, and the background.
 
     laser: (3,) pose of the laser for the background, in odom, m and rad.
@@ -129,7 +129,7 @@ class Kept:
 
     track: Track
     scan_ns: int
-    background: Background = field(default_factory=Background.unknown)
+    background: Background = field(default_factory=Background.empty)
     laser: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -140,7 +140,7 @@ def initial_expectation(p: BoxLocalizerParameters) -> Expectation:
         reach=p.initial_reach,
         yaw_reach=np.pi / 4.0,
         yaw_variance=INITIAL_YAW_STDDEV**2,
-        headings=Headings(CERTAIN, SideEvidence()),
+        headings=Headings(CERTAIN_WEIGHTS, SideEvidence()),
         elapsed=math.inf,
     )
 

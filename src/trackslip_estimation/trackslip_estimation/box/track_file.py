@@ -21,38 +21,38 @@ from trackslip_common.whole_file import replacing
 from trackslip_estimation.box.background import Background
 from trackslip_estimation.box.quarters import Headings, SideEvidence
 from trackslip_estimation.box.scan import FULL_TURN, MOST_BEAMS
-from trackslip_estimation.box.track import Kept, Track
+from trackslip_estimation.box.track import LocalizerState, Track
 
 _VERSION = 3
 _MILLIMETRES = 1000.0  # in a metre
-_FARTHEST = 10_000_000  # mm; longer ranges count as no return
+_LONGEST_RANGE = 10_000_000  # mm; longer ranges count as no return
 _NO_RETURN = -1
-_LARGEST = 4096 + 20 * MOST_BEAMS  # bytes
+_LARGEST_FILE = 4096 + 20 * MOST_BEAMS  # bytes
 _PERIOD_NS = 1_000_000_000  # scan time between two writings
 
 
-def track_text(kept: Kept) -> str:
+def track_text(state: LocalizerState) -> str:
     """Return the content of the file."""
-    track = kept.track
+    track = state.track
     e = track.headings.evidence
     return json.dumps(
         {
             "version": _VERSION,
-            "scan_ns": kept.scan_ns,
+            "scan_ns": state.scan_ns,
             "stamp_ns": track.stamp_ns,
             "mean": track.mean.tolist(),
             "covariance": track.covariance.tolist(),
             "weights": track.headings.weights.tolist(),
             "evidence": [e.settled, e.mean, e.count, e.x, e.y],
-            "laser": kept.laser,
-            "beams": [kept.background.angle_min, kept.background.spacing],
-            "background": _to_millimetres(kept.background.ranges),
-            "free": _to_millimetres(kept.background.free),
+            "laser": state.laser,
+            "beams": [state.background.angle_min, state.background.spacing],
+            "background": _to_millimetres(state.background.ranges),
+            "free": _to_millimetres(state.background.free),
         }
     )
 
 
-def parse_track(text: str) -> Kept:
+def parse_track(text: str) -> LocalizerState:
     """Return the state from a text of ``track_text``.
 
     Raises:
@@ -90,13 +90,15 @@ def parse_track(text: str) -> Kept:
     if not is_geometry or len(ranges) != len(free) or len(ranges) > MOST_BEAMS:
         raise InputError("its background is invalid")
     track = Track(stamp_ns, mean, covariance, Headings(weights, evidence))
-    return Kept(track, scan_ns, background, (laser_x, laser_y, laser_yaw))
+    return LocalizerState(track, scan_ns, background, (laser_x, laser_y, laser_yaw))
 
 
 def _to_millimetres(ranges: FloatArray) -> list[int | None]:
     """Return the range of each beam, mm; None if unknown (NaN, −∞), ``_NO_RETURN`` without a return."""
-    rounded = np.rint(np.clip(ranges * _MILLIMETRES, -np.inf, _FARTHEST + 1.0))
-    return [None if not mm >= 0.0 else int(mm) if mm <= _FARTHEST else _NO_RETURN for mm in rounded.tolist()]
+    rounded = np.rint(np.clip(ranges * _MILLIMETRES, -np.inf, _LONGEST_RANGE + 1.0))
+    return [
+        None if not mm >= 0.0 else int(mm) if mm <= _LONGEST_RANGE else _NO_RETURN for mm in rounded.tolist()
+    ]
 
 
 def _from_millimetres(numbers: list[int | None]) -> FloatArray:
@@ -109,7 +111,7 @@ def _from_millimetres(numbers: list[int | None]) -> FloatArray:
         raise ValueError("no list")
     ranges = np.array([math.nan if mm is None else float(mm) for mm in numbers], dtype=np.float64)
     is_far = ranges == _NO_RETURN
-    if not np.all(np.isnan(ranges) | is_far | (ranges >= 0.0) & (ranges <= _FARTHEST)):
+    if not np.all(np.isnan(ranges) | is_far | (ranges >= 0.0) & (ranges <= _LONGEST_RANGE)):
         raise ValueError("a range is out of range")
     return np.where(is_far, math.inf, ranges / _MILLIMETRES)
 
@@ -129,7 +131,7 @@ class TrackFile:
         self.failures = 0
         self.failure = ""  # why the last reading or writing failed; empty if it did not
 
-    def read(self) -> Kept | None:
+    def read(self) -> LocalizerState | None:
         """Return the state in the file; None if there is no usable one, see ``failure``."""
         if self._path is None:
             return None
@@ -137,29 +139,29 @@ class TrackFile:
             if not self._path.is_file():
                 return None
             with self._path.open("rb") as file:
-                content = file.read(_LARGEST + 1)
+                content = file.read(_LARGEST_FILE + 1)
             return parse_track(content.decode("utf-8", errors="replace"))
         except (InputError, OSError) as error:
             self._is_foreign = True
-            self._fail(f"{self._path} is not used: {getattr(error, 'strerror', None) or error}")
+            self._record_failure(f"{self._path} is not used: {getattr(error, 'strerror', None) or error}")
             return None
 
-    def write(self, kept: Kept | None) -> None:
+    def write(self, state: LocalizerState | None) -> None:
         """Write the state, at most once a second of scan time."""
-        if self._path is None or kept is None or abs(kept.scan_ns - self._written_ns) < _PERIOD_NS:
+        if self._path is None or state is None or abs(state.scan_ns - self._written_ns) < _PERIOD_NS:
             return
-        self._written_ns = kept.scan_ns
+        self._written_ns = state.scan_ns
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(self._path, track_text(kept)):
+            with replacing(self._path, track_text(state)):
                 if self._is_foreign:
                     move_aside(self._path)
                 self._is_foreign = False
         except (OSError, ValueError) as error:  # ValueError: no path at all
-            self._fail(f"{self._path} is not written: {getattr(error, 'strerror', None) or error}")
+            self._record_failure(f"{self._path} is not written: {getattr(error, 'strerror', None) or error}")
             return
         self.failure = ""
 
-    def _fail(self, reason: str) -> None:
+    def _record_failure(self, reason: str) -> None:
         self.failures += 1
         self.failure = reason

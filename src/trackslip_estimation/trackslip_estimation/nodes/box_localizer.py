@@ -65,7 +65,7 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         if self._scans == scans:
             return [Health(WARN, "no scans: check the laser driver", values)]
         if self._fixes == fixes and self._is_uncertain:
-            values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.places)
+            values["places"] = "; ".join(f"{x:.2f} {y:.2f}" for x, y in self._localizer.ambiguous_positions)
             return [Health(WARN, UNCERTAIN_TEXT, values)]
         if self._fixes == fixes:
             return [Health(WARN, "box not found; clear the view of the laser", values)]
@@ -76,9 +76,9 @@ class BoxLocalizerNode(TrackslipNode[BoxNodeParameters]):
         ranges = np.asarray(message.ranges, dtype=np.float64)
         geometry = (message.angle_min, message.angle_increment, message.time_increment)
         scan = Scan(stamp_ns_of(message), ranges, *geometry)
-        fix = self._localizer.locate(scan, self._odometry.at(scan.stamp_ns))
+        fix = self._localizer.locate(scan, self._odometry.find_nearest(scan.stamp_ns))
         self._is_uncertain = fix == Rejection(Reason.UNCERTAIN)
-        self._file.write(self._localizer.kept)
+        self._file.write(self._localizer.saved_state)
         if isinstance(fix, BoxFix):
             self._fixes += 1
             pose = PoseFix("box_pose", fix.stamp_ns, np.array((fix.x, fix.y, fix.yaw)), fix.covariance)
