@@ -21,7 +21,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator, make_estimate
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.slip.records import to_records
 from trackslip_estimation.soil.conversions import machine_state
-from trackslip_estimation.soil.records import SOIL_INPUT, inputs_of
+from trackslip_estimation.soil.records import SOIL_INPUT, inputs_from_estimates
 
 Summary = Callable[..., dict[str, Any]]
 KEYS = {"mu_r", "mu_l", "K", "K_interval", "F_max", "F_max_interval", "identifiable", "classes"}
@@ -79,7 +79,7 @@ def test_replay_feeds_the_soil_estimator_its_live_inputs(vehicle: str) -> None:
     for to, row in zip(live, rows, strict=True):
         message = slip.machine_state(make, make_estimate(row.item()), "map", "base_link")
         machine_state(message).write_to(to)
-    np.testing.assert_array_equal(inputs_of(rows), live)
+    np.testing.assert_array_equal(inputs_from_estimates(rows), live)
     assert len(rows) > 200
     assert np.isfinite(live["swing_variance"]).all() == (vehicle == "pc05_cab")
 

@@ -15,14 +15,20 @@ from trackslip_common.units import GRAVITY
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.ground_load import (
     GROUND_LOAD,
-    burden_of,
-    burden_variance,
-    centre_of,
-    set_load,
-    update_burden,
+    bucket_load_variance,
+    new_bucket_load,
+    new_gravity_centre,
+    set_ground_load,
+    update_bucket_load,
 )
 from trackslip_estimation.soil.interpolation import SAMPLE
-from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, element_places, shares
+from trackslip_estimation.soil.shear_field import (
+    Contact,
+    Rolling,
+    RollingError,
+    element_places,
+    fill_mobilised_shares,
+)
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_sim.scenarios.scenario import load_scenario
 from trackslip_sim.truth.burden import Burden
@@ -32,7 +38,7 @@ P = load_soil_parameters()
 VEHICLE = P.vehicle.whole()
 NUMBERS = make_config(P)[0]
 CENTRE = VEHICLE.centre_of_gravity
-KNOWN = centre_of(P.vehicle)
+KNOWN = new_gravity_centre(P.vehicle)
 CAB = load_soil_parameters({"vehicle": "pc05_cab"})
 TILT = st.floats(-0.35, 0.35)
 
@@ -52,7 +58,7 @@ def load_swung(
     sample, load = np.zeros(1, SAMPLE)[0], np.zeros(1, GROUND_LOAD)[0]
     sample["tilt"], sample["tilt_variance"] = tilt
     sample["swing"], sample["swing_variance"] = swing, stddev**2
-    set_load(load, (centre_of(CAB.vehicle) if centre is None else centre)[0], sample, p)
+    set_ground_load(load, (new_gravity_centre(CAB.vehicle) if centre is None else centre)[0], sample, p)
     return load
 
 
@@ -78,13 +84,13 @@ def test_track_loads_balance_the_weight_and_its_moment(roll: float, pitch: float
 
 def load_stddev(vehicle: Any, moments: list[tuple[float, Motion]]) -> float:
     """Standard deviation of the thrust for a weight of 1 N, after (seconds, motion) of ``moments``."""
-    burden, sample = burden_of(vehicle)[0], np.zeros(1, SAMPLE)[0]
+    bucket_load, sample = new_bucket_load(vehicle)[0], np.zeros(1, SAMPLE)[0]
     sample["dt"] = 0.1
     for seconds, motion in moments:
         sample["motion"] = motion
         for _ in range(round(seconds * 10)):
-            update_burden(burden, sample, NUMBERS["load"])
-    return math.sqrt(burden_variance(burden, 1.0, NUMBERS["load"]))
+            update_bucket_load(bucket_load, sample, NUMBERS["load"])
+    return math.sqrt(bucket_load_variance(bucket_load, 1.0, NUMBERS["load"]))
 
 
 def test_load_is_uncertain_after_a_long_standstill_with_a_bucket() -> None:
@@ -114,7 +120,7 @@ def test_strength_without_cohesion_is_proportional_to_the_load() -> None:
 
 def test_unknown_height_of_the_centre_of_mass_widens_the_track_loads() -> None:
     assert P.vehicle.mass is not None
-    unknown = centre_of(replace(P.vehicle, mass=replace(P.vehicle.mass, centre_of_gravity=None)))
+    unknown = new_gravity_centre(replace(P.vehicle, mass=replace(P.vehicle.mass, centre_of_gravity=None)))
     blind, known = load_at(0.2, 0.0, centre=unknown), load_at(0.2, 0.0)
     assert blind["normal"][0] == pytest.approx(blind["normal"][1])
     assert blind["strength_variance"].min() > 4.0 * known["strength_variance"].max()
@@ -129,8 +135,8 @@ def test_uncertain_pitch_widens_the_pull() -> None:
 @given(swing=st.floats(-7.0, 7.0))
 def test_track_loads_with_a_swung_cab_equal_those_of_the_truth(swing: float) -> None:
     load, upper = load_swung(swing, 0.0), CAB.vehicle.upper_structure
-    burden = Burden(load_scenario("field_trial"), CAB.vehicle.whole(), upper, load_settings())
-    _, x_g, y_g, _ = burden.rows(np.array((swing,)), 0, 1)[0]
+    bucket_load = Burden(load_scenario("field_trial"), CAB.vehicle.whole(), upper, load_settings())
+    _, x_g, y_g, _ = bucket_load.rows(np.array((swing,)), 0, 1)[0]
     assert load["normal"].sum() == pytest.approx(VEHICLE.weight)
     moment = 0.5 * VEHICLE.tread * (load["normal"][0] - load["normal"][1])
     assert moment == pytest.approx(VEHICLE.weight * y_g, abs=1e-9)
@@ -174,6 +180,8 @@ def test_rear_loaded_track_has_more_thrust_at_the_same_small_slip() -> None:
             Rolling(np.array((speed * (1.0 - slip), 0.0, 0.0)), np.full(2, speed), of),
             np.zeros((2, 1)),
         )
-        shares(j, rolling, RollingError(np.zeros(2), np.zeros(2), 0.0), contact, np.array((0.01,)), q)
+        fill_mobilised_shares(
+            j, rolling, RollingError(np.zeros(2), np.zeros(2), 0.0), contact, np.array((0.01,)), q
+        )
         pulls.append(float(q[0, 0]))
     assert pulls[1] / pulls[0] == pytest.approx(1.0 - 2.0 * centre / length, rel=5e-3)

@@ -15,7 +15,7 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.interpolation import (
     SAMPLE,
     InterpolationParameters,
-    add,
+    add_input,
     is_ready,
     new_interpolator,
     pop_oldest,
@@ -59,7 +59,7 @@ class Inbox:
     def add(self, given: SoilInput) -> Rejection | None:
         record = np.zeros(1, SOIL_INPUT)
         given.write_to(record[0])
-        found = add(self._interpolator, record[0])
+        found = add_input(self._interpolator, record[0])
         return None if found == ACCEPTED else tuple(Rejection)[found]
 
     def ready(self) -> list[np.void]:

@@ -14,9 +14,9 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.pressure_watch import (
     NO_FAULT,
     PressureFault,
-    Watch,
+    PressureWatch,
     WatchParameters,
-    evaluate,
+    evaluate_pressures,
     reported_faults,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
@@ -36,7 +36,7 @@ class Bench:
     """A watch, and a transducer with noise."""
 
     def __init__(self) -> None:
-        self._watch = np.zeros(1, dtype_of(Watch))
+        self._watch = np.zeros(1, dtype_of(PressureWatch))
         self._rng, self._ns = np.random.default_rng(3), 0
 
     @property
@@ -44,7 +44,7 @@ class Bench:
         return reported_faults(self._watch[0])
 
     def _evaluate(self, sample: np.ndarray) -> PressureFault | None:
-        found = evaluate(self._watch[0], sample[0], NUMBERS[0], P.vehicle.whole().relief_pressure)
+        found = evaluate_pressures(self._watch[0], sample[0], NUMBERS[0], P.vehicle.whole().relief_pressure)
         return None if found == NO_FAULT else tuple(PressureFault)[found]
 
     def drive(

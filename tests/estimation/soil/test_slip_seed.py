@@ -18,7 +18,14 @@ from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.parameters import load_slip_parameters
 from trackslip_estimation.soil import conversions as soil_conversions
 from trackslip_estimation.soil.records import SlipSeed, SoilInput
-from trackslip_estimation.soil.slip_seed import Seeder, Thrust, is_seed_due, seed_of, set_strength, slips_of
+from trackslip_estimation.soil.slip_seed import (
+    Seeder,
+    Thrust,
+    is_seed_due,
+    make_seed,
+    set_strength,
+    straight_slips,
+)
 from trackslip_estimation.soil.soil_estimator import SoilEstimator
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters, make_config
 from trackslip_estimation.soil.strength_summary import StrengthSummary
@@ -41,7 +48,7 @@ def thrust_at(slips: tuple[float, float]) -> Thrust:
 def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -> None:
     rng, count = np.random.default_rng(2), 4000
     known = thrust_at((0.02, 0.03))
-    found = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
+    found = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
     np.testing.assert_allclose(found[0], (0.02, 0.03), rtol=1e-9)
     samples = []
     stddev = np.sqrt(known.variance + P.seed.thrust_stddev**2)
@@ -49,7 +56,7 @@ def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -
         modulus = SOIL.shear_modulus * (0.0267 / 0.015) ** (z[0] / 3.29)
         limit = SOIL.thrust_limit * (3603.0 / 3400.0) ** (z[1] / 3.29)
         soil = replace(SOIL, shear_modulus=modulus, thrust_limit=limit)
-        one = slips_of(
+        one = straight_slips(
             Thrust(known.force + stddev * z[2:4], known.variance), np.ones(2), soil, P.seed, LENGTH
         )
         samples.append(one[0] * (1.0 + P.seed.share_stddev * z[4]))
@@ -58,8 +65,8 @@ def test_seed_is_the_slip_of_its_thrust_with_the_variance_of_soil_and_thrust() -
 
 def test_seed_has_the_sign_of_slip_in_reverse_and_when_braking() -> None:
     known = thrust_at((0.02, -0.01))
-    forward = slips_of(known, np.ones(2), SOIL, P.seed, LENGTH)
-    reverse = slips_of(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
+    forward = straight_slips(known, np.ones(2), SOIL, P.seed, LENGTH)
+    reverse = straight_slips(Thrust(-known.force, known.variance), -np.ones(2), SOIL, P.seed, LENGTH)
     np.testing.assert_allclose(forward[0], (0.02, -0.01), rtol=1e-9)
     np.testing.assert_array_equal(forward[0], reverse[0])
 
@@ -91,7 +98,7 @@ class Ride:
             if self.soil is not None:
                 set_strength(self._seeder, self.soil)
             if is_seed_due(self._seeder, sample[0], thrust[0], self._numbers):
-                found.append(seed_of(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
+                found.append(make_seed(self._seeder, sample[0], thrust[0], P.seed, LENGTH))
         return found
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.soils import Soil, load_soils, soil
-from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, limit_of
+from trackslip_estimation.soil.classes import NONE, ClassesParameters, SoilClasses, soil_thrust_limit
 from trackslip_estimation.soil.reserve import thrust_reserve
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_grid import StrengthGrid
@@ -34,7 +34,7 @@ def posterior_about(modulus: float, limit: float, spread: float = 0.03) -> Float
 @pytest.mark.parametrize("name", [name for name, s in SOILS.items() if s.shear_modulus is not None])
 def test_each_soil_is_found_at_its_own_strength(name: str) -> None:
     found = CLASSES.probabilities(
-        posterior_about(SOILS[name].value("shear_modulus"), limit_of(SOILS[name], VEHICLE))
+        posterior_about(SOILS[name].value("shear_modulus"), soil_thrust_limit(SOILS[name], VEHICLE))
     )
     assert max(found, key=lambda other: found[other]) == name
     assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
@@ -53,7 +53,7 @@ def test_flat_posterior_gives_the_priors() -> None:
 
 
 def test_soil_without_modulus_matches_any_modulus() -> None:
-    snow = limit_of(SOILS["petawawa_snow"], VEHICLE)
+    snow = soil_thrust_limit(SOILS["petawawa_snow"], VEHICLE)
     both = [CLASSES.probabilities(posterior_about(k, snow))["petawawa_snow"] for k in (0.002, 0.05)]
     assert min(both) > 0.2
 
@@ -65,23 +65,29 @@ def test_none_of_these_is_certain_without_known_soils() -> None:
 
 
 def test_soils_of_equal_strength_line_have_the_same_limit() -> None:
-    limit = limit_of(soil("sand"), VEHICLE)
+    limit = soil_thrust_limit(soil("sand"), VEHICLE)
     area = 2.0 * VEHICLE.track_width * VEHICLE.contact_length
     cohesion, angle = 2.0 * limit / area, math.atan(2.0 * limit / VEHICLE.weight)
-    assert limit_of(Soil(name="a", cohesion=cohesion, friction_angle=0.0), VEHICLE) == pytest.approx(limit)
-    assert limit_of(Soil(name="b", cohesion=0.0, friction_angle=angle), VEHICLE) == pytest.approx(limit)
+    assert soil_thrust_limit(Soil(name="a", cohesion=cohesion, friction_angle=0.0), VEHICLE) == pytest.approx(
+        limit
+    )
+    assert soil_thrust_limit(Soil(name="b", cohesion=0.0, friction_angle=angle), VEHICLE) == pytest.approx(
+        limit
+    )
     half = math.atan(0.5 * math.tan(angle))
     between = Soil(name="c", cohesion=0.5 * cohesion, friction_angle=half)
-    assert limit_of(between, VEHICLE) == pytest.approx(limit)
+    assert soil_thrust_limit(between, VEHICLE) == pytest.approx(limit)
 
 
 def test_constant_errors_equal_a_spread_of_the_cells() -> None:
     grid = StrengthGrid(P.strength, VEHICLE)
     certain = posterior_about(0.01, 3600.0)
     spread = SoilClasses(P.classes, SOILS.values(), VEHICLE, grid).probabilities(certain)
-    assert spread == pytest.approx(CLASSES.probabilities(grid.spread(certain)), rel=1e-9)
-    assert grid.of_moduli(certain) == pytest.approx(grid.spread(certain).sum(axis=1), abs=1e-12)
-    assert grid.of_limits(certain) == pytest.approx(grid.spread(certain).sum(axis=0), abs=1e-12)
+    assert spread == pytest.approx(CLASSES.probabilities(grid.add_errors(certain)), rel=1e-9)
+    assert grid.moduli_probabilities(certain) == pytest.approx(
+        grid.add_errors(certain).sum(axis=1), abs=1e-12
+    )
+    assert grid.limit_probabilities(certain) == pytest.approx(grid.add_errors(certain).sum(axis=0), abs=1e-12)
 
 
 def test_the_reserve_falls_to_nothing_at_the_limit() -> None:

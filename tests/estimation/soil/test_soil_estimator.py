@@ -13,8 +13,8 @@ import pytest
 from trackslip_common.parameters import reloadable
 from trackslip_common.soils import soil
 from trackslip_estimation.slip.parameters import load_slip_parameters
-from trackslip_estimation.soil.classes import limit_of
-from trackslip_estimation.soil.pressure_watch import PressureFault, Unused
+from trackslip_estimation.soil.classes import soil_thrust_limit
+from trackslip_estimation.soil.pressure_watch import PressureFault, UnusedReason
 from trackslip_estimation.soil.records import (
     SOIL_INPUT,
     SOURCES,
@@ -82,7 +82,7 @@ def corrupted(corrupt: Corrupt) -> list[SoilInput]:
 
 def accused(estimator: SoilEstimator) -> set[str]:
     """Faults of the pressures. The first sample has none, because readings follow the slips."""
-    before = {*(unused.value for unused in Unused), PressureFault.DROPPED.value}
+    before = {*(unused.value for unused in UnusedReason), PressureFault.DROPPED.value}
     return {reason for _, reason in estimator.tally.total} - before
 
 
@@ -98,8 +98,8 @@ def test_pressure_from_digging_at_standstill_is_counted_as_unused() -> None:
     still, digs = SoilEstimator(P), SoilEstimator(P)
     run(inputs, still)
     run(digging, digs)
-    assert still.tally.total["hydraulics", Unused.AT_REST.value] == 0
-    assert digs.tally.total["hydraulics", Unused.AT_REST.value] == pytest.approx(400, abs=5)
+    assert still.tally.total["hydraulics", UnusedReason.AT_REST.value] == 0
+    assert digs.tally.total["hydraulics", UnusedReason.AT_REST.value] == pytest.approx(400, abs=5)
 
 
 FAULTS: dict[PressureFault, Corrupt] = {
@@ -180,7 +180,7 @@ def test_the_outputs_do_not_depend_on_how_the_topics_interleave(p: SoilEstimator
 )
 def test_swung_cab_does_not_change_the_soil_strength(angle: float) -> None:
     """Without the swing F_max is 20 % too small across and 4 % too large backward."""
-    true = limit_of(soil("sand"), CAB.vehicle.whole())
+    true = soil_thrust_limit(soil("sand"), CAB.vehicle.whole())
     known, unknown = (run(swung(angle, stddev), SoilEstimator(CAB)) for stddev in (0.01, None))
     found, wide = (at(outputs, SoilState, 99.0) for outputs in (known, unknown))
     assert isinstance(found, SoilState)
@@ -223,7 +223,7 @@ def test_track_spinning_at_the_soil_limit_is_reported_as_getting_stuck() -> None
     assert isinstance(last, TrackForces)
     assert last.reserve[1] < 0.1 < last.reserve[0]
     patient = spinning.parameters.changed({"stuck_time": 1e6})
-    spinning.use(patient)
+    spinning.set_parameters(patient)
     assert spinning.is_stuck == (False, False)
     stuck = {"high_slip", "stuck_time", "stuck_probability"}
     assert reloadable(SoilEstimatorParameters) == {"low_reserve"} | stuck

@@ -15,14 +15,14 @@ from trackslip_estimation.soil.shear_field import (
     Contact,
     Rolling,
     RollingError,
-    carry,
     element_places,
-    mobilised,
-    shares,
+    fill_mobilised_shares,
+    mobilised_share,
+    propagate_displacement,
 )
 from trackslip_estimation.soil.soil_parameters import load_soil_parameters
 from trackslip_estimation.soil.strength_posterior import SampleOutcome, StrengthPosterior
-from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
+from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances, thrust_curves
 from trackslip_estimation.terramechanics.traction import thrust
 
 P = load_soil_parameters()
@@ -76,9 +76,9 @@ def test_steady_straight_motion_equals_equation_3_3(slip: float, speed: float) -
     contact = Contact(x_e, HALF_TREAD)
     j = np.zeros((2, 64, 2))
     for _ in range(40):
-        j = carry(j, rolling, contact, STEP)
+        j = propagate_displacement(j, rolling, contact, STEP)
     q = np.empty((2, 1))
-    shares(j, rolling, NO_ERROR, contact, np.array((MODULUS,)), q)
+    fill_mobilised_shares(j, rolling, NO_ERROR, contact, np.array((MODULUS,)), q)
     assert q[:, 0] == pytest.approx(np.sign(speed) * force_of(slip, limit=1.0), rel=2e-3)
 
 
@@ -88,11 +88,11 @@ def test_twist_error_acts_as_a_constant_one() -> None:
     q, other = np.empty((2, 3)), np.empty((2, 3))
     moduli = np.array((0.005, 0.02, 0.08))
     rolling, other_rolling = Rolling(twist, tracks), Rolling(twist + error, tracks)
-    settled = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0)
+    settled = propagate_displacement(np.zeros((2, 16, 2)), rolling, contact, 60.0)
     along = error[0] + HALF_TREAD * error[2] * np.array((-1.0, 1.0))
-    shares(settled, rolling, RollingError(along, error[1:], 0.0), contact, moduli, q)
-    moved = carry(np.zeros((2, 16, 2)), other_rolling, contact, 60.0)
-    shares(moved, other_rolling, NO_ERROR, contact, moduli, other)
+    fill_mobilised_shares(settled, rolling, RollingError(along, error[1:], 0.0), contact, moduli, q)
+    moved = propagate_displacement(np.zeros((2, 16, 2)), other_rolling, contact, 60.0)
+    fill_mobilised_shares(moved, other_rolling, NO_ERROR, contact, moduli, other)
     np.testing.assert_allclose(q, other, atol=1e-12)
 
 
@@ -100,13 +100,13 @@ def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
     """With the load's uncertainty the residual is one standard deviation, without it above five."""
     contact, moduli = Contact(element_places(LENGTH, 16), HALF_TREAD), np.array((MODULUS,))
     rolling, lean = Rolling(np.array((0.25, -0.01, 0.12)), np.array((0.2, 0.35))), 0.3
-    j, q = carry(np.zeros((2, 16, 2)), rolling, contact, 60.0), np.empty((2, 1))
-    shares(j, rolling, RollingError(NONE, NONE, lean), contact, moduli, q)
+    j, q = propagate_displacement(np.zeros((2, 16, 2)), rolling, contact, 60.0), np.empty((2, 1))
+    fill_mobilised_shares(j, rolling, RollingError(NONE, NONE, lean), contact, moduli, q)
     squares = []
     for stddev in (0.0, lean):
         turn = Turn(j, rolling, 1e-6 * np.eye(3), LIMIT * q[:, 0], np.ones(2), 0.0, stddev)
         squares.append(
-            float(squared_distances(curves_of(turn, contact, moduli), turn, np.array((LIMIT,)))[0, 0])
+            float(squared_distances(thrust_curves(turn, contact, moduli), turn, np.array((LIMIT,)))[0, 0])
         )
     assert squares[0] > 25.0
     assert squares[1] == pytest.approx(1.0, rel=0.15)
@@ -115,10 +115,10 @@ def test_uncertain_load_distribution_covers_the_thrust_it_causes() -> None:
 def test_many_short_steps_equal_one_long_step() -> None:
     contact = Contact(element_places(LENGTH, 16), HALF_TREAD)
     rolling = Rolling(np.array((0.28, 0.02, -0.1)), np.array((0.35, 0.2)))
-    once = carry(np.zeros((2, 16, 2)), rolling, contact, 20.0)
+    once = propagate_displacement(np.zeros((2, 16, 2)), rolling, contact, 20.0)
     often = np.zeros((2, 16, 2))
     for _ in range(100):
-        often = carry(often, rolling, contact, STEP)
+        often = propagate_displacement(often, rolling, contact, STEP)
     np.testing.assert_allclose(often[:, :, 0], once[:, :, 0], atol=1e-9)  # linear growth
     np.testing.assert_allclose(often[:, :, 1], once[:, :, 1], atol=0.015)  # curved between the centres
 
@@ -139,7 +139,7 @@ def test_only_the_ratio_is_observable_from_small_slips() -> None:
     assert found.reason.startswith("F_max")
     grid = posterior.grid
     ratio = grid.log_moduli[:, None] - grid.log_limits[None, :]
-    cells = grid.spread(posterior.cells)
+    cells = grid.add_errors(posterior.cells)
     mean = np.sum(cells * ratio)
     assert np.sqrt(np.sum(cells * (ratio - mean) ** 2)) < 0.4
     assert found.thrust_limit_interval[1] > 2.0 * found.thrust_limit_interval[0]
@@ -147,7 +147,7 @@ def test_only_the_ratio_is_observable_from_small_slips() -> None:
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-12, 1e-3, 0.7, 5.0, 39.0, 1e3])
 def test_the_mobilised_share_is_exact_to_rounding(ratio: float) -> None:
-    assert mobilised(ratio) == pytest.approx(-np.expm1(-ratio), rel=1e-14)
+    assert mobilised_share(ratio) == pytest.approx(-np.expm1(-ratio), rel=1e-14)
 
 
 def test_shear_modulus_is_unidentifiable_from_slips_below_their_error() -> None:

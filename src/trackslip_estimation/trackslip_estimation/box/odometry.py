@@ -39,7 +39,7 @@ class OdometryBuffer:
         self._latest: deque[Odometry] = deque(maxlen=BUFFER_SIZE)
 
     def add(self, odometry: Odometry) -> None:
-        """Append one ``SPACING_NS`` or more after the last; if time went back, clear the buffer first."""
+        """Append one ``SPACING_NS`` or more after the last; clear the buffer first if time went back 1 s."""
         if not _is_usable(odometry):
             self._tally.add("odometry", OdometryReason.MALFORMED)
             return

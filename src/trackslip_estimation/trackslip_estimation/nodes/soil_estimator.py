@@ -90,7 +90,7 @@ class SoilEstimatorNode(TrackslipNode[SoilEstimatorParameters]):
     def reload(self, values: dict[str, Any]) -> None:
         """Pass the new values to the estimator."""
         if self._estimator is not None:
-            self._estimator.use(self.settings)
+            self._estimator.set_parameters(self.settings)
 
     def health(self) -> list[Health]:
         """Return waiting, running, or what is wrong, with unused inputs by source and reason."""

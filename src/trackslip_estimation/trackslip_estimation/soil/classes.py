@@ -45,7 +45,7 @@ class SoilClasses:
         self.names = (*(soil.name for soil in known), NONE)
         each = (1.0 - parameters.none_prior) / max(len(known), 1)
         # Spreading the densities once gives the same sums of products as spreading the cells each time.
-        spread = [each * grid.expectation_of(*_density(parameters, soil, vehicle, grid)) for soil in known]
+        spread = [each * grid.expectation(*_class_density(parameters, soil, vehicle, grid)) for soil in known]
         self._densities = np.stack([*spread, np.full(grid.shape, parameters.none_prior)])
 
     def probabilities(self, cells: FloatArray) -> dict[str, float]:
@@ -55,28 +55,30 @@ class SoilClasses:
         return dict(zip(self.names, (evidence / evidence.sum()).tolist(), strict=True))
 
 
-def limit_of(soil: Soil, vehicle: Vehicle) -> float:
+def soil_thrust_limit(soil: Soil, vehicle: Vehicle) -> float:
     """Return F_max of one track on a soil, N."""
     area = 2.0 * vehicle.track_width * vehicle.contact_length
     return float(thrust_limit(soil.cohesion, soil.friction_angle, area, vehicle.weight))
 
 
-def _density(
+def _class_density(
     p: ClassesParameters, soil: Soil, vehicle: Vehicle, grid: StrengthGrid
 ) -> tuple[FloatArray, FloatArray]:
     """Return the density of a class over that of the flat prior, as factors (moduli,) and (limits,).
 
     A class without K is flat in ln K.
     """
-    along_limits = _normal(grid.log_limits, math.log(limit_of(soil, vehicle)), p.limit_spread)
+    along_limits = _relative_density(
+        grid.log_limits, math.log(soil_thrust_limit(soil, vehicle)), p.limit_spread
+    )
     if soil.shear_modulus is None:
         along_moduli = np.ones(grid.moduli.size)
     else:
-        along_moduli = _normal(grid.log_moduli, math.log(soil.shear_modulus), p.modulus_spread)
+        along_moduli = _relative_density(grid.log_moduli, math.log(soil.shear_modulus), p.modulus_spread)
     return along_moduli, along_limits
 
 
-def _normal(centres: FloatArray, mean: float, stddev: float) -> FloatArray:
+def _relative_density(centres: FloatArray, mean: float, stddev: float) -> FloatArray:
     """Return the Gaussian density at each cell (n,) over that of a uniform distribution."""
     width = centres.size * (centres[1] - centres[0])
     density = np.exp(-0.5 * ((centres - mean) / stddev) ** 2) / (stddev * math.sqrt(2.0 * math.pi))

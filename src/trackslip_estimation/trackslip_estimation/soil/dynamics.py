@@ -120,7 +120,7 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
     dt, twist, covariance = sample.dt, sample.twist, sample.twist_covariance
     moves = sample.motion == _STRAIGHT or sample.motion == _TURNING
     is_modelled = thrust.is_known and moves and 0.0 < dt <= p.dynamics.longest_step
-    held = _is_held(sample, load, p)
+    held = _is_held_by_friction(sample, load, p)
     is_modelled = is_modelled and not held
     measured, noise = np.empty(_MEASURED), np.empty((_MEASURED, _MEASURED))  # v_x, φ̇
     for i in range(_MEASURED):
@@ -137,18 +137,18 @@ def step(dynamics: Dynamics, sample: Sample, thrust: ThrustRecord, load: GroundL
         first_followed = SPEED
         for k in range(MU_R, MU_L + 1):
             dynamics.covariance[k, k] += p.dynamics.unmeasured_walk**2 * dt if moves and not held else 0.0
-    _follow(dynamics, first_followed, measured, noise)
+    _set_measured_speeds(dynamics, first_followed, measured, noise)
     if is_modelled:
         correlated = max(p.dynamics.twist_error_time / dt, 1.0)
         for i in range(_MEASURED):
             for j in range(_MEASURED):
                 noise[i, j] *= correlated
         _correct(dynamics, measured, noise)
-    _bound(dynamics, p.dynamics)
+    _bound_coefficients(dynamics, p.dynamics)
 
 
 @compiled
-def _is_held(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
+def _is_held_by_friction(sample: Sample, load: GroundLoad, p: SoilConfig) -> bool:
     """Whether static friction of unknown size may hold the machine on a slope: a sign s_j is uncertain."""
     left, right = expected_signs(sample.twist, sample.twist_covariance, p)
     steep = abs(load.pull) > p.load.level_share * (load.normal[0] + load.normal[1])
@@ -190,7 +190,7 @@ def _predict(
         Q[RATE, RATE] = (by_rate**2 * (L + R) + inertia + n.yaw_acceleration_stddev**2) * correlated
         Q[SPEED, RATE] = Q[RATE, SPEED] = by_speed * by_rate * (R - L) * correlated
         Q[MU_L, MU_L] = n.mu_l_walk**2 * dt
-    _set(dynamics, after, sandwich(F, dynamics.covariance.copy()), Q)
+    _set_state(dynamics, after, sandwich(F, dynamics.covariance.copy()), Q)
 
 
 @compiled
@@ -208,11 +208,11 @@ def _correct(dynamics: Dynamics, measured: FloatArray, noise: FloatArray) -> Non
         keep[i, SPEED] -= gain[i, 0]
         keep[i, RATE] -= gain[i, 1]
         after[i] = mean[i] + (gain[i, 0] * (measured[0] - mean[0]) + gain[i, 1] * (measured[1] - mean[1]))
-    _set(dynamics, after, sandwich(keep, covariance), sandwich(gain, noise))
+    _set_state(dynamics, after, sandwich(keep, covariance), sandwich(gain, noise))
 
 
 @compiled
-def _set(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
+def _set_state(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: FloatArray) -> None:
     """Set the mean, and the covariance to ``covariance`` + ``more``."""
     for i in range(_SIZE):
         dynamics.mean[i] = mean[i]
@@ -221,7 +221,7 @@ def _set(dynamics: Dynamics, mean: FloatArray, covariance: FloatArray, more: Flo
 
 
 @compiled
-def _follow(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatArray) -> None:
+def _set_measured_speeds(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatArray) -> None:
     """Set the states from ``first`` to φ̇ to their measurements, uncorrelated with the other states."""
     for i in range(first, _MEASURED):
         dynamics.mean[i] = measured[i]
@@ -231,7 +231,7 @@ def _follow(dynamics: Dynamics, first: int, measured: FloatArray, noise: FloatAr
 
 
 @compiled
-def _bound(dynamics: Dynamics, n: DynamicsParameters) -> None:
+def _bound_coefficients(dynamics: Dynamics, n: DynamicsParameters) -> None:
     """Bound μ_r and μ_l below by 0, and their standard deviations above by the initial ones."""
     for k, largest in ((MU_R, n.mu_r_stddev), (MU_L, n.mu_l_stddev)):
         dynamics.mean[k] = max(dynamics.mean[k], 0.0)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _STANDING, _STRAIGHT, _TURNING = int(Motion.STANDING), int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
-class Centre(Record):
+class GravityCentre(Record):
     """Centre of gravity in base_link, with the upper structure facing forward."""
 
     x: float  # x_0, m
@@ -68,7 +68,7 @@ class GroundLoad(Record):
     stretch_stddev: float  # relative
 
 
-class Burden(Record):
+class BucketLoad(Record):
     """State for detecting that the load of the bucket may have changed."""
 
     has_bucket: int
@@ -77,7 +77,7 @@ class Burden(Record):
     may_differ: int  # whether the mass may differ from the initial one
 
 
-CENTRE, GROUND_LOAD, BURDEN = dtype_of(Centre), dtype_of(GroundLoad), dtype_of(Burden)
+CENTRE, GROUND_LOAD, BUCKET_LOAD = dtype_of(GravityCentre), dtype_of(GroundLoad), dtype_of(BucketLoad)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,9 +111,9 @@ class SwungCentre(NamedTuple):
     y_variance: float  # m²
 
 
-def centre_of(vehicle: VehicleParameters) -> Table[Centre]:
+def new_gravity_centre(vehicle: VehicleParameters) -> Table[GravityCentre]:
     """Return the centre of gravity (1,); by default at C on the ground, height stddev half the tread."""
-    whole, centre = vehicle.whole(), make_table(Centre, CENTRE, 1)
+    whole, centre = vehicle.whole(), make_table(GravityCentre, CENTRE, 1)
     centre["balance"] = vehicle.swing_balance
     given = whole.centre_of_gravity
     if given is None:
@@ -123,31 +123,31 @@ def centre_of(vehicle: VehicleParameters) -> Table[Centre]:
     return centre
 
 
-def burden_of(vehicle: Vehicle) -> Table[Burden]:
+def new_bucket_load(vehicle: Vehicle) -> Table[BucketLoad]:
     """Return the initial state (1,)."""
-    burden = make_table(Burden, BURDEN, 1)
-    burden["has_bucket"] = vehicle.bucket is not None
-    return burden
+    bucket_load = make_table(BucketLoad, BUCKET_LOAD, 1)
+    bucket_load["has_bucket"] = vehicle.bucket is not None
+    return bucket_load
 
 
 @compiled
-def update_burden(burden: Burden, sample: Sample, p: LoadParameters) -> None:
-    """Update the burden: the bucket load may change only at a standstill of ``filling_time`` or longer."""
+def update_bucket_load(bucket_load: BucketLoad, sample: Sample, p: LoadParameters) -> None:
+    """Update whether the bucket load is unknown: it may change only at a standstill of ``filling_time`` or longer."""
     if sample.motion == _STRAIGHT or sample.motion == _TURNING:
-        burden.has_driven = 1
-    burden.stood = burden.stood + sample.dt if sample.motion == _STANDING else 0.0
-    if burden.has_bucket == 1 and burden.has_driven == 1 and burden.stood >= p.filling_time:
-        burden.may_differ = 1
+        bucket_load.has_driven = 1
+    bucket_load.stood = bucket_load.stood + sample.dt if sample.motion == _STANDING else 0.0
+    if bucket_load.has_bucket == 1 and bucket_load.has_driven == 1 and bucket_load.stood >= p.filling_time:
+        bucket_load.may_differ = 1
 
 
 @compiled
-def burden_variance(burden: Burden, needed: float, p: LoadParameters) -> float:
+def bucket_load_variance(bucket_load: BucketLoad, needed: float, p: LoadParameters) -> float:
     """Return the variance, N², of ``needed``, a thrust proportional to the weight, by the bucket load."""
-    return float((p.bucket_share * needed) ** 2 if burden.may_differ == 1 else 0.0)
+    return float((p.bucket_share * needed) ** 2 if bucket_load.may_differ == 1 else 0.0)
 
 
 @compiled
-def _swung(centre: Centre, sample: Sample) -> SwungCentre:
+def _swing_centre(centre: GravityCentre, sample: Sample) -> SwungCentre:
     """Return the centre of gravity at the swing angle of a sample."""
     g, k = centre.balance, math.exp(-0.5 * sample.swing_variance)
     cos, sin = k * math.cos(sample.swing), k * math.sin(sample.swing)
@@ -158,14 +158,14 @@ def _swung(centre: Centre, sample: Sample) -> SwungCentre:
 
 
 @compiled
-def set_load(load: GroundLoad, centre: Centre, sample: Sample, p: SoilConfig) -> None:
+def set_ground_load(load: GroundLoad, centre: GravityCentre, sample: Sample, p: SoilConfig) -> None:
     """Fill the load at a sample."""
     vehicle, friction, spread = p.vehicle, p.load.friction_share, p.load.friction_share_stddev
     roll, pitch = sample.tilt[0], sample.tilt[1]
     weight, down = vehicle.mass * GRAVITY, math.cos(pitch) * math.cos(roll)
     load.pull = weight * math.sin(pitch)
     load.pull_variance = (weight * math.cos(pitch)) ** 2 * sample.tilt_variance[1]
-    swung = _swung(centre, sample)
+    swung = _swing_centre(centre, sample)
     x_N = swung.x + centre.height * math.tan(pitch) / math.cos(roll)
     y_N = swung.y - centre.height * math.tan(roll)
     uncertain = centre.height_variance * math.tan(roll) ** 2 + centre.height**2 * sample.tilt_variance[0]

@@ -37,9 +37,9 @@ from trackslip_estimation.soil.records import (
     InputValues,
     Rejection,
     SoilInputRecord,
+    check_input,
     copy_input,
     copy_state,
-    fault_of,
 )
 
 _CAPACITY = 4096  # readings, and waiting states: 40 s at 100 Hz
@@ -106,11 +106,11 @@ def new_interpolator(p: InterpolationParameters) -> Interpolator:
 
 
 @compiled
-def add(interpolator: Interpolator, given: SoilInputRecord) -> int:
+def add_input(interpolator: Interpolator, given: SoilInputRecord) -> int:
     """Queue an input; return ACCEPTED or why not (RESTARTED: the clock of the states went back)."""
-    source, rejection = given.source, fault_of(given)
+    source, rejection = given.source, check_input(given)
     if rejection == ACCEPTED:
-        rejection = _append(
+        rejection = _append_input(
             interpolator.queues[source], interpolator.rows[source, :], interpolator.limits[0], given
         )
     if rejection == RESTARTED and source == IS_HYDRAULICS:
@@ -142,7 +142,9 @@ def pop_oldest(interpolator: Interpolator, p: InterpolationParameters, sample: S
 
 
 @compiled
-def _append(queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, given: SoilInputRecord) -> int:
+def _append_input(
+    queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, given: SoilInputRecord
+) -> int:
     """Append an input to its queue; RESTARTED where the clock of its source went back."""
     status = check_sample(queue.clock, limits, given.stamp_ns, queue.newest_ns, False)
     if status == _BACK:
@@ -154,7 +156,7 @@ def _append(queue: Queue, rows: Table[SoilInputRecord], limits: ClockLimits, giv
         return DUPLICATE
     if queue.count == _CAPACITY:
         _drop_first(queue)
-    copy_input(given, rows[_place(queue, queue.count)])
+    copy_input(given, rows[_ring_index(queue, queue.count)])
     queue.count, queue.newest_ns = queue.count + 1, given.stamp_ns
     return RESTARTED if status == _BACK else ACCEPTED
 
@@ -164,11 +166,11 @@ def _interpolate(
     queue: Queue, readings: Table[SoilInputRecord], p: InterpolationParameters, sample: Sample
 ) -> bool:
     """Set pressures and spools at the stamp; False if a reading before or after is missing or too far."""
-    while queue.count > 1 and readings[_place(queue, 1)].stamp_ns <= sample.stamp_ns:
+    while queue.count > 1 and readings[_ring_index(queue, 1)].stamp_ns <= sample.stamp_ns:
         _drop_first(queue)
     if queue.count == 0 or readings[queue.first].stamp_ns > sample.stamp_ns:
         return False
-    before, after = readings[queue.first], readings[_place(queue, min(1, queue.count - 1))]
+    before, after = readings[queue.first], readings[_ring_index(queue, min(1, queue.count - 1))]
     gap_ns, since_ns = after.stamp_ns - before.stamp_ns, sample.stamp_ns - before.stamp_ns
     if since_ns > gap_ns or gap_ns > round(p.longest_gap * 1e9):
         return False
@@ -183,7 +185,7 @@ def _interpolate(
 
 
 @compiled
-def _place(queue: Queue, k: int) -> int:
+def _ring_index(queue: Queue, k: int) -> int:
     """Return the index in the ring of the k-th input of a queue."""
     return int((queue.first + k) % _CAPACITY)
 

@@ -24,7 +24,7 @@ from trackslip_estimation.soil.interpolation import Sample
 _STRAIGHT, _TURNING = int(Motion.STRAIGHT), int(Motion.TURNING)
 
 
-class Unused(Enum):
+class UnusedReason(Enum):
     """Why pressures are not used although no fault is reported."""
 
     BRIEF = "implausible pressures, too short to report"
@@ -60,12 +60,12 @@ class PressureFault(Enum):
     _SWAPPED,
 ) = range(10)
 NO_FAULT = -1
-_NO_UNIT = -2
+_RIGHT_UNIT = -2
 _UNITS = np.array((1e3, 6894.757, 1e5, 1e6))  # Pa, from kPa to MPa
 _FOR, _AGAINST, _OPEN = 1, 0, -1  # evidence of a sample for a fault
 
 
-class Watch(Record):
+class PressureWatch(Record):
     """Evidence for faults, and the newest reading."""
 
     seconds: Annotated[FloatArray, len(PressureFault)]  # for each fault, less those against
@@ -94,13 +94,15 @@ class WatchParameters(Parameters):
     )
 
 
-def reported_faults(watch: Watch) -> tuple[PressureFault, ...]:
+def reported_faults(watch: PressureWatch) -> tuple[PressureFault, ...]:
     """Return the faults that are reported at present."""
     return tuple(fault for fault, named in zip(PressureFault, watch["is_reported"], strict=True) if named)
 
 
 @compiled
-def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: float) -> int:
+def evaluate_pressures(
+    watch: PressureWatch, sample: Sample, p: WatchParameters, relief_pressure: float
+) -> int:
     """Return the index of the fault that makes the pressures of a sample unusable, or NO_FAULT."""
     found, likely_unit = NO_FAULT, _likely_unit(sample, p)
     for fault in range(_SWAPPED + 1):
@@ -109,7 +111,7 @@ def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: 
         elif not sample.has_pressures:
             return DROPPED
         elif fault <= _RIGHT_STUCK:
-            evidence = _stuck(watch, fault, sample, p)
+            evidence = _stuck_evidence(watch, fault, sample, p)
         elif fault == _BEYOND_RELIEF:
             highest = max(abs(sample.pressures[0]), abs(sample.pressures[1]))
             evidence = _FOR if highest > (1.0 + p.relief_margin) * relief_pressure else _AGAINST
@@ -119,7 +121,7 @@ def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: 
             evidence = _OPEN
         else:
             evidence = _FOR if fault == likely_unit else _AGAINST
-        if _weigh(watch, fault, evidence, sample.dt, p) and found == NO_FAULT:
+        if _accumulate_evidence(watch, fault, evidence, sample.dt, p) and found == NO_FAULT:
             found = fault
     watch.has_reading = True
     watch.reading_ns = sample.reading_ns
@@ -129,7 +131,9 @@ def evaluate(watch: Watch, sample: Sample, p: WatchParameters, relief_pressure: 
 
 
 @compiled
-def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameters) -> bool:
+def _accumulate_evidence(
+    watch: PressureWatch, fault: int, evidence: int, dt: float, p: WatchParameters
+) -> bool:
     """Add the evidence of one sample; return whether the fault makes its pressures unusable."""
     if evidence != _OPEN:
         seconds = watch.seconds[fault] + (dt if evidence == _FOR else -dt)
@@ -141,7 +145,7 @@ def _weigh(watch: Watch, fault: int, evidence: int, dt: float, p: WatchParameter
 
 
 @compiled
-def _stuck(watch: Watch, fault: int, sample: Sample, p: WatchParameters) -> int:
+def _stuck_evidence(watch: PressureWatch, fault: int, sample: Sample, p: WatchParameters) -> int:
     """Return the evidence for a stuck transducer: equal readings, unless at standstill, where they may be."""
     if not watch.has_reading or sample.reading_ns == watch.reading_ns:
         return _OPEN
@@ -158,7 +162,7 @@ def _likely_unit(sample: Sample, p: WatchParameters) -> int:
     """Return the fault of the unit in which the mean pressure is nearest to the typical one.
 
     Driving against rolling resistance needs ``least_pressure``; a lower number is in a larger unit, or too
-    low in any. _NO_UNIT: the pressure suffices; _OPEN: the machine does not drive.
+    low in any. _RIGHT_UNIT: the pressure suffices; _OPEN: the machine does not drive.
     """
     left, right = abs(sample.tracks[0]), abs(sample.tracks[1])
     drives = sample.motion == _STRAIGHT or sample.motion == _TURNING
@@ -166,18 +170,18 @@ def _likely_unit(sample: Sample, p: WatchParameters) -> int:
         return _OPEN
     reading = 0.5 * (abs(sample.pressures[0]) + abs(sample.pressures[1]))
     if 2.0 * reading >= p.least_pressure:
-        return _NO_UNIT
+        return _RIGHT_UNIT
     if reading <= 0.0:
         return _TOO_LOW
     best = 0
     for unit in range(len(_UNITS)):
-        if _distance(reading, unit, p) < _distance(reading, best, p):
+        if _log_distance(reading, unit, p) < _log_distance(reading, best, p):
             best = unit
-    return _IN_KPA + best if _distance(reading, best, p) < math.log(10.0) else _TOO_LOW
+    return _IN_KPA + best if _log_distance(reading, best, p) < math.log(10.0) else _TOO_LOW
 
 
 @compiled
-def _distance(reading: float, unit: int, p: WatchParameters) -> float:
+def _log_distance(reading: float, unit: int, p: WatchParameters) -> float:
     """Return |ln| of the ratio of a reading in a unit to the typical pressure."""
     return abs(math.log(reading * _UNITS[unit] / p.typical_pressure))
 

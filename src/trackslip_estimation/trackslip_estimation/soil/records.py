@@ -43,18 +43,18 @@ class InputValues(Record):
     swing_variance: float  # rad², infinite if unknown
 
 
-class WithSource(Record):
+class SourceField(Record):
     """Source of an input."""
 
     source: int  # index in ``SOURCES``
 
 
-class SoilInputRecord(InputValues, WithSource):
+class SoilInputRecord(InputValues, SourceField):
     """An input; only the fields of its source are set."""
 
 
 SOIL_INPUT = dtype_of(SoilInputRecord)
-_OF_STATE = (
+_STATE_FIELDS = (
     *("stamp_ns", "twist", "twist_covariance", "tilt", "tilt_variance", "slips", "motion"),
     *("swing", "swing_variance"),
 )
@@ -133,14 +133,14 @@ class MachineState:
         """Set the fields of an input."""
         record["source"] = IS_MACHINE_STATE
         record["pose"], record["pose_covariance"] = self.pose
-        for name in _OF_STATE:
+        for name in _STATE_FIELDS:
             record[name] = getattr(self, name)
 
 
 SoilInput: TypeAlias = Hydraulics | MachineState
 
 
-def inputs_of(estimates: NDArray[np.void]) -> Table[SoilInputRecord]:
+def inputs_from_estimates(estimates: NDArray[np.void]) -> Table[SoilInputRecord]:
     """Return inputs (n,) from (n,) of ``slip.records.ESTIMATE``, equal to those from live messages."""
     found = make_table(SoilInputRecord, SOIL_INPUT, len(estimates))
     found["source"] = IS_MACHINE_STATE
@@ -197,29 +197,29 @@ ACCEPTED = -1
 
 
 @compiled
-def fault_of(given: SoilInputRecord) -> int:
+def check_input(given: SoilInputRecord) -> int:
     """Return INVALID or OUT_OF_RANGE for an input that is either, else ACCEPTED."""
     if given.source == IS_HYDRAULICS:
         has_none = math.isnan(given.spools[0]) and math.isnan(given.spools[1])  # unmeasured: never closed
-        of_spools = ACCEPTED if has_none else _of_numbers(given.spools, _LARGEST_SPOOL)
-        return _worse(_of_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
+        of_spools = ACCEPTED if has_none else _check_numbers(given.spools, _LARGEST_SPOOL)
+        return _worse_result(_check_numbers(given.pressures, _LARGEST_PRESSURE), of_spools)
     C, P = given.twist_covariance, given.pose_covariance
-    fault = _worse(_of_number(given.twist[0], _FASTEST), _of_number(given.twist[1], _FASTEST))
-    fault = _worse(fault, _of_number(given.twist[2], _FASTEST_TURN))
-    fault = _worse(fault, _of_numbers(given.pose, _FARTHEST))
-    fault = _worse(fault, _of_numbers(given.slips, _LARGEST_SLIP))
+    fault = _worse_result(_check_number(given.twist[0], _FASTEST), _check_number(given.twist[1], _FASTEST))
+    fault = _worse_result(fault, _check_number(given.twist[2], _FASTEST_TURN))
+    fault = _worse_result(fault, _check_numbers(given.pose, _FARTHEST))
+    fault = _worse_result(fault, _check_numbers(given.slips, _LARGEST_SLIP))
     if given.swing_variance != math.inf:
-        fault = _worse(fault, _of_number(given.swing, _LARGEST_ANGLE))
-        fault = _worse(fault, _of_variance(given.swing_variance, _LARGEST_SWING_VARIANCE))
+        fault = _worse_result(fault, _check_number(given.swing, _LARGEST_ANGLE))
+        fault = _worse_result(fault, _check_variance(given.swing_variance, _LARGEST_SWING_VARIANCE))
     for k in range(3):
-        fault = _worse(fault, _of_variance(C[k, k], _LARGEST_TWIST_VARIANCE))
-        fault = _worse(fault, _of_variance(P[k, k], _LARGEST_POSE_VARIANCE))
+        fault = _worse_result(fault, _check_variance(C[k, k], _LARGEST_TWIST_VARIANCE))
+        fault = _worse_result(fault, _check_variance(P[k, k], _LARGEST_POSE_VARIANCE))
         for j in range(3):
-            fault = _worse(fault, _of_number(C[k, j], _LARGEST_TWIST_VARIANCE))
-            fault = _worse(fault, _of_number(P[k, j], _LARGEST_POSE_VARIANCE))
+            fault = _worse_result(fault, _check_number(C[k, j], _LARGEST_TWIST_VARIANCE))
+            fault = _worse_result(fault, _check_number(P[k, j], _LARGEST_POSE_VARIANCE))
     for k in range(2):
-        fault = _worse(fault, _of_number(given.tilt[k], _STEEPEST))
-        fault = _worse(fault, _of_variance(given.tilt_variance[k], _LARGEST_TILT_VARIANCE))
+        fault = _worse_result(fault, _check_number(given.tilt[k], _STEEPEST))
+        fault = _worse_result(fault, _check_variance(given.tilt_variance[k], _LARGEST_TILT_VARIANCE))
     if fault == ACCEPTED and not _is_covariance(C):
         return INVALID
     return fault
@@ -234,7 +234,7 @@ def _is_covariance(C: FloatArray) -> bool:
 
 
 @compiled
-def _worse(one: int, other: int) -> int:
+def _worse_result(one: int, other: int) -> int:
     """Return the worse result: INVALID before OUT_OF_RANGE before ACCEPTED."""
     if one == INVALID or other == INVALID:
         return INVALID
@@ -242,23 +242,23 @@ def _worse(one: int, other: int) -> int:
 
 
 @compiled
-def _of_numbers(values: FloatArray, largest: float) -> int:
+def _check_numbers(values: FloatArray, largest: float) -> int:
     fault = ACCEPTED
     for k in range(len(values)):
-        fault = _worse(fault, _of_number(values[k], largest))
+        fault = _worse_result(fault, _check_number(values[k], largest))
     return fault
 
 
 @compiled
-def _of_number(value: float, largest: float) -> int:
+def _check_number(value: float, largest: float) -> int:
     if not abs(value) < _LARGEST:
         return INVALID
     return ACCEPTED if abs(value) <= largest else OUT_OF_RANGE
 
 
 @compiled
-def _of_variance(variance: float, largest: float) -> int:
-    return _of_number(variance, largest) if variance >= 0.0 else INVALID
+def _check_variance(variance: float, largest: float) -> int:
+    return _check_number(variance, largest) if variance >= 0.0 else INVALID
 
 
 @dataclass(frozen=True)
@@ -282,7 +282,7 @@ class ForcesRecord(Record):
     resistance: Annotated[FloatArray, 2]
     resistance_variance: Annotated[FloatArray, 2]
     reserve: Annotated[FloatArray, 2]
-    trouble: Annotated[IntArray, 2]  # value of ``stall.Trouble``; not published
+    trouble: Annotated[IntArray, 2]  # value of ``stall.TrackCondition``; not published
 
 
 FORCES = dtype_of(ForcesRecord)

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 
-FARTHEST = 0.5  # m, bound of |j|: all strength is mobilised, and a reversal need not undo more
-STILL = 1e-9  # m, m/s, least divisor: slower sliding is none
-_ALL = 40.0  # |j|/K at which 1 − e^(−|j|/K) rounds to 1
+LARGEST_DISPLACEMENT = 0.5  # m, bound of |j|: all strength is mobilised, and a reversal need not undo more
+LEAST_SLIDING = 1e-9  # m, m/s, least divisor: slower sliding is none
+_LARGEST_RATIO = 40.0  # |j|/K at which 1 − e^(−|j|/K) rounds to 1
 _HALVINGS = 6
 
 
@@ -46,7 +46,7 @@ class Rolling(NamedTuple):
     lean: float = 0.0  # 1/m
 
 
-class Path(NamedTuple):
+class SoilPath(NamedTuple):
     """Positions ``dt`` ago of the soil under each element; arrays (2, n)."""
 
     place: NDArray[np.int64]  # index of the element centre in front of it
@@ -71,12 +71,12 @@ def element_places(length: float, elements: int) -> FloatArray:
 
 
 @compiled
-def mobilised(ratio: float) -> float:
+def mobilised_share(ratio: float) -> float:
     """Return 1 − e^(−ratio) for a ratio ≥ 0, to 1e-14, in plain arithmetic so that loops are vectorised.
 
     The series of m = e^−y − 1 at y = ratio/64 is doubled six times: e^(−2y) − 1 = m (2 + m).
     """
-    y = min(ratio, _ALL) * 0.5**_HALVINGS
+    y = min(ratio, _LARGEST_RATIO) * 0.5**_HALVINGS
     m = 1.0 - y / 7.0 * (1.0 - y / 8.0 * (1.0 - y / 9.0 * (1.0 - y / 10.0 * (1.0 - y / 11.0))))
     m = 1.0 - y / 4.0 * (1.0 - y / 5.0 * (1.0 - y / 6.0 * m))
     m = -y * (1.0 - y / 2.0 * (1.0 - y / 3.0 * m))
@@ -92,7 +92,7 @@ def sliding_along(rolling: Rolling, k: int, half_tread: float) -> float:
 
 
 @compiled
-def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
+def soil_path(tracks: FloatArray, x_e: FloatArray, dt: float) -> SoilPath:
     """Return where the soil under each element was ``dt`` ago, between two element centres.
 
     Soil that was not yet under the track is traced to the leading edge, where it is not sheared.
@@ -100,7 +100,7 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
     n = len(x_e)
     dx = x_e[0] - x_e[1]
     shape = (2, n)
-    path = Path(
+    path = SoilPath(
         np.empty(shape, np.int64),
         np.empty(shape, np.int64),
         np.empty(shape),
@@ -128,31 +128,31 @@ def path_of(tracks: FloatArray, x_e: FloatArray, dt: float) -> Path:
 
 
 @compiled
-def carried(j: FloatArray, path: Path, k: int, e: int, axis: int) -> float:
+def displacement_before(j: FloatArray, path: SoilPath, k: int, e: int, axis: int) -> float:
     """Return a component of j (2, n, 2) at the former position of the soil under element e of track k, m."""
     before, behind = j[k, path.place[k, e], axis], j[k, path.following[k, e], axis]
     return float(path.scale[k, e] * ((1.0 - path.part[k, e]) * before + path.part[k, e] * behind))
 
 
 @compiled
-def carry(j: FloatArray, rolling: Rolling, contact: Contact, dt: float) -> FloatArray:
+def propagate_displacement(j: FloatArray, rolling: Rolling, contact: Contact, dt: float) -> FloatArray:
     """Return j (2, n, 2) after steady motion for any dt > 0."""
     n, twist = len(contact.x_e), rolling.twist
-    path = path_of(rolling.tracks, contact.x_e, dt)
+    path = soil_path(rolling.tracks, contact.x_e, dt)
     after = np.empty_like(j)
     for k in range(2):
         s_x = sliding_along(rolling, k, contact.half_tread)
         for e in range(n):
             time = path.time[k, e]
-            j_x = carried(j, path, k, e, 0) + s_x * time
-            j_y = carried(j, path, k, e, 1) + (twist[1] + twist[2] * path.middle[k, e]) * time
-            scale = min(1.0, FARTHEST / max(math.hypot(j_x, j_y), STILL))
+            j_x = displacement_before(j, path, k, e, 0) + s_x * time
+            j_y = displacement_before(j, path, k, e, 1) + (twist[1] + twist[2] * path.middle[k, e]) * time
+            scale = min(1.0, LARGEST_DISPLACEMENT / max(math.hypot(j_x, j_y), LEAST_SLIDING))
             after[k, e, 0], after[k, e, 1] = scale * j_x, scale * j_y
     return after
 
 
 @compiled
-def shares(
+def fill_mobilised_shares(
     j: FloatArray, rolling: Rolling, error: RollingError, contact: Contact, moduli: FloatArray, q: FloatArray
 ) -> None:
     """Fill q (2, moduli) for ``rolling`` with ``error`` added."""
@@ -166,13 +166,13 @@ def shares(
         of_track, per_modulus = q[k], 1.0 / moduli
         for e in range(n):
             xi = (e + 0.5) * dx if u >= 0.0 else (n - 0.5 - e) * dx
-            time = xi / max(abs(u), STILL)
+            time = xi / max(abs(u), LEAST_SLIDING)
             s_y = twist[1] + error.across[0] + (twist[2] + error.across[1]) * x_e[e]
             middle = x_e[e] + math.copysign(0.5 * xi, u)
             j_x = j[k, e, 0] + error.along[k] * time
             j_y = j[k, e, 1] + (error.across[0] + error.across[1] * middle) * time
             slid = math.hypot(j_x, j_y)
-            share = -s_x / max(math.hypot(s_x, s_y), STILL) / n
+            share = -s_x / max(math.hypot(s_x, s_y), LEAST_SLIDING) / n
             share *= max(1.0 + (rolling.lean + error.lean) * x_e[e], 0.0)
             for m in range(len(moduli)):
-                of_track[m] += share * mobilised(slid * per_modulus[m])
+                of_track[m] += share * mobilised_share(slid * per_modulus[m])

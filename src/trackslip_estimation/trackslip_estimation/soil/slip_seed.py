@@ -92,7 +92,7 @@ def set_strength(seeder: Seeder, found: StrengthSummary) -> None:
     newest["largest_thrust"] = largest if found.identifiable else 0.0
 
 
-def seed_of(
+def make_seed(
     seeder: Seeder, sample: Sample, thrust: ThrustRecord, p: SeedParameters, length: float
 ) -> SlipSeed:
     """Return the seed due at a sample with its thrust; ``length``: contact length, m."""
@@ -107,7 +107,9 @@ def seed_of(
         reason="",
     )
     known = Thrust(thrust["force"], thrust["variance"])
-    return SlipSeed(int(sample["stamp_ns"]), *slips_of(known, np.sign(sample["tracks"]), strength, p, length))
+    return SlipSeed(
+        int(sample["stamp_ns"]), *straight_slips(known, np.sign(sample["tracks"]), strength, p, length)
+    )
 
 
 @compiled
@@ -143,7 +145,7 @@ def _copy_strength(to: StrengthRecord, source: StrengthRecord) -> None:
     to.effective_samples, to.largest_thrust = source.effective_samples, source.largest_thrust
 
 
-def slips_of(
+def straight_slips(
     thrust: Thrust, direction: FloatArray, soil: StrengthSummary, p: SeedParameters, length: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return i (2,) and C (2, 2); ``direction``: of travel of each track, 1 or −1.

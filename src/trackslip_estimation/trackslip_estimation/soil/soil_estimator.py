@@ -20,7 +20,7 @@ from trackslip_common.soils import load_soils
 from trackslip_common.tally import Tally
 from trackslip_estimation.soil import step
 from trackslip_estimation.soil.classes import SoilClasses
-from trackslip_estimation.soil.pressure_watch import PressureFault, Unused, reported_faults
+from trackslip_estimation.soil.pressure_watch import PressureFault, UnusedReason, reported_faults
 from trackslip_estimation.soil.records import (
     HYDRAULICS,
     SOIL_INPUT,
@@ -30,9 +30,9 @@ from trackslip_estimation.soil.records import (
     SoilInputRecord,
     TrackForces,
 )
-from trackslip_estimation.soil.slip_seed import seed_of, set_strength
+from trackslip_estimation.soil.slip_seed import make_seed, set_strength
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, make_config
-from trackslip_estimation.soil.strength_average import BROKEN, COMPLETE, LOST, clear
+from trackslip_estimation.soil.strength_average import BROKEN, COMPLETE, LOST, clear_average
 from trackslip_estimation.soil.strength_posterior import StrengthPosterior
 from trackslip_estimation.soil.strength_summary import StrengthSummary
 
@@ -62,7 +62,7 @@ class SoilOutputs(NamedTuple):
 
     def in_order(self) -> list[SoilOutput]:
         """Return all outputs, sorted by stamp."""
-        found: list[SoilOutput] = [*self.states, *map(_forces_of, self.forces), *self.seeds]
+        found: list[SoilOutput] = [*self.states, *map(_to_track_forces, self.forces), *self.seeds]
         return sorted(found, key=attrgetter("stamp_ns"))
 
 
@@ -78,11 +78,11 @@ class SoilEstimator:
         self._posterior = StrengthPosterior(p.strength, vehicle)
         grid = self._posterior.grid
         self._classes = SoilClasses(p.classes, load_soils().values(), vehicle, grid)
-        self._state = step.new_state(p, grid.limits)
+        self._state = step.new_loop_state(p, grid.limits)
         self._one = make_table(SoilInputRecord, SOIL_INPUT, 1)
-        self.use(p)
+        self.set_parameters(p)
 
-    def use(self, p: SoilEstimatorParameters) -> None:
+    def set_parameters(self, p: SoilEstimatorParameters) -> None:
         """Set new values of the parameters that may change while the estimator runs."""
         self.parameters = p
         self._config = make_config(p)
@@ -91,7 +91,7 @@ class SoilEstimator:
     def tally(self) -> Tally:
         """Numbers of unused inputs and pressures, by source and reason."""
         tally = Tally()
-        faults = zip((*PressureFault, *Unused), self._state.faults.tolist(), strict=True)
+        faults = zip((*PressureFault, *UnusedReason), self._state.faults.tolist(), strict=True)
         found = [(HYDRAULICS, fault, count) for fault, count in faults]
         for source, reason, count in (*self._state.interpolator.counts(), *found):
             if count:
@@ -127,7 +127,7 @@ class SoilEstimator:
         return bool(left), bool(right)
 
     @property
-    def _known(self) -> step.Known:
+    def _known(self) -> step.EstimatorState:
         return self._state.known[0]
 
     def advance(self, given: SoilInput) -> list[SoilOutput]:
@@ -143,22 +143,22 @@ class SoilEstimator:
             if count:
                 yield SoilOutputs(self._state.forces[:count].copy())
             if reason == step.OPEN:
-                yield from self._finish(self._known)
+                yield from self._finish_sample(self._known)
             elif reason in (step.RESTART, step.DIVERGED):
                 self._restart()
 
     def _restart(self) -> None:
         """Reset all estimates, also the transducers' offsets: the elapsed time is unknown."""
-        self._state.known[:] = step.initial(self.parameters)
+        self._state.known[:] = step.initial_state(self.parameters)
         self._posterior.reset()
         self.restarts += 1
 
-    def _finish(self, known: step.Known) -> Iterator[SoilOutputs]:
+    def _finish_sample(self, known: step.EstimatorState) -> Iterator[SoilOutputs]:
         """Do what is not compiled: update the posterior; yield a seed and the soil state if due."""
         posterior, gathered = self._posterior, known["gathered"]
         if gathered == COMPLETE:
             posterior.update(known["average"])
-            clear(known["average"])
+            clear_average(known["average"])
             known["effective_samples"] = posterior.effective_samples
         elif gathered == BROKEN:
             posterior.break_segment()
@@ -166,23 +166,23 @@ class SoilEstimator:
             posterior.reset_displacement()
         nothing, p = self._state.forces[:0], self.parameters
         if known["seed_due"]:
-            seed = seed_of(
+            seed = make_seed(
                 known["seeder"], known["sample"], known["thrust"], p.seed, p.vehicle.kinematics.contact_length
             )
             yield SoilOutputs(nothing, seeds=[seed])
         if known["soil_due"]:
             state = self._soil_state(known)
             set_strength(known["seeder"], state.strength)
-            self._state.limit_probabilities[:] = posterior.grid.of_limits(posterior.cells)
+            self._state.limit_probabilities[:] = posterior.grid.limit_probabilities(posterior.cells)
             yield SoilOutputs(nothing, [state])
 
-    def _soil_state(self, known: step.Known) -> SoilState:
+    def _soil_state(self, known: step.EstimatorState) -> SoilState:
         (mu_r, mu_l), (mu_r_variance, mu_l_variance) = known["mu"].tolist(), known["mu_variance"].tolist()
         classes = self._classes.probabilities(self._posterior.cells)
         stamp_ns = int(known["sample"]["stamp_ns"])
         return SoilState(stamp_ns, mu_r, mu_r_variance, mu_l, mu_l_variance, self.strength, classes)
 
 
-def _forces_of(record: ForcesRecord) -> TrackForces:
+def _to_track_forces(record: ForcesRecord) -> TrackForces:
     names = ("thrust", "thrust_variance", "resistance", "resistance_variance", "reserve")
     return TrackForces(int(record["stamp_ns"]), *(tuple(record[name].tolist()) for name in names))

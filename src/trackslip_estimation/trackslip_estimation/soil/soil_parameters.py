@@ -83,13 +83,13 @@ class SoilEstimatorParameters(SoilNumbers, WithVehicle):
         return from_flat(type(self), self.overlaid(to_flat(self), values), NODE)
 
 
-class OfVehicle(Record):
+class VehicleField(Record):
     """Parameters of the vehicle."""
 
     vehicle: Vehicle
 
 
-class SoilConfig(SoilNumbers, OfVehicle):
+class SoilConfig(SoilNumbers, VehicleField):
     """Record of the parameters for compiled code."""
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from trackslip_estimation.soil.soil_parameters import SoilConfig
 
 
-class Trouble(IntEnum):
+class TrackCondition(IntEnum):
     """Condition of a track."""
 
     NONE = 0
@@ -37,7 +37,7 @@ class Trouble(IntEnum):
     STALLED = 2
 
 
-_NONE, _STUCK, _STALLED = map(int, Trouble)
+_NONE, _STUCK, _STALLED = map(int, TrackCondition)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +72,8 @@ def evidence_time(before: float, seen: bool, dt: float, needed: float) -> float:
 
 
 @compiled
-def trouble_of(stalled: float, spinning: float, p: SoilConfig) -> int:
-    """Return the value of ``Trouble`` for the evidence of stalling and of spinning, s."""
+def track_condition(stalled: float, spinning: float, p: SoilConfig) -> int:
+    """Return the value of ``TrackCondition`` for the evidence of stalling and of spinning, s."""
     if stalled >= p.stall.time:
         return _STALLED
     return _STUCK if spinning >= p.stuck_time else _NONE

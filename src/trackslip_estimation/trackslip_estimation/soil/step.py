@@ -20,17 +20,23 @@ from trackslip_estimation.soil import dynamics, interpolation, pressure_watch
 from trackslip_estimation.soil.dynamics import MU_R, Dynamics, new_dynamics
 from trackslip_estimation.soil.flow_check import volumetric_efficiency
 from trackslip_estimation.soil.ground_load import (
-    Burden,
-    Centre,
+    BucketLoad,
+    GravityCentre,
     GroundLoad,
-    burden_of,
-    burden_variance,
-    centre_of,
-    set_load,
-    update_burden,
+    bucket_load_variance,
+    new_bucket_load,
+    new_gravity_centre,
+    set_ground_load,
+    update_bucket_load,
 )
 from trackslip_estimation.soil.interpolation import Interpolator, Sample, new_interpolator
-from trackslip_estimation.soil.pressure_watch import DROPPED, NO_FAULT, PressureFault, Unused, Watch
+from trackslip_estimation.soil.pressure_watch import (
+    DROPPED,
+    NO_FAULT,
+    PressureFault,
+    PressureWatch,
+    UnusedReason,
+)
 from trackslip_estimation.soil.records import DIVERGED as REJECTED_DIVERGED
 from trackslip_estimation.soil.records import (
     FORCES,
@@ -42,8 +48,8 @@ from trackslip_estimation.soil.records import (
 from trackslip_estimation.soil.reserve import Reserve, thrust_reserve
 from trackslip_estimation.soil.slip_seed import Seeder, is_seed_due
 from trackslip_estimation.soil.soil_parameters import SoilConfig, SoilEstimatorParameters
-from trackslip_estimation.soil.stall import evidence_time, stall_time, trouble_of
-from trackslip_estimation.soil.strength_average import GATHERING, Average, gather
+from trackslip_estimation.soil.stall import evidence_time, stall_time, track_condition
+from trackslip_estimation.soil.strength_average import GATHERING, Average, add_sample
 from trackslip_estimation.soil.thrust import (
     Motor,
     Offsets,
@@ -58,8 +64,8 @@ from trackslip_estimation.soil.thrust import (
 from trackslip_estimation.soil.tracks import frame_speeds, track_speed
 
 _STANDING, _STRAIGHT = int(Motion.STANDING), int(Motion.STRAIGHT)
-_ROOM = 256  # forces kept until they are fetched
-_BRIEF = len(PressureFault)  # index of ``Unused.BRIEF`` in ``State.faults``
+_FORCES_CAPACITY = 256  # forces kept until they are fetched
+_BRIEF = len(PressureFault)  # index of ``UnusedReason.BRIEF`` in ``LoopState.faults``
 _AT_REST = _BRIEF + 1
 
 # Why the loop stopped
@@ -67,7 +73,7 @@ _AT_REST = _BRIEF + 1
 PROCESSED, FULL, RESTART, OPEN, DIVERGED = range(5)
 
 
-class Known(Record):
+class EstimatorState(Record):
     """State kept from one sample to the next, except the posterior."""
 
     has_begun: int
@@ -75,10 +81,10 @@ class Known(Record):
     motor: Motor
     offsets: Offsets
     thrust: ThrustRecord  # measured, or held since
-    watch: Watch
-    centre: Centre
+    watch: PressureWatch
+    centre: GravityCentre
     load: GroundLoad
-    burden: Burden
+    bucket_load: BucketLoad
     dynamics: Dynamics
     mu: Annotated[FloatArray, 2]  # μ_r, mobilised μ_l
     mu_variance: Annotated[FloatArray, 2]  # with the error of the efficiency
@@ -98,13 +104,13 @@ class Known(Record):
     seed_due: int
 
 
-KNOWN = dtype_of(Known)
+ESTIMATOR_STATE = dtype_of(EstimatorState)
 
 
-class State(NamedTuple):
+class LoopState(NamedTuple):
     """Data of the loop, of constant size."""
 
-    known: Table[Known]  # (1,)
+    known: Table[EstimatorState]  # (1,)
     faults: IntArray  # (n,) samples whose pressures were not used, by PressureFault and Unused
     interpolator: Interpolator
     limits: FloatArray  # (l,) F_max of the cells, N
@@ -112,7 +118,7 @@ class State(NamedTuple):
     forces: Table[ForcesRecord]  # (n,) buffer of forces to publish
 
 
-class Stop(NamedTuple):
+class LoopResult(NamedTuple):
     """Result of one call of the loop."""
 
     reason: int
@@ -120,53 +126,57 @@ class Stop(NamedTuple):
     forces: int  # number to publish
 
 
-def new_state(p: SoilEstimatorParameters, limits: FloatArray) -> State:
+def new_loop_state(p: SoilEstimatorParameters, limits: FloatArray) -> LoopState:
     """Return the initial data of the loop."""
-    faults = np.zeros(_BRIEF + len(Unused), np.int64)
-    forces = make_table(ForcesRecord, FORCES, _ROOM)
-    return State(initial(p), faults, new_interpolator(p.moments), limits, np.zeros_like(limits), forces)
+    faults = np.zeros(_BRIEF + len(UnusedReason), np.int64)
+    forces = make_table(ForcesRecord, FORCES, _FORCES_CAPACITY)
+    return LoopState(
+        initial_state(p), faults, new_interpolator(p.moments), limits, np.zeros_like(limits), forces
+    )
 
 
-def initial(p: SoilEstimatorParameters) -> Table[Known]:
+def initial_state(p: SoilEstimatorParameters) -> Table[EstimatorState]:
     """Return the state (1,) before the first sample."""
-    known, motor = make_table(Known, KNOWN, 1), motor_of(p.vehicle.whole())
+    known, motor = make_table(EstimatorState, ESTIMATOR_STATE, 1), motor_of(p.vehicle.whole())
     known["motor"], known["thrust"] = motor, unknown_thrust(motor[0])
     known["offsets"], known["dynamics"] = new_offsets(p.thrust), new_dynamics(p.dynamics)
-    known["centre"], known["burden"] = centre_of(p.vehicle), burden_of(p.vehicle.whole())
+    known["centre"], known["bucket_load"] = new_gravity_centre(p.vehicle), new_bucket_load(p.vehicle.whole())
     known["volumetric_efficiency"] = np.nan
     return known
 
 
 @compiled
-def advance(state: State, inputs: Table[SoilInputRecord], first: int, config: Table[SoilConfig]) -> Stop:
+def advance(
+    state: LoopState, inputs: Table[SoilInputRecord], first: int, config: Table[SoilConfig]
+) -> LoopResult:
     """Process inputs (n,) from index ``first`` on until none is left or the caller must act."""
     p, known, interpolator = config[0], state.known[0], state.interpolator
     known.forces = 0
     while True:
         while known.is_open or interpolation.is_ready(interpolator, p.moments):
             if known.forces == len(state.forces):
-                return Stop(FULL, first, known.forces)
+                return LoopResult(FULL, first, known.forces)
             if not known.is_open:
                 interpolation.pop_oldest(interpolator, p.moments, known.sample)
                 _step(known, state.faults, p)
-                if not _is_sound(known):
+                if not _is_finite(known):
                     interpolator.rejected[IS_MACHINE_STATE, REJECTED_DIVERGED] += 1
-                    return Stop(DIVERGED, first, known.forces)
+                    return LoopResult(DIVERGED, first, known.forces)
                 known.is_open = known.gathered != GATHERING or known.soil_due or known.seed_due
                 if known.is_open:
-                    return Stop(OPEN, first, known.forces)
+                    return LoopResult(OPEN, first, known.forces)
             known.is_open = False
             if known.forces_due:
                 _publish_forces(state, p)
         if first == len(inputs):
-            return Stop(PROCESSED, first, known.forces)
+            return LoopResult(PROCESSED, first, known.forces)
         first += 1
-        if interpolation.add(interpolator, inputs[first - 1]) == RESTARTED:
-            return Stop(RESTART, first, known.forces)
+        if interpolation.add_input(interpolator, inputs[first - 1]) == RESTARTED:
+            return LoopResult(RESTART, first, known.forces)
 
 
 @compiled
-def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
+def _step(known: EstimatorState, faults: IntArray, p: SoilConfig) -> None:
     """Process the current sample."""
     sample = known.sample
     before_ns = known.newest_ns if known.has_begun else sample.stamp_ns
@@ -177,16 +187,16 @@ def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
         track_speed(left, sample.slips[0]),
         track_speed(right, sample.slips[1]),
     )
-    fault = pressure_watch.evaluate(known.watch, sample, p.watch, p.vehicle.relief_pressure)
+    fault = pressure_watch.evaluate_pressures(known.watch, sample, p.watch, p.vehicle.relief_pressure)
     is_closed = max(abs(sample.spools[0]), abs(sample.spools[1])) < p.thrust.closed_spool
-    set_load(known.load, known.centre, sample, p)
+    set_ground_load(known.load, known.centre, sample, p)
     is_level = abs(known.load.pull) < p.load.level_share * p.vehicle.mass * GRAVITY
     is_standing = fault == NO_FAULT and is_closed and is_level and sample.motion == _STANDING
     if update_offsets(known.offsets, sample.pressures, is_standing, sample.dt, p.thrust):
         faults[_AT_REST] += 1
-    update_burden(known.burden, sample, p.load)
+    update_bucket_load(known.bucket_load, sample, p.load)
     if fault == NO_FAULT:
-        _measure(known, sample, p)
+        _measure_thrusts(known, sample, p)
     else:
         faults[fault if known.watch.is_reported[fault] or fault == DROPPED else _BRIEF] += 1
         hold_thrust(known.thrust, sample.dt, p.thrust, known.motor)
@@ -198,16 +208,16 @@ def _step(known: Known, faults: IntArray, p: SoilConfig) -> None:
         known.mu[k], known.mu_variance[k] = mean, variance + (p.thrust.efficiency_stddev * mean) ** 2
     normal = known.load.normal[0] + known.load.normal[1]
     of_pull = known.load.pull_variance + (p.thrust.efficiency_stddev * known.load.pull) ** 2
-    of_pull += burden_variance(known.burden, known.mu[0] * normal - known.load.pull, p.load)
+    of_pull += bucket_load_variance(known.bucket_load, known.mu[0] * normal - known.load.pull, p.load)
     known.mu_variance[0] += of_pull / max(normal, 1.0) ** 2  # time-correlated, so not averaged by the filter
-    known.gathered = gather(known.average, sample, known.thrust, known.load, p.strength)
+    known.gathered = add_sample(known.average, sample, known.thrust, known.load, p.strength)
     known.seed_due = is_seed_due(known.seeder, sample, known.thrust, p)
-    known.soil_due = _passes(before_ns, sample.stamp_ns, p.soil_period)
-    known.forces_due = _passes(before_ns, sample.stamp_ns, p.forces_period)
+    known.soil_due = _is_due(before_ns, sample.stamp_ns, p.soil_period)
+    known.forces_due = _is_due(before_ns, sample.stamp_ns, p.forces_period)
 
 
 @compiled
-def _is_sound(known: Known) -> bool:
+def _is_finite(known: EstimatorState) -> bool:
     """Whether the estimates that the next sample depends on are finite."""
     total = known.thrust.force.sum() + known.thrust.variance.sum() + known.offsets.mean.sum()
     total += known.offsets.variance.sum() + known.mu.sum() + known.mu_variance.sum()
@@ -216,7 +226,7 @@ def _is_sound(known: Known) -> bool:
 
 
 @compiled
-def _measure(known: Known, sample: Sample, p: SoilConfig) -> None:
+def _measure_thrusts(known: EstimatorState, sample: Sample, p: SoilConfig) -> None:
     """Measure the thrusts from plausible pressures and, in straight motion, η_V."""
     speeds = np.empty(2)  # of the sprockets, rad/s
     for k in range(2):
@@ -229,14 +239,14 @@ def _measure(known: Known, sample: Sample, p: SoilConfig) -> None:
 
 
 @compiled
-def _passes(before_ns: int, now_ns: int, period: float) -> bool:
+def _is_due(before_ns: int, now_ns: int, period: float) -> bool:
     """Whether a multiple of the period lies in (before, now]; always true at the first sample."""
     period_ns = round(period * 1e9)
     return before_ns == now_ns or before_ns // period_ns != now_ns // period_ns
 
 
 @compiled
-def _publish_forces(state: State, p: SoilConfig) -> None:
+def _publish_forces(state: LoopState, p: SoilConfig) -> None:
     """Append the forces of the current sample; update the evidence of spinning."""
     known = state.known[0]
     sample, thrust, forces = known.sample, known.thrust, state.forces[known.forces]
@@ -255,11 +265,11 @@ def _publish_forces(state: State, p: SoilConfig) -> None:
         forces.reserve[k] = reserve.share
         spins = sample.slips[k] > p.high_slip and reserve.exhausted > p.stuck_probability
         known.spinning[k] = evidence_time(known.spinning[k], spins, p.forces_period, p.stuck_time)
-        forces.trouble[k] = trouble_of(known.stalled[k], known.spinning[k], p)
+        forces.trouble[k] = track_condition(known.stalled[k], known.spinning[k], p)
 
 
 @compiled
-def _reserve(state: State, force: float, variance: float, p: SoilConfig) -> Reserve:
+def _reserve(state: LoopState, force: float, variance: float, p: SoilConfig) -> Reserve:
     """Return the reserve of a track with F_max of the newest soil state; nan before one effective sample."""
     if state.known[0].effective_samples < 1.0:
         return Reserve(math.nan, 0.0)

@@ -27,19 +27,19 @@ from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
 from trackslip_estimation.soil.records import PoseWithCovariance
 from trackslip_estimation.soil.shear_field import (
-    FARTHEST,
-    STILL,
+    LARGEST_DISPLACEMENT,
+    LEAST_SLIDING,
     Contact,
     Rolling,
-    carried,
-    mobilised,
-    path_of,
+    displacement_before,
+    mobilised_share,
+    soil_path,
 )
 
 _MODULI, _LIMITS = 12, 9  # hypotheses: λ is nearly linear in K and in 1/F_max between them
 _MOST_SLIP = 0.4  # bound of the slip, for thrusts beyond the strength of a hypothesis
-_CLOSE_PULL, _CLOSE_SLIP = 1e-3, 1e-5  # tolerances of q_L + q_R and of a slip
-_TRIALS = 40  # iterations; about ten are needed
+_THRUST_TOLERANCE, _SLIP_TOLERANCE = 1e-3, 1e-5  # tolerances of q_L + q_R and of a slip
+_ITERATIONS = 40  # iterations; about ten are needed
 
 
 class Soils(NamedTuple):
@@ -66,10 +66,10 @@ class Hypotheses:
         self.soils = Soils(
             np.geomspace(moduli[0], moduli[-1], _MODULI), np.geomspace(limits[0], limits[-1], _LIMITS)
         )
-        self._by_modulus = _between(self.soils.moduli, moduli)
-        self._by_limit = _between(-1.0 / self.soils.limits, -1.0 / limits)
+        self._by_modulus = _interpolation_weights(self.soils.moduli, moduli)
+        self._by_limit = _interpolation_weights(-1.0 / self.soils.limits, -1.0 / limits)
 
-    def on_grid(self, values: FloatArray) -> FloatArray:
+    def interpolate_to_grid(self, values: FloatArray) -> FloatArray:
         """Return values (moduli, limits) on the whole grid, interpolated from those of the hypotheses."""
         return np.asarray(self._by_modulus @ values @ self._by_limit.T)
 
@@ -96,7 +96,7 @@ class StraightSegment:
         ``lean_stddev``: standard deviation of the rolling's lean, 1/m.
         """
         s, distance = self._hypotheses, float(rolling.tracks.mean()) * dt
-        self._expected += distance * drive(self._j, rolling, thrust, s.soils, s.contact, dt)
+        self._expected += distance * drive_hypotheses(self._j, rolling, thrust, s.soils, s.contact, dt)
         self._track_distance += distance
         self._leaning += abs(distance) * lean_stddev
 
@@ -113,16 +113,16 @@ class StraightSegment:
     def slip_distance(self) -> SlipDistance:
         """Return λ up to now."""
         forward = math.copysign(1.0, self._track_distance)
-        expected = self._hypotheses.on_grid(forward * self._expected)
+        expected = self._hypotheses.interpolate_to_grid(forward * self._expected)
         variance = self._start.variance_along() + self._end.variance_along() + self._distance_stddev**2
         measured = forward * (self._track_distance - self._travelled)
         x_e = self._hypotheses.contact.x_e
         length = len(x_e) * (x_e[0] - x_e[1])
-        of_lean = measured * self._leaning / max(self.track_distance, STILL) * length / 6.0
+        of_lean = measured * self._leaning / max(self.track_distance, LEAST_SLIDING) * length / 6.0
         return SlipDistance(measured, expected, variance, abs(float(of_lean)))
 
 
-class _Pulling(NamedTuple):
+class _ThrustTerms(NamedTuple):
     """Terms of a hypothesis' thrust over a step that do not depend on its slip; (2, n): tracks, elements."""
 
     before: FloatArray  # j_x carried along, m
@@ -134,20 +134,20 @@ class _Pulling(NamedTuple):
 
 
 @compiled
-def drive(
+def drive_hypotheses(
     j: FloatArray, rolling: Rolling, thrust: float, soils: Soils, contact: Contact, dt: float
 ) -> FloatArray:
     """Return the mean slips (moduli, limits) of the hypotheses; update their j (moduli, limits, 2, n, 2)."""
     n, half_tread = len(contact.x_e), contact.half_tread
-    path = path_of(rolling.tracks, contact.x_e, dt)
+    path = soil_path(rolling.tracks, contact.x_e, dt)
     shape = (2, n)
     strength = np.maximum(1.0 + rolling.lean * contact.x_e, 0.0)
-    pulling = _Pulling(
+    terms = _ThrustTerms(
         np.empty(shape), np.empty(shape), path.time, np.empty(shape), strength, np.empty(shape)
     )
     for k in range(2):
         for e in range(n):
-            pulling.s_y[k, e] = rolling.twist[1] + rolling.twist[2] * contact.x_e[e]
+            terms.s_y[k, e] = rolling.twist[1] + rolling.twist[2] * contact.x_e[e]
     slips = np.empty((len(soils.moduli), len(soils.limits)))
     forward = math.copysign(1.0, rolling.tracks[0] + rolling.tracks[1])
     for a in range(slips.shape[0]):
@@ -156,10 +156,10 @@ def drive(
             for k in range(2):
                 for e in range(n):
                     s_y = rolling.twist[1] + rolling.twist[2] * path.middle[k, e]
-                    pulling.before[k, e] = carried(own, path, k, e, 0)
-                    pulling.across[k, e] = carried(own, path, k, e, 1) + s_y * path.time[k, e]
-            slip = _needed_slip(requested, pulling, rolling, half_tread, soils.moduli[a])
-            _leave(own, slip, pulling, rolling, half_tread)
+                    terms.before[k, e] = displacement_before(own, path, k, e, 0)
+                    terms.across[k, e] = displacement_before(own, path, k, e, 1) + s_y * path.time[k, e]
+            slip = _needed_slip(requested, terms, rolling, half_tread, soils.moduli[a])
+            _update_displacement(own, slip, terms, rolling, half_tread)
             slips[a, b] = slip
     return slips
 
@@ -172,20 +172,22 @@ def _sliding_along(slip: float, rolling: Rolling, half_tread: float, k: int) -> 
 
 
 @compiled
-def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float) -> float:
+def _mobilised_thrust(
+    slip: float, terms: _ThrustTerms, rolling: Rolling, half_tread: float, modulus: float
+) -> float:
     """Return q_L + q_R in the direction of travel after the step with a mean slip."""
-    n, per_modulus = pulling.time.shape[1], 1.0 / modulus
+    n, per_modulus = terms.time.shape[1], 1.0 / modulus
     total = 0.0
     for k in range(2):
         s_x = _sliding_along(slip, rolling, half_tread, k)
-        before, across, time = pulling.before[k], pulling.across[k], pulling.time[k]
-        s_y, shares = pulling.s_y[k], pulling.shares[k]
+        before, across, time = terms.before[k], terms.across[k], terms.time[k]
+        s_y, shares = terms.s_y[k], terms.shares[k]
         for e in range(n):
             j_x = before[e] + s_x * time[e]
-            slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), FARTHEST)
-            sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), STILL)
+            slid = min(math.sqrt(j_x * j_x + across[e] * across[e]), LARGEST_DISPLACEMENT)
+            sliding = max(math.sqrt(s_x * s_x + s_y[e] * s_y[e]), LEAST_SLIDING)
             shares[e] = np.divide(
-                pulling.strength[e] * mobilised(slid * per_modulus), sliding
+                terms.strength[e] * mobilised_share(slid * per_modulus), sliding
             )  # no check for 0
         for e in range(n):
             total -= s_x * shares[e]
@@ -194,25 +196,25 @@ def _pull(slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float, m
 
 @compiled
 def _needed_slip(
-    requested: float, pulling: _Pulling, rolling: Rolling, half_tread: float, modulus: float
+    requested: float, terms: _ThrustTerms, rolling: Rolling, half_tread: float, modulus: float
 ) -> float:
-    """Return the mean slip, within ±_MOST_SLIP, at which ``_pull`` is ``requested``.
+    """Return the mean slip, within ±_MOST_SLIP, at which ``_mobilised_thrust`` is ``requested``.
 
     Thrust rises with slip, so false position (Illinois) converges to it, or to the step of the thrust at
     slip 0 where the soil is sheared already.
     """
     low, high = -_MOST_SLIP, _MOST_SLIP
-    f_low = _pull(low, pulling, rolling, half_tread, modulus) - requested
+    f_low = _mobilised_thrust(low, terms, rolling, half_tread, modulus) - requested
     if f_low >= 0.0:
         return low
-    f_high = _pull(high, pulling, rolling, half_tread, modulus) - requested
+    f_high = _mobilised_thrust(high, terms, rolling, half_tread, modulus) - requested
     if f_high <= 0.0:
         return high
     slip, was_low, was_high = high, False, False
-    for _ in range(_TRIALS):
+    for _ in range(_ITERATIONS):
         slip = (low * f_high - high * f_low) / (f_high - f_low)
-        f = _pull(slip, pulling, rolling, half_tread, modulus) - requested
-        if abs(f) < _CLOSE_PULL or high - low < _CLOSE_SLIP:
+        f = _mobilised_thrust(slip, terms, rolling, half_tread, modulus) - requested
+        if abs(f) < _THRUST_TOLERANCE or high - low < _SLIP_TOLERANCE:
             break
         if f < 0.0:
             low, f_low = slip, f
@@ -225,16 +227,18 @@ def _needed_slip(
 
 
 @compiled
-def _leave(j: FloatArray, slip: float, pulling: _Pulling, rolling: Rolling, half_tread: float) -> None:
+def _update_displacement(
+    j: FloatArray, slip: float, terms: _ThrustTerms, rolling: Rolling, half_tread: float
+) -> None:
     """Set j (2, n, 2) after the step with a mean slip."""
     for k in range(2):
         s_x = _sliding_along(slip, rolling, half_tread, k)
-        for e in range(pulling.time.shape[1]):
-            j_x, j_y = pulling.before[k, e] + s_x * pulling.time[k, e], pulling.across[k, e]
-            scale = min(1.0, FARTHEST / max(math.hypot(j_x, j_y), STILL))
+        for e in range(terms.time.shape[1]):
+            j_x, j_y = terms.before[k, e] + s_x * terms.time[k, e], terms.across[k, e]
+            scale = min(1.0, LARGEST_DISPLACEMENT / max(math.hypot(j_x, j_y), LEAST_SLIDING))
             j[k, e, 0], j[k, e, 1] = scale * j_x, scale * j_y
 
 
-def _between(nodes: FloatArray, places: FloatArray) -> FloatArray:
+def _interpolation_weights(nodes: FloatArray, places: FloatArray) -> FloatArray:
     """Return weights (places, nodes) of linear interpolation; both ascend, places lie within the nodes."""
     return np.stack([np.interp(places, nodes, unit) for unit in np.eye(len(nodes))], axis=1)

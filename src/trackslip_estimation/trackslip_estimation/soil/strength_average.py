@@ -37,11 +37,11 @@ class Average(Record):
     pose_covariance: Annotated[FloatArray, (3, 3)]
 
 
-GATHERING, COMPLETE, BROKEN, LOST = range(4)  # results of ``gather``
+GATHERING, COMPLETE, BROKEN, LOST = range(4)  # results of ``add_sample``
 
 
 @compiled
-def gather(
+def add_sample(
     average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad, p: StrengthParameters
 ) -> int:
     """Add a sample with its thrust and load to an average; return the result.
@@ -52,12 +52,12 @@ def gather(
     if not _is_usable(sample, p):
         is_lost = not 0.0 < sample.dt <= p.longest_gap
         if is_lost:
-            clear(average)
+            clear_average(average)
         return LOST if is_lost else BROKEN
-    _add(average, sample, thrust, load)
+    _accumulate(average, sample, thrust, load)
     if average.dt < p.interval * (1.0 - 1e-6):
         return GATHERING
-    _complete(average, sample)
+    _finish_average(average, sample)
     return COMPLETE
 
 
@@ -88,7 +88,7 @@ def _is_usable(sample: Sample, p: StrengthParameters) -> bool:
 
 
 @compiled
-def clear(average: Average) -> None:
+def clear_average(average: Average) -> None:
     """Set the sums of an average to 0."""
     average.dt = average.lean = average.lean_stddev = average.stretch = average.stretch_stddev = 0.0
     for k in range(2):
@@ -100,7 +100,7 @@ def clear(average: Average) -> None:
 
 
 @compiled
-def _add(average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad) -> None:
+def _accumulate(average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoad) -> None:
     """Add a sample, with its thrust divided by the ratio g_j of strength to that on level ground."""
     dt = sample.dt
     average.dt += dt
@@ -122,7 +122,7 @@ def _add(average: Average, sample: Sample, thrust: ThrustRecord, load: GroundLoa
 
 
 @compiled
-def _complete(average: Average, sample: Sample) -> None:
+def _finish_average(average: Average, sample: Sample) -> None:
     """Divide the sums by the time, and set pose and motion from the last sample."""
     dt = average.dt
     average.motion = sample.motion

@@ -20,38 +20,38 @@ class StrengthGrid:
 
     def __init__(self, p: StrengthParameters, vehicle: Vehicle) -> None:
         self.parameters = p
-        self.modulus_edges = _edges(p.lowest_modulus, p.highest_modulus, p.modulus_cells)
+        self.modulus_edges = _log_edges(p.lowest_modulus, p.highest_modulus, p.modulus_cells)
         lowest, highest = p.lowest_limit * vehicle.weight, p.highest_limit * vehicle.weight
-        self.limit_edges = _edges(lowest, highest, p.limit_cells)
+        self.limit_edges = _log_edges(lowest, highest, p.limit_cells)
         self.log_moduli, self.log_limits = _centres(self.modulus_edges), _centres(self.limit_edges)
         self.moduli, self.limits = np.exp(self.log_moduli), np.exp(self.log_limits)  # m, N; ascending
         correlated = p.slip_bias_stddev * vehicle.contact_length / self.moduli
-        self._spread_moduli = _spread(self.log_moduli, correlated)
-        self._spread_limits = _spread(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
+        self._spread_moduli = _error_matrix(self.log_moduli, correlated)
+        self._spread_limits = _error_matrix(self.log_limits, np.full(p.limit_cells, p.thrust_scale_stddev))
 
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of moduli and limits."""
         return len(self.moduli), len(self.limits)
 
-    def of_moduli(self, cells: FloatArray) -> FloatArray:
+    def moduli_probabilities(self, cells: FloatArray) -> FloatArray:
         """Return the probability of each K (moduli,), for cell probabilities (moduli, limits)."""
         return np.asarray(cells.sum(axis=1) @ self._spread_moduli)
 
-    def of_limits(self, cells: FloatArray) -> FloatArray:
+    def limit_probabilities(self, cells: FloatArray) -> FloatArray:
         """Return the probability of each F_max (limits,)."""
         return np.asarray(cells.sum(axis=0) @ self._spread_limits)
 
-    def spread(self, cells: FloatArray) -> FloatArray:
+    def add_errors(self, cells: FloatArray) -> FloatArray:
         """Return the cell probabilities (moduli, limits) convolved with the constant errors."""
         return np.asarray(self._spread_moduli.T @ cells @ self._spread_limits)
 
-    def expectation_of(self, along_moduli: FloatArray, along_limits: FloatArray) -> FloatArray:
-        """Return for each cell (moduli, limits) the mean of the factors' product, spread as by ``spread``."""
+    def expectation(self, along_moduli: FloatArray, along_limits: FloatArray) -> FloatArray:
+        """Return for each cell (moduli, limits) the mean product of the factors, convolved as by ``add_errors``."""
         return np.outer(self._spread_moduli @ along_moduli, self._spread_limits @ along_limits)
 
 
-def _edges(lowest: float, highest: float, cells: int) -> FloatArray:
+def _log_edges(lowest: float, highest: float, cells: int) -> FloatArray:
     """Return the edges (cells + 1,) of cells of equal width in the logarithm."""
     return np.linspace(math.log(lowest), math.log(highest), cells + 1)
 
@@ -60,7 +60,7 @@ def _centres(edges: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (edges[1:] + edges[:-1]))
 
 
-def _spread(centres: FloatArray, stddevs: FloatArray) -> FloatArray:
+def _error_matrix(centres: FloatArray, stddevs: FloatArray) -> FloatArray:
     """Return (n, n): row k is a Gaussian about cell k with its standard deviation, of sum 1."""
     width = centres[1] - centres[0]
     steps = (centres[None, :] - centres[:, None]) / np.maximum(stddevs, 1e-3 * width)[:, None]

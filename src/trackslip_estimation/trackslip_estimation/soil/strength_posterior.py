@@ -27,15 +27,15 @@ from trackslip_common.compiled import compiled
 from trackslip_common.vehicle import Vehicle
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.soil.records import PoseWithCovariance
-from trackslip_estimation.soil.shear_field import Contact, Rolling, carry, element_places
+from trackslip_estimation.soil.shear_field import Contact, Rolling, element_places, propagate_displacement
 from trackslip_estimation.soil.straight import Hypotheses, StraightSegment
 from trackslip_estimation.soil.strength_average import Average
 from trackslip_estimation.soil.strength_grid import StrengthGrid
 from trackslip_estimation.soil.strength_parameters import StrengthParameters
-from trackslip_estimation.soil.strength_summary import StrengthSummary, summarize
-from trackslip_estimation.soil.turn_likelihood import Turn, curves_of, squared_distances
+from trackslip_estimation.soil.strength_summary import StrengthSummary, summarise_cells
+from trackslip_estimation.soil.turn_likelihood import Turn, squared_distances, thrust_curves
 
-_LEAST = 1e-300  # least probability as a divisor
+_LEAST_PROBABILITY = 1e-300  # least probability as a divisor
 
 
 class SampleOutcome(Enum):
@@ -87,7 +87,7 @@ class StrengthPosterior:
         start, self._pose = self._pose or pose, pose
         stretch, stretch_stddev = float(now["stretch"]), float(now["stretch_stddev"])
         before = self._displacement
-        self._displacement = carry(before, rolling, self._contact, dt)
+        self._displacement = propagate_displacement(before, rolling, self._contact, dt)
         if now["motion"] == Motion.STANDING:
             self._halted = True
             if self._segment is not None:
@@ -107,7 +107,7 @@ class StrengthPosterior:
 
     def _evaluate_turn(self, now: Average, rolling: Rolling) -> SampleOutcome:
         """Update with the slips and thrusts of a turn."""
-        p, tracks, shared = self.parameters, rolling.tracks, self._shared()
+        p, tracks, shared = self.parameters, rolling.tracks, self._shared_samples()
         force = np.where(np.abs(tracks) >= p.slowest_track, now["force"], np.nan)
         known = int(np.isfinite(force).sum())
         if not known:
@@ -115,14 +115,16 @@ class StrengthPosterior:
         turn = Turn(
             self._displacement,
             rolling,
-            self._root_of(now["twist_covariance"], tracks),
+            self._covariance_root(now["twist_covariance"], tracks),
             force,
             now["variance"] + p.thrust_stddev**2 + (shared - 1.0) * now["swing_variance"],
             p.thrust_share_stddev * math.sqrt(shared),
             float(now["lean_stddev"]) * math.sqrt(shared),
         )
-        squares = squared_distances(curves_of(turn, self._contact, self.grid.moduli), turn, self.grid.limits)
-        self._learn(squares, known, min(float(now["dt"]) / p.correlation_time, 1.0))
+        squares = squared_distances(
+            thrust_curves(turn, self._contact, self.grid.moduli), turn, self.grid.limits
+        )
+        self._update_cells(squares, known, min(float(now["dt"]) / p.correlation_time, 1.0))
         return SampleOutcome.USED
 
     def _evaluate_segment(self) -> SampleOutcome:
@@ -135,20 +137,20 @@ class StrengthPosterior:
             return SampleOutcome.GATHERED  # spinning tracks are at the limit of the soil: independent of K
         bias = p.slip_bias_stddev * segment.track_distance
         correlated = bias**2 + lost.of_lean**2
-        variance = lost.variance + p.distance_stddev**2 + self._shared() * correlated
-        self._learn((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)
+        variance = lost.variance + p.distance_stddev**2 + self._shared_samples() * correlated
+        self._update_cells((lost.measured - lost.expected) ** 2 / variance, 1, 1.0)
         return SampleOutcome.USED
 
-    def _root_of(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
+    def _covariance_root(self, covariance: FloatArray, tracks: FloatArray) -> FloatArray:
         """Return the upper triangular root of the twist's covariance, with least variances and slip bias."""
         p = self.parameters
         own = np.square((p.speed_stddev, p.speed_stddev, p.yaw_rate_stddev))
         slip = p.slip_bias_stddev * float(np.abs(tracks).mean())
         correlated = np.square((slip, 0.0, slip / self._contact.half_tread))
-        whole = covariance + np.diag(own + self._shared() * correlated)
+        whole = covariance + np.diag(own + self._shared_samples() * correlated)
         return np.ascontiguousarray(np.linalg.cholesky(whole[::-1, ::-1])[::-1, ::-1])
 
-    def _shared(self) -> float:
+    def _shared_samples(self) -> float:
         """Return the number of samples that share a time-correlated error: the factor of its variance.
 
         Together these samples then carry hardly more information than one sample with this error alone. The
@@ -156,7 +158,7 @@ class StrengthPosterior:
         """
         return 1.0 + min(self.effective_samples, self.parameters.correlated_samples)
 
-    def _learn(self, squares: FloatArray, known: int, weight: float) -> None:
+    def _update_cells(self, squares: FloatArray, known: int, weight: float) -> None:
         """Update by the Student-t likelihood of ``squares`` (moduli, limits), of ``known`` measurements."""
         degrees = self.parameters.degrees_of_freedom
         log = -0.5 * (degrees + known) * np.log1p(squares / degrees)
@@ -168,7 +170,7 @@ class StrengthPosterior:
 
     def summary(self) -> StrengthSummary:
         """Return medians, intervals, and whether they are identifiable."""
-        return summarize(self.grid, self.cells, self.effective_samples)
+        return summarise_cells(self.grid, self.cells, self.effective_samples)
 
 
 @compiled
@@ -181,7 +183,7 @@ def _bayes_update(
         for b in range(cells.shape[1]):
             kept = (1.0 - change) * cells[a, b] * likelihood[a, b]
             cells[a, b] = kept + replaced * likelihood[a, b]
-            age[a, b] = age[a, b] * np.divide(kept, max(cells[a, b], _LEAST)) + weight
+            age[a, b] = age[a, b] * np.divide(kept, max(cells[a, b], _LEAST_PROBABILITY)) + weight
             total += cells[a, b]
     for a in range(cells.shape[0]):
         for b in range(cells.shape[1]):

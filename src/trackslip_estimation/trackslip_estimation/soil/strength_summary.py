@@ -26,16 +26,16 @@ class StrengthSummary:
     reason: str  # why not; empty if identifiable
 
 
-def summarize(grid: StrengthGrid, cells: FloatArray, effective_samples: float) -> StrengthSummary:
+def summarise_cells(grid: StrengthGrid, cells: FloatArray, effective_samples: float) -> StrengthSummary:
     """Return the summary of cell probabilities (moduli, limits)."""
-    k_low, modulus, k_high = np.exp(_quantiles(grid.of_moduli(cells), grid.modulus_edges)).tolist()
-    f_low, limit, f_high = np.exp(_quantiles(grid.of_limits(cells), grid.limit_edges)).tolist()
+    k_low, modulus, k_high = np.exp(_quantiles(grid.moduli_probabilities(cells), grid.modulus_edges)).tolist()
+    f_low, limit, f_high = np.exp(_quantiles(grid.limit_probabilities(cells), grid.limit_edges)).tolist()
     moduli, limits = (k_low, k_high), (f_low, f_high)
-    reason = _reason(grid.parameters, moduli, limits, effective_samples)
+    reason = _unidentified_reason(grid.parameters, moduli, limits, effective_samples)
     return StrengthSummary(modulus, moduli, limit, limits, effective_samples, not reason, reason)
 
 
-def _reason(
+def _unidentified_reason(
     p: StrengthParameters, moduli: tuple[float, float], limits: tuple[float, float], effective_samples: float
 ) -> str:
     """Return why the posterior does not identify the soil; empty if it does."""

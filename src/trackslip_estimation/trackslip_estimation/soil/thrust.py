@@ -156,8 +156,8 @@ def measure_thrust(
         # At standstill a slope or a little trapped oil is indistinguishable from an offset.
         variance = offsets.variance[k] + p.offset_residue**2 + p.pressure_stddev**2
         pressure = pressures[k] - offsets.mean[k]
-        forward = 0.5 if math.isnan(speeds[k]) else _below(speeds[k] / p.speed_stddev)
-        positive = _below(pressure / math.sqrt(variance))
+        forward = 0.5 if math.isnan(speeds[k]) else _normal_cdf(speeds[k] / p.speed_stddev)
+        positive = _normal_cdf(pressure / math.sqrt(variance))
         drives = forward * positive + (1.0 - forward) * (1.0 - positive)
         slope = drives * motor.driving + (1.0 - drives) * motor.driven
         either = drives * (1.0 - drives) * ((motor.driving - motor.driven) * pressure) ** 2
@@ -174,6 +174,6 @@ def hold_thrust(thrust: ThrustRecord, dt: float, p: ThrustParameters, motor: Mot
 
 
 @compiled
-def _below(z: float) -> float:
+def _normal_cdf(z: float) -> float:
     """Return the probability that a standard normal variable lies below z."""
     return 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))

@@ -21,7 +21,7 @@ import numpy as np
 
 from trackslip_common.arrays import FloatArray
 from trackslip_common.compiled import compiled
-from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, shares
+from trackslip_estimation.soil.shear_field import Contact, Rolling, RollingError, fill_mobilised_shares
 
 _DEPENDENT = 1e-9  # least share of a determinant, against rounding
 _NODES = np.linspace(-4.0, 4.0, 17)  # z
@@ -47,7 +47,7 @@ class Curves(NamedTuple):
 
 
 @compiled
-def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
+def thrust_curves(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
     """Return q of both tracks for each K over errors of v_x, and its changes by the other errors."""
     j, rolling, spread = turn.j, turn.rolling, turn.spread
     nodes, count, half_tread = len(_NODES), len(moduli), contact.half_tread
@@ -55,12 +55,12 @@ def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
     none = np.zeros(2)
     for m in range(nodes):
         along = np.full(2, _NODES[m] * spread[0, 0])
-        shares(j, rolling, RollingError(along, none, 0.0), contact, moduli, q[m])
+        fill_mobilised_shares(j, rolling, RollingError(along, none, 0.0), contact, moduli, q[m])
     high, low = np.empty((2, count)), np.empty((2, count))
     for c in range(2):
         across = spread[1:, c + 1].copy()
-        shares(j, rolling, RollingError(none, across, 0.0), contact, moduli, high)
-        shares(j, rolling, RollingError(none, -across, 0.0), contact, moduli, low)
+        fill_mobilised_shares(j, rolling, RollingError(none, across, 0.0), contact, moduli, high)
+        fill_mobilised_shares(j, rolling, RollingError(none, -across, 0.0), contact, moduli, low)
         for k in range(2):
             along_k = spread[0, c + 1] - spread[2, c + 1] * half_tread * (1.0 - 2.0 * k)
             for m in range(nodes - 1):
@@ -68,8 +68,8 @@ def curves_of(turn: Turn, contact: Contact, moduli: FloatArray) -> Curves:
                 for a in range(count):
                     slope = (q[m + 1, k, a] - q[m, k, a]) * per_metre
                     J[c, m, k, a] = 0.5 * (high[k, a] - low[k, a]) + slope * along_k
-    shares(j, rolling, RollingError(none, none, turn.lean_stddev), contact, moduli, high)
-    shares(j, rolling, RollingError(none, none, -turn.lean_stddev), contact, moduli, low)
+    fill_mobilised_shares(j, rolling, RollingError(none, none, turn.lean_stddev), contact, moduli, high)
+    fill_mobilised_shares(j, rolling, RollingError(none, none, -turn.lean_stddev), contact, moduli, low)
     J[2] = 0.5 * (high - low)
     return Curves(q, J)
 

@@ -16,7 +16,7 @@ from trackslip_common.vehicle import Vehicle
 from trackslip_drivers.conversions import blank_imu
 from trackslip_estimation.slip.conversions import blank_odometry
 from trackslip_estimation.slip.motion import Motion
-from trackslip_estimation.soil.classes import limit_of
+from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_sim.machine.emulation import FORCES_NS, SITE_FRAME, TRUTH_NS
 from trackslip_sim.machine.message_columns import Columns
 from trackslip_sim.truth.record import Truth
@@ -144,7 +144,7 @@ def _forces_columns(truth: Truth, vehicle: Vehicle) -> Columns:
 def soil_message(make: Make, at: Truth, stamp_ns: int, vehicle: Vehicle, frame_id: str) -> Any:
     """trackslip_msgs/SoilEstimate of the ground under C: zero-width intervals, one class of probability 1."""
     ground = soil(at.soil_name())
-    limit = limit_of(ground, vehicle)
+    limit = soil_thrust_limit(ground, vehicle)
     mobilised = float(at.turning_moment[0]) * 3.0 / (vehicle.weight * vehicle.contact_length)  # (3.8)
     modulus = ground.value("shear_modulus")
     return make(

@@ -24,7 +24,7 @@ from trackslip_estimation.soil.records import (
     IS_HYDRAULICS,
     SOIL_INPUT,
     SlipSeed,
-    inputs_of,
+    inputs_from_estimates,
 )
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilOutputs, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters
@@ -139,7 +139,7 @@ class SoilRun:
         self._published_ns = int(published_ns[-1])
         before = np.searchsorted(published_ns, np.maximum.accumulate(self._logged_ns))
         ready = int(np.searchsorted(before, len(estimates)))
-        given = np.insert(inputs_of(estimates), before[:ready], self._waiting[:ready])
+        given = np.insert(inputs_from_estimates(estimates), before[:ready], self._waiting[:ready])
         self._waiting, self._logged_ns = self._waiting[ready:], self._logged_ns[ready:]
         self._feed(given)
 

@@ -7,18 +7,20 @@ import numpy as np
 from trackslip_common.arrays import FloatArray, Rows
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.records import POSE
-from trackslip_estimation.soil.stall import Trouble
+from trackslip_estimation.soil.stall import TrackCondition
 from trackslip_tools.report.spells import Spell, spells
 
 SIDES = ("left", "right")
-WORDS = {Trouble.STALLED: "stalled", Trouble.STUCK: "getting stuck"}
+WORDS = {TrackCondition.STALLED: "stalled", TrackCondition.STUCK: "getting stuck"}
 _LEAST_S = 0.5  # shortest listed trouble, s
 
 
 def trouble_spells(times: FloatArray, forces: Rows) -> dict[str, list[Spell]]:
-    """Side → spells of ``Trouble`` of its track; ``times`` (n,) of the forces, s."""
+    """Side → spells of ``TrackCondition`` of its track; ``times`` (n,) of the forces, s."""
     return {
-        side: [spell for spell in spells(times, forces["trouble"][:, k]) if spell.state != Trouble.NONE]
+        side: [
+            spell for spell in spells(times, forces["trouble"][:, k]) if spell.state != TrackCondition.NONE
+        ]
         for k, side in enumerate(SIDES)
     }
 
@@ -26,7 +28,8 @@ def trouble_spells(times: FloatArray, forces: Rows) -> dict[str, list[Spell]]:
 def trouble_lines(forces: Rows, start_ns: int) -> list[str]:
     """A line for each spell in which a track stalled or got stuck, in s from the bag's first message."""
     return [
-        f"{side} track {WORDS[Trouble(state)]} for {stop - start:.1f} s, from {start:.1f} to {stop:.1f} s"
+        f"{side} track {WORDS[TrackCondition(state)]} for {stop - start:.1f} s, "
+        f"from {start:.1f} to {stop:.1f} s"
         for side, own in trouble_spells((forces["stamp_ns"] - start_ns) * 1e-9, forces).items()
         for start, stop, state, _ in own
         if stop - start >= _LEAST_S

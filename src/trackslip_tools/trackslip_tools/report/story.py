@@ -13,7 +13,7 @@ from trackslip_estimation.slip.explanations import CompetingExplanations, senten
 from trackslip_estimation.slip.measurements import Outcome
 from trackslip_estimation.slip.motion import Motion
 from trackslip_estimation.slip.silence import silence_limit, usual_period
-from trackslip_estimation.soil.stall import Trouble
+from trackslip_estimation.soil.stall import TrackCondition
 from trackslip_tools.replay import troubles
 from trackslip_tools.replay.inputs import SPROCKETS
 from trackslip_tools.replay.troubles import WORDS
@@ -43,8 +43,8 @@ _MOTIONS = {
     int(Motion.TURNING): Look(BLUE, "turning"),
 }
 _TROUBLES = {
-    int(Trouble.STALLED): Look(ORANGE, WORDS[Trouble.STALLED]),
-    int(Trouble.STUCK): Look(AMBER, WORDS[Trouble.STUCK]),
+    int(TrackCondition.STALLED): Look(ORANGE, WORDS[TrackCondition.STALLED]),
+    int(TrackCondition.STUCK): Look(AMBER, WORDS[TrackCondition.STUCK]),
 }
 _ONE, _SEVERAL = 1, 2
 _EXPLAINED = {_ONE: Look(GREEN, "explained"), _SEVERAL: Look(AMBER, "explanations compete")}
@@ -60,7 +60,7 @@ def motion_spells(run: Run) -> list[Spell]:
 
 
 def trouble_spells(run: Run) -> dict[str, list[Spell]]:
-    """Side → intervals in which its track was in trouble: states of ``Trouble``."""
+    """Side → intervals in which its track was in trouble: states of ``TrackCondition``."""
     soil = run.replay.soil
     if soil is None:
         return {}
@@ -123,7 +123,7 @@ def troubles_text(found: Mapping[str, Sequence[Spell]]) -> str:
     """Trouble, track and total duration of each; empty without troubles."""
     reported = [
         f"{WORDS[trouble]}: {side} track {seconds:.1f} s"
-        for trouble in (Trouble.STALLED, Trouble.STUCK)
+        for trouble in (TrackCondition.STALLED, TrackCondition.STUCK)
         for side, own in found.items()
         if (seconds := total_duration(own, trouble)) > 0.0
     ]
@@ -214,7 +214,7 @@ def _event(at_s: float, level: Level, text: str) -> Event:
 def _troubles(run: Run) -> Iterator[Event]:
     for side, own in trouble_spells(run).items():
         for spell in own:
-            text = f"{side} track {WORDS[Trouble(spell.state)]} for {spell.stop - spell.start:.1f} s"
+            text = f"{side} track {WORDS[TrackCondition(spell.state)]} for {spell.stop - spell.start:.1f} s"
             yield _event(spell.start, Level.WARN, text)
 
 

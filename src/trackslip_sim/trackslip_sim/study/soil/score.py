@@ -20,7 +20,7 @@ from trackslip_common.arrays import BoolArray, FloatArray
 from trackslip_common.parameter_record import record_of
 from trackslip_common.soils import soil
 from trackslip_common.vehicle import Vehicle
-from trackslip_estimation.soil.classes import limit_of
+from trackslip_estimation.soil.classes import soil_thrust_limit
 from trackslip_estimation.soil.records import TrackForces
 from trackslip_estimation.soil.soil_estimator import SoilState
 from trackslip_estimation.soil.thrust import ThrustParameters, new_offsets, update_offsets
@@ -94,7 +94,11 @@ def run(trial: Trial, setting: Setting | None = None) -> Result:
 def _strength(last: SoilState, truth: Truth, vehicle: Vehicle) -> dict[str, Any]:
     """Errors of the estimate at the end, against the soil under C."""
     ground, found = soil(truth.soil_name()), last.strength
-    modulus, limit, mu_r = ground.value("shear_modulus"), limit_of(ground, vehicle), ground.value("mu_r")
+    modulus, limit, mu_r = (
+        ground.value("shear_modulus"),
+        soil_thrust_limit(ground, vehicle),
+        ground.value("mu_r"),
+    )
     return {
         "limit": found.thrust_limit / limit,
         "limit_interval": _over(found.thrust_limit_interval, limit),

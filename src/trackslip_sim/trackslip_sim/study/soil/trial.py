@@ -20,7 +20,7 @@ from trackslip_estimation.slip.estimator import SlipEstimator
 from trackslip_estimation.slip.measurements import Measurement, PoseFix, Sprockets, YawRate
 from trackslip_estimation.slip.parameters import SlipEstimatorParameters, load_slip_parameters
 from trackslip_estimation.slip.records import to_records
-from trackslip_estimation.soil.records import Hydraulics, inputs_of
+from trackslip_estimation.soil.records import Hydraulics, inputs_from_estimates
 from trackslip_estimation.soil.soil_estimator import SoilEstimator, SoilOutput, SoilState
 from trackslip_estimation.soil.soil_parameters import SoilEstimatorParameters, load_soil_parameters
 from trackslip_sim.machine.sensors import SensorNoise, tilt_readings
@@ -117,7 +117,9 @@ def outputs(readings: Readings, setting: Setting) -> Iterator[SoilOutput]:
     slip_estimator, soil_estimator = SlipEstimator(setting.slip), SoilEstimator(setting.soil)
     results = slip_estimator.process_records(to_records(readings.arrivals, slip_estimator.sources))
     samples = results[[isinstance(measurement, Sprockets) for measurement in readings.arrivals]]
-    given = np.repeat(inputs_of(samples["estimate"]), 2)  # each reading, and its state if published
+    given = np.repeat(
+        inputs_from_estimates(samples["estimate"]), 2
+    )  # each reading, and its state if published
     for record, reading in zip(given[::2], readings.pressures, strict=True):
         reading.write_to(record)
     is_there = np.ones(len(given), np.bool_)
